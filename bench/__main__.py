@@ -1,11 +1,13 @@
-"""`./run bench AREA [--json] [--smoke]`: prints what it measured; exits with 1 when a goal was missed."""
+"""`./run bench AREA|all [--json] [--smoke] [--write]`: prints what it measured; exits with 1 when a goal was missed."""
 
 import argparse
 import dataclasses
 import importlib
 import sys
+import time
 from collections.abc import Iterator
 
+from bench import page
 from bench.rows import Row
 from swarm.errors import SwarmError
 
@@ -25,11 +27,12 @@ AREAS = {
     "recording": "what a recording costs an app's process, and what a kill -9 takes from it",
     "footprint": "proportional memory of one robot's processes",
     "memory": "growth of two robots' processes and of the simulation, MB an hour, after a warm-up (--seconds)",
-    "i2c": "time on the I2C bus at 100 kHz: a control step, a whole tick, rates",
+    "i2c": "time on the I2C bus at 100 kHz: a control step, a whole tick, rates; UWB reports at other clocks",
     "dwm": "the UWB service: memory, and CPU time and allocations of an update",
     "teamwork": "apps that blink, stand and drive together: LED phases, stand-up, formation, crossings",
     "deploy": "a release to 8 robots beside one, and the second time; over real ssh servers",
     "steady": "CPU time of each process of a robot, for a second of a run",
+    "radio": "a Bluetooth radio in slots beside recordings; lockstep over it, starts, and their bounds",
     "lab": "an iteration over a real kernel's RFCOMM beside plain sockets on the same links (boots a machine)",
     "view": "the live page: frames, CPU of browser and server, robot to screen; what watching costs the swarm",
     "faults": "1000 faults of all kinds mixed, drawn from a seed: same trajectory, and how long it took",
@@ -49,7 +52,7 @@ def measure(area: str, *, smoke: bool = False, **changed: float) -> Iterator[Row
 
 
 def main() -> int:
-    """Run one area and print its rows as they are measured."""
+    """Run one area, or all of them, and print the rows as they are measured."""
     listing = "\n".join(f"  {name:<13} {what}" for name, what in AREAS.items())
     parser = argparse.ArgumentParser(
         prog="./run bench",
@@ -57,26 +60,46 @@ def main() -> int:
         epilog=f"areas:\n{listing}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("area", choices=AREAS, metavar="AREA")
+    parser.add_argument("area", choices=[*AREAS, "all"], metavar="AREA", help="one of those below, or `all`")
     parser.add_argument("--json", action="store_true", help="one JSON object a row")
     parser.add_argument("--smoke", action="store_true", help="small sizes and no goals: only whether the area works")
+    parser.add_argument("--write", action="store_true", help="also write the area's table into the page of results")
     parser.add_argument("--seed", type=int, help="of the schedule of faults")
     parser.add_argument("--count", type=int, help="how many faults")
     parser.add_argument("--seconds", type=float, metavar="S", help="how long is measured (memory)")
     arguments = parser.parse_args()
     changed = {name: value for name in ("seed", "count", "seconds") if (value := getattr(arguments, name)) is not None}
-    sizes = importlib.import_module(f"bench.{arguments.area}").FULL
-    if unknown := changed.keys() - {field.name for field in dataclasses.fields(sizes)}:
-        parser.error(f"{arguments.area} has no --{min(unknown)}")
-    missed = 0
+    areas = list(AREAS) if arguments.area == "all" else [arguments.area]
+    if arguments.write and arguments.smoke:
+        parser.error("--write takes the figures of full sizes, not those of --smoke")
+    for area in areas:
+        sizes = importlib.import_module(f"bench.{area}").FULL
+        if unknown := changed.keys() - {field.name for field in dataclasses.fields(sizes)}:
+            parser.error(f"{area} has no --{min(unknown)}")
+    return max(_run(area, arguments, changed) for area in areas)
+
+
+def _run(area: str, arguments: argparse.Namespace, changed: dict[str, float]) -> int:
+    """Measure one area; returns the exit code."""
+    rows = []
     try:
-        for row in measure(arguments.area, smoke=arguments.smoke, **changed):
+        for row in measure(area, smoke=arguments.smoke, **changed):
             print(row.json() if arguments.json else row.text(), flush=True)
-            missed += not row.ok
+            rows.append(row)
+        if arguments.write:
+            write(area, rows, changed)
     except SwarmError as error:
-        sys.stderr.write(f"bench {arguments.area}: {error}\n")
+        sys.stderr.write(f"bench {area}: {error}\n")
         return 2
-    return 1 if missed else 0
+    return 0 if all(row.ok for row in rows) else 1
+
+
+def write(area: str, rows: list[Row], changed: dict[str, float]) -> None:
+    """Replace the area's table on the page of results."""
+    command = " ".join(["./run bench", area, *(f"--{name} {value:g}" for name, value in changed.items())])
+    part = page.table(area, rows, command=command, machine=page.machine(), date=time.strftime("%Y-%m-%d"))
+    text = page.PAGE.read_text(encoding="utf-8")
+    page.PAGE.write_text(page.replaced(text, area, part), encoding="utf-8")
 
 
 if __name__ == "__main__":

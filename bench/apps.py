@@ -19,10 +19,11 @@ from typing import Any
 from bench.rows import Row, number
 from bench.simulation import simulate
 from services.apps import loader
-from services.apps.localization.leastsquares import refine
+from services.apps.builtin.localization.leastsquares import refine
 from sim.core import noise
-from sim.rehearsal.scene import PLACES, TARGET, scene
+from sim.rehearsal.scene import TARGET, scene
 from sim.rehearsal.sync import SyncRehearsal
+from sim.scenario import PLACES
 from sim.virtual.run import simulate as simulate_virtually
 from swarm.messages import Measurement
 from swarm.recording.thesis_ranges import read_folder

@@ -12,7 +12,7 @@ from pathlib import Path
 from services.balancer import loop
 from services.balancer.core.lateness import Lateness
 from services.balancer.i2c import I2CBus
-from sim.wiring import simulated_bus
+from sim.devices.wiring import simulated_bus
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus
 from swarm.config import Config

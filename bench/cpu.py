@@ -2,8 +2,8 @@
 
 All that those processes do in that time is in it: the links' heartbeats, the other services' messages on the bus, and
 the app's state for whoever watches. With links over sockets a robot's mesh does what it does on a robot: TCP differs
-from RFCOMM in how the socket is made, frames are authenticated, and the radio is a process apart (`bench.radio`), whose
-time is not counted, as kernel and controller are on a robot. With simulated links a mesh is its own radio, too.
+from RFCOMM in how the socket is made, frames are authenticated, and the radio is a process apart (`bench.tcp_radio`),
+whose time is not counted, as kernel and controller are on a robot. With simulated links a mesh is its own radio, too.
 
 A robot has its processors for itself. Where the processes of six share two cores, each finds others' data in the caches
 whenever it wakes, and pays for that. So one robot is there with all its processes, and its neighbours (their meshes'

@@ -14,11 +14,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench import decoders_data, decoders_mesh
+from bench import decoders_apps, decoders_data, decoders_mesh
 from bench.decoders_run import Result, Target, run
 from bench.rows import Row
 
-TARGETS: tuple[Target, ...] = (*decoders_mesh.TARGETS, *decoders_data.TARGETS)
+TARGETS: tuple[Target, ...] = (*decoders_mesh.TARGETS, *decoders_apps.TARGETS, *decoders_data.TARGETS)
 
 
 @dataclass(frozen=True)
@@ -42,18 +42,22 @@ ELSEWHERE = {
     "services/apps/host.py": "makes a number of a hash of its own",
     "sim/rehearsal/examine.py": "states that it has packed itself",
     "services/apps/runner.py": "states of the size that the lockstep has checked",
-    "services/apps/slots.py": "its own file: tests/services/apps/test_files.py",
+    "services/apps/persistence/slots.py": "its own file: tests/services/apps/test_files.py",
     "services/balancer/link.py": "datagrams between the loop and its own second process",
-    "services/balancer/core/mailbox.py": "a number of one byte or two: tests/services/balancer/test_slack_tasks.py",
+    "services/balancer/core/devices/mailbox.py": "1 or 2 bytes: tests/services/balancer/test_slack_tasks.py",
     "services/mesh/__main__.py": "makes a number of random bytes of its own",
     "services/mesh/core/link/calls.py": "a Bluetooth address that the configuration has checked",
     "services/mesh/links/sim.py": "simulated links only",
-    "sim/app_requests_server.py": "a simulation's own socket: tests/sim/test_orders.py",
+    "sim/control/app_requests_server.py": "a simulation's own socket: tests/sim/test_orders.py",
     "sim/run.py": "makes a number of random bytes of its own",
     "laptop/cli/runs/import_csv.py": "makes a number of a hash of its own",
+    "laptop/fleet/release.py": "the project's own description of what robots carry",
+    "laptop/runs/results.py": "what the runner itself wrote about a run",
+    "laptop/view/layouts.py": "the page's own file: tests/laptop/view/test_layouts.py",
     "swarm/onboard/samples.py": "shows frames of lockstep: tests/swarm/onboard/test_z_sub.py",
     "swarm/recording/core/foxglove.py": "a schema of its own",
     "swarm/recording/core/writer.py": "checkpoints of its own file: tests/swarm/recording/test_long_recordings.py",
+    "swarm/core/snapshot_fields.py": "private fields that this robot has packed itself, in a snapshot with a checksum",
     "swarm/core/state.py": "states of the size that the lockstep has checked: tests/services/apps/test_state.py",
     "swarm/core/stopping.py": "two bytes of a state of the size that the lockstep has checked",
     "swarm/messages/json_input.py": "any JSON: tests/swarm/messages/test_json_input.py",

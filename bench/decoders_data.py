@@ -1,4 +1,4 @@
-"""The decoders of messages, apps, devices and files, for the fuzzer."""
+"""The decoders of messages, devices and files, for the fuzzer."""
 
 import contextlib
 import dataclasses
@@ -8,7 +8,6 @@ import random
 import tempfile
 import types
 import typing
-import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,23 +16,19 @@ import msgpack
 
 from bench.decoders_run import MIB, Target
 from laptop.fleet import collect, journal, versions
-from laptop.view.picture import Picture, places
+from laptop.view.feeds.picture import Picture, places
 from services.balancer import link
-from services.balancer.core import balboa, imu, intel_hex, uwb
-from services.dwm.core import calibration_file, calls, shell, tlv
-from services.dwm.core.exchange import ModuleExchange
-from services.dwm.core.tlv import LOC_GET, AnchorRange, Location, Position
+from services.balancer.core.devices import balboa, imu, uwb
+from services.balancer.core.flashing import intel_hex
+from services.dwm.core.calibration import calibration_file
+from services.dwm.core.module import calls, shell, tlv
+from services.dwm.core.module.exchange import ModuleExchange
+from services.dwm.core.module.tlv import LOC_GET, AnchorRange, Location, Position
 from services.mesh import link_address
 from swarm import messages
 from swarm.bluetooth import hci
 from swarm.config import keyfile
 from swarm.config.load import parse as parse_config
-from swarm.core import state
-from swarm.core.asynchronous import Asynchronous
-from swarm.core.epoch_notes import NONE, Ballot, EpochNote, Offer, SavedEpochs, Vote, first, following
-from swarm.core.epochs import Epochs
-from swarm.core.lockstep import Channel, Lockstep
-from swarm.core.lockstep_frames import HeardNeighbour, Snapshot, decode_frame, encode_step, encode_want
 from swarm.errors import ConfigError, FrameError, LocalError, PayloadError, RecordingError, RemoteError
 from swarm.messages import codec
 from swarm.messages.json_values import json_value
@@ -90,102 +85,6 @@ def _messages(rng: random.Random) -> Made:
     return golden, lambda data: codec.decode(kinds[data[0] % len(kinds)], data[1:], "key") if data else None
 
 
-# -- apps
-
-_MEMBERS = ("r0", "r1", "r2")
-_BEGIN = first(_MEMBERS, (("r0", "r1"), ("r1", "r2")), 0)
-_NEXT = following(_BEGIN, "r1", 7, ("r0", "r1"), ("r0", "r1"), (("r0", "r1"),), ("r2",), (7,), forced=False)
-_NOTES = tuple(
-    note.encode()
-    for note in (
-        EpochNote("r0", 3, 9, _BEGIN, 8, True, ("r2",), Ballot(2, "r1"), Vote(Ballot(2, "r1"), _NEXT), None, 0),
-        EpochNote("r2", 3, 9, _NEXT, -1, False, (), NONE, None, Offer(Ballot(4, "r2"), _NEXT, True), 7),
-        EpochNote("r1", 3, 9, _BEGIN, 8, True, (), Ballot(4, "r2"), None, Offer(Ballot(4, "r2"), None, False), 0),
-    )
-)
-
-
-def _epochs(rng: random.Random) -> Made:
-    """Notes to the membership of r1, while time passes; what it tells must be a note for the others."""
-    epochs = Epochs("r1", _MEMBERS, (1, 2), 3, _BEGIN, None, auto=True)
-    now = 0.0
-
-    def feed(data: bytes) -> None:
-        nonlocal now
-        now += rng.random() * 0.2
-        epochs.receive(data, now)
-        if rng.random() < 0.3:
-            epochs.settle()
-            epochs.k = max(epochs.k, epochs.epoch.k)
-            epochs.suspect(("r2",) if rng.random() < 0.5 else (), now)
-        epochs.handle_timer(now)
-        for action in epochs.actions():
-            if (told := getattr(action, "data", None)) is not None and told is not data:
-                EpochNote.decode(told)
-
-    return _NOTES, feed
-
-
-_RUN, _SCHEMA = 0xA1, 0x9F3C21AA
-
-
-def _lockstep(rng: random.Random) -> Made:
-    """Frames of the neighbours of a robot in lockstep."""
-    cores = [Lockstep("r1", ("r0", "r2"), Channel(_RUN, 0, 5, _SCHEMA), 8)]
-    cores[0].start(bytes(8), 0.0)
-    now = 0.0
-
-    def feed(data: bytes) -> None:
-        nonlocal now
-        now += rng.random() * 0.1
-        core = cores[0]
-        sender = _MEMBERS[int(rng.random() * 3)]
-        core.receive(sender, Channel(_RUN, 0, int(rng.random() * 3) if sender != "r1" else 1, _SCHEMA), data, now)
-        core.handle_timer(now)
-        for action in core.actions():
-            if type(action).__name__ == "Compute":
-                core.computed(bytes(8), b"", now)
-        core.actions()
-        if core.fault is not None:
-            cores[0] = Lockstep("r1", ("r0", "r2"), Channel(_RUN, 0, 5, _SCHEMA), 8)
-            cores[0].start(bytes(8), now)
-
-    return [encode_step(0, bytes(8), None), encode_step(1, bytes(8), bytes(8)), encode_want(0), encode_want(1)], feed
-
-
-def _asynchronous(rng: random.Random) -> Made:
-    """Frames of the neighbours of a robot with an event-driven app."""
-    core = Asynchronous("r1", ("r0", "r2"), Channel(_RUN, 0, 5, _SCHEMA), 8, _MEMBERS, period=0.1, barrier=True)
-    core.begin(0.0)
-    now = 0.0
-
-    def feed(data: bytes) -> None:
-        nonlocal now
-        now += rng.random() * 0.1
-        sender = ("r0", "r2")[int(rng.random() * 2)]
-        core.receive(sender, Channel(_RUN, 0, int(rng.random() * 9), _SCHEMA), data, now)
-        for action in core.actions():
-            if type(action).__name__ == "Call":
-                core.returned(bytes(8), now)
-        core.handle_timer(now)
-
-    frame = b"\x01" + (5).to_bytes(4, "little") + bytes(8)
-    return [frame, b"\x00" + frame[1:] + b"\x07"], feed
-
-
-def _snapshots(rng: random.Random) -> Made:
-    """Snapshots; half of them with a checksum that is right, as another version might have left them."""
-    heard = {"r0": HeardNeighbour(3, 6, [bytes(8), None, bytes(8)]), "r2": HeardNeighbour()}
-    golden = Snapshot(_RUN, 0, _SCHEMA, 8, 6, bytes(8), bytes(8), heard, state.pack_private({"a": (1, [2.0])})).encode()
-
-    def feed(data: bytes) -> None:
-        if rng.random() < 0.5:
-            data = data[:-4] + zlib.crc32(data[:-4]).to_bytes(4, "little")
-        Snapshot.decode(data)
-
-    return [golden], feed
-
-
 # -- devices
 
 _PLACE = Position(6.97, 5.17, -1.77, 53)
@@ -226,7 +125,7 @@ def _shell(rng: random.Random) -> Made:
 def _block(data: bytes) -> None:
     padded = data[: balboa.UWB_SIZE].ljust(balboa.UWB_SIZE, b"\0")
     uwb.check(data)
-    uwb.decode(padded, 1.0, balboa.decode_progress(data[: balboa.PROGRESS_SIZE]), 0, 1, 0)
+    uwb.decode(padded, 1.0, 0, 1, 0)
 
 
 _REGISTERS = [bytes(range(size)) for size in (4, 12, balboa.MOTION_SIZE, balboa.HOUSEKEEPING_SIZE, balboa.UWB_SIZE)]
@@ -408,32 +307,22 @@ def _as_config(data: bytes) -> object:
 
 TARGETS = (
     Target("messages of the bus", ("swarm/messages/codec.py",), _messages, (PayloadError,)),
-    Target("lockstep: frames and channels", ("swarm/core/lockstep_frames.py",),
-           simple([encode_step(1, bytes(8), bytes(8)), b"00000000000000a1-0-3-9f3c21aa"],
-                  lambda data: decode_frame(data, 8), text(Channel.parse)), (FrameError,)),
-    Target("lockstep: frames to a core", ("swarm/core/lockstep_frames.py",), _lockstep),
-    Target("asynchronous: frames to a core", ("swarm/core/asynchronous.py",), _asynchronous),
-    Target("epochs: notes", ("swarm/core/epoch_notes.py", "swarm/messages/codec.py"), simple(_NOTES, EpochNote.decode),
-           (PayloadError,)),
-    Target("epochs: notes to a core", ("swarm/core/epoch_notes.py",), _epochs),
-    Target("ballots", ("swarm/core/epoch_notes.py", "swarm/messages/codec.py"),
-           simple([codec.encode(SavedEpochs(1, 2, EpochNote.decode(note))) for note in _NOTES],
-                  lambda data: codec.decode(SavedEpochs, data, "ballot")), (PayloadError,)),
-    Target("snapshots", ("swarm/core/lockstep_frames.py",), _snapshots, (LocalError,)),
-    Target("UWB module: answers", ("services/dwm/core/tlv.py", "services/dwm/core/calls.py"), _tlv),
-    Target("UWB module: requests", ("services/dwm/core/calls.py",), simple([b"\x0c\x00", b"\x02\x00"], calls.call_of),
+    Target("UWB module: answers", ("services/dwm/core/module/tlv.py", "services/dwm/core/module/calls.py"), _tlv),
+    Target("UWB module: requests", ("services/dwm/core/module/calls.py",),
+           simple([b"\x0c\x00", b"\x02\x00"], calls.call_of),
            (FrameError,)),
-    Target("UWB module: shell", ("services/dwm/core/shell.py",), _shell, (FrameError,)),
-    Target("ATmega: UWB block", ("services/balancer/core/uwb.py", "services/balancer/core/balboa.py"),
+    Target("UWB module: shell", ("services/dwm/core/module/shell.py",), _shell, (FrameError,)),
+    Target("ATmega: UWB block", ("services/balancer/core/devices/uwb.py", "services/balancer/core/devices/balboa.py"),
            simple(_REGISTERS, _block), (RemoteError,)),
-    Target("ATmega and IMU: registers", ("services/balancer/core/balboa.py", "services/balancer/core/imu.py"),
+    Target("ATmega and IMU: registers",
+           ("services/balancer/core/devices/balboa.py", "services/balancer/core/devices/imu.py"),
            simple(_REGISTERS, balboa.decode_motion, balboa.decode_housekeeping, balboa.decode_progress, imu.decode),
            (RemoteError,)),
     Target("balancer: datagrams of the loop", ("swarm/messages/codec.py",), simple(_DATAGRAMS, link.unpack),
            (PayloadError,)),
     Target("Bluetooth: HCI events", ("swarm/bluetooth/hci.py",), simple(_HCI, hci.reading, hci.written_supervision),
            (FrameError,)),
-    Target("Intel HEX", ("services/balancer/core/intel_hex.py",),
+    Target("Intel HEX", ("services/balancer/core/flashing/intel_hex.py",),
            simple([_HEX], text(lambda each: intel_hex.parse(each, 28 * 1024))), (LocalError,)),
     Target("recordings (MCAP)",
            ("swarm/recording/core/mcap.py", "swarm/recording/reader.py", "swarm/recording/survey.py",
@@ -443,10 +332,10 @@ TARGETS = (
            simple([json_text.encode({"t": 1.5, "a": [1, {"b": None}]})], json_text.decode),
            (ValueError, RecursionError)),
     Target("recordings of the thesis (CSV)", (), _csv, (RecordingError,)),
-    Target("live page: what robots say", ("laptop/view/picture.py", "swarm/recording/core/json_text.py"), _pages,
+    Target("live page: what robots say", ("laptop/view/feeds/picture.py", "swarm/recording/core/json_text.py"), _pages,
            room=48),
     Target("swarm.toml", ("swarm/config/load.py",), simple([_CONFIG], _as_config), (ConfigError,), room=8),
-    Target("calibration file", ("services/dwm/core/calibration_file.py",),
+    Target("calibration file", ("services/dwm/core/calibration/calibration_file.py",),
            simple([_CALIBRATION], text(lambda each: calibration_file.parse(each, "x"))), (ConfigError,)),
     Target("key file", ("swarm/config/keyfile.py",),
            simple([_KEYS], lambda data: keyfile.parse_keys(data, Path("key"))), (LocalError,)),

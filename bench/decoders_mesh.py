@@ -14,7 +14,8 @@ from services.mesh.core.link.clock import ClockClaim, encode_claim
 from services.mesh.core.link.flow import Fragment, Reassembly, decode_fragment, encode_ack, encode_fragment
 from services.mesh.core.link.session import Session
 from services.mesh.core.node import MeshNode
-from services.mesh.core.overlays import stop
+from services.mesh.core.overlays import carried, stop
+from services.mesh.core.overlays.carried import Carried
 from services.mesh.core.overlays.robot_overlays import RobotOverlays
 from services.mesh.core.overlays.stop import Halt, Mark
 from services.mesh.core.overlays.viewing import KEYS, Viewing
@@ -65,6 +66,7 @@ PACKETS = (
         for flood in (False, True)
     ),
     packets.encode_message(packets.UnicastMessage("r0", "r1", 7, 0, "swarm/r0/app/x/sync/1/r1/around", b"x", 9)),
+    carried.encode_carried(Carried(0b1010, b"x" * 20, 32, latest=True)),
     Ground(NAMES, (), auto=True).encode(TopologyVersion(2, 1, "r0", True, EDGES)),
     encode(Watch(1.0, 5.0)),
 )
@@ -73,7 +75,7 @@ CHANNELS = (
     (FLOOD, "swarm/r2/app/x/flood"), (FLOOD, "swarm/r2/mesh/lsa"), (FLOOD, "swarm/r3/mesh/lsa"),
     (FLOOD, "swarm/r0/mesh/halt"), (FLOOD, "swarm/r0/mesh/digest"), (FLOOD, "swarm/r0/mesh/topology"),
     (FLOOD, "swarm/r2/mesh/stopped"), (FLOOD, "swarm/r2/mesh/watch"), (FLOOD, "swarm/r1/app/x/flood"),
-    (UNICAST, "swarm/r0/mesh/unicast"), (UNICAST, "swarm/r0/mesh/pieces"),
+    (UNICAST, "swarm/r0/mesh/unicast"), (UNICAST, "swarm/r0/mesh/pieces"), (UNICAST, SYNC_KEY),
     (NEIGHBOURS, SYNC_KEY), (NEIGHBOURS, "swarm/r0/mesh/ping"), (NEIGHBOURS, "swarm/r0/mesh/pong"),
 )  # fmt: skip
 """What the member's link may be bound to."""
@@ -85,6 +87,7 @@ def _overlays(rng: random.Random) -> RobotOverlays:
     return RobotOverlays(
         "r1", frozenset(NAMES), incarnation=10**15, random=rng.random, counters=Counter(), start=start,
         admits_flood=lambda key: True, admits_unicast=lambda sender, key: True,
+        admits_neighbour=lambda sender, key: True, carries=lambda key: True,
     )  # fmt: skip
 
 
@@ -99,7 +102,7 @@ def _packets(rng: random.Random) -> Made:
 
     def feed(data: bytes) -> None:
         nonlocal now
-        overlay, key = CHANNELS[int(rng.random() * 11)]
+        overlay, key = CHANNELS[int(rng.random() * 12)]
         overlays.receive("r0", overlay, key, data, (CONTROL, SYNC, BULK)[int(rng.random() * 3)], now)
         now += rng.random() * 0.02
         if rng.random() < 0.1:
@@ -194,8 +197,8 @@ FRAMES = (
     encode_ack(5),
     encode_fragment(Fragment(0, 0, False, 40, b"x" * 20)),
     encode_fragment(Fragment(0, 1, True, 0, b"x" * 20)),
-    frames.encode_data(SYNC, 11, encode_step(5, bytes(8), bytes(8))),
-    frames.encode_data(BULK, 12, neighbour._HEAD.pack(5, 1, 1) + bytes(9)),
+    frames.encode_data(SYNC, 12, encode_step(5, bytes(8), bytes(8))),
+    frames.encode_data(BULK, 13, neighbour._HEAD.pack(5, 1, 1) + bytes(9)),
 )
 """Frames of a member beside those with packets: what is mutated is a frame without its length and tag."""
 
@@ -299,6 +302,7 @@ _PACKET_DECODERS = (
     packets.decode_spread, packets.decode_echo, packets.decode_digest, packets.decode_summary, stop.decode_halt,
     topology.decode_advertisement, packets.decode_message, packets.decode_ack, neighbour._answer,
     pieces.decode, pieces.decode_offer, pieces.decode_want, pieces.decode_piece, pieces.decode_state,
+    carried.decode_carried,
 )  # fmt: skip
 
 TARGETS = (
@@ -324,6 +328,7 @@ TARGETS = (
             _CORE + each
             for each in (
                 "wire/packets.py",
+                "overlays/carried.py",
                 "bulk/pieces.py",
                 "overlays/stop.py",
                 "routing/topology.py",
@@ -336,6 +341,7 @@ TARGETS = (
         "mesh: each packet by itself",
         (
             f"{_CORE}wire/packets.py",
+            f"{_CORE}overlays/carried.py",
             f"{_CORE}bulk/pieces.py",
             f"{_CORE}overlays/stop.py",
             f"{_CORE}routing/topology.py",

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 from bench import footprint
 from bench.rows import Row
-from services.dwm.core.diagnosis import DiagnosisWatch
-from services.dwm.core.pipeline import Pipeline
-from services.dwm.core.poller import ModuleReport, Poller
-from services.dwm.core.tlv import Position, encode_location
+from services.dwm.core.estimation.pipeline import Pipeline
+from services.dwm.core.module.diagnosis import DiagnosisWatch
+from services.dwm.core.module.poller import ModuleReport, Poller
+from services.dwm.core.module.tlv import Position, encode_location
 from sim.core.uwb import Module, Tag
 from sim.run import SERVICE_MODULES
 from swarm.config.types import Anchor, Dwm

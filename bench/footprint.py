@@ -8,7 +8,7 @@ from pathlib import Path
 
 from bench.rows import Row
 from sim import footprint, options, scenario
-from sim.module import ModuleBoard
+from sim.devices.module import ModuleBoard
 from sim.processes import Processes
 from sim.run import APP_SERVICE, SERVICE_MODULES
 from swarm import clock

@@ -1,4 +1,5 @@
-"""Time on the I2C bus at 100 kHz: a control step, a tick with all else in its slack, and the rates of the thesis.
+"""Time on the I2C bus at 100 kHz: a control step, a tick with all else in its slack, and the rates of the thesis. Then,
+under virtual time, how often a UWB report is read at the clocks that Pis have, by the CPU time of a tick.
 
 There is no bus here: each transfer waits as long as its bytes take on the wire, the ATmega's holds included, and the
 pauses that the ATmega needs are slept for real, with the loop's priority where that is permitted. Drivers, balancer and
@@ -6,23 +7,25 @@ slack tasks are the robot's own; the devices are simulated.
 """
 
 import logging
+import math
 import random
 import statistics
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from bench.rows import Row
 from services.balancer import realtime
 from services.balancer.balancer import Balancer
-from services.balancer.core.body import body_model
-from services.balancer.core.display import ScreenText
+from services.balancer.core.control.body import body_model
+from services.balancer.core.devices.display import ScreenText
 from services.balancer.drivers import Balboa
 from services.balancer.measure_i2c import measure
 from services.balancer.slack_tasks import SlackTasks
 from sim.core.balboa import BalboaBody
 from sim.core.devices import SimulatedRobot, draw_errors
-from sim.i2c import SimulatedBus
+from sim.devices.i2c import SimulatedBus
+from sim.virtual.i2c_robot import TimedRobot
 from swarm import clock
 from swarm.config.types import Body
 from swarm.messages import MeasureI2C, ModuleRequest
@@ -37,6 +40,9 @@ THESIS_WRITE_MS = 8 * RATE_SIZE / 53.0
 """Milliseconds a transfer at 21 and 53 kbit/s (thesis 2.2.5)."""
 _SPIN_S = 0.3e-3
 
+REPORT_MS = 1e3 / 9.0
+"""At most from one UWB report to the next, where the wire can carry them all (docs/reference/robot/i2c-bus.md)."""
+
 
 @dataclass(frozen=True)
 class Sizes:
@@ -47,55 +53,21 @@ class Sizes:
 
     transfers: int = 100
     """Of each rate."""
+    balancing: float = 20.0
+    """Seconds of virtual time for each clock and CPU time."""
+    clocks_khz: tuple[float, ...] = (40.0, 50.0, 62.5, 80.0, 100.0)
+    cpu_ms: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5, 2.0)
 
 
 FULL = Sizes()
-SMOKE = Sizes(100, 10)
+SMOKE = Sizes(100, 10, 2.0, (62.5,), (1.0,))
 
 
-class TimedBus(SimulatedBus):
-    """Every transfer takes its time."""
-
-    def __init__(self, robot: SimulatedRobot) -> None:
-        super().__init__(robot, clock.now)
-
-    def write(self, address: int, data: bytes) -> None:
-        """See `I2CBus`."""
-        self._timed(lambda: super(TimedBus, self).write(address, data))
-
-    def read(self, address: int, count: int) -> bytes:
-        """See `I2CBus`."""
-        data: list[bytes] = []
-        self._timed(lambda: data.append(super(TimedBus, self).read(address, count)))
-        return data[0]
-
-    def write_read(self, address: int, data: bytes, count: int) -> bytes:
-        """See `I2CBus`."""
-        read: list[bytes] = []
-        self._timed(lambda: read.append(super(TimedBus, self).write_read(address, data, count)))
-        return read[0]
-
-    def pause(self, seconds: float) -> None:
-        """See `I2CBus`."""
-        time.sleep(seconds)
-
-    def untimed(self) -> float:
-        """See `I2CBus`."""
-        return 0.0
-
-    def _timed(self, transfer: Callable[[], object]) -> None:
-        begun, before = clock.now(), self.robot.wire_s()
-        try:
-            transfer()
-        finally:
-            _wait_until(begun + self.robot.wire_s() - before)
-
-
-def _wait_until(end: float) -> None:
+def _take(seconds: float) -> None:
     """As exact as the kernel's own wait for the end of a transfer: an interrupt, not a timer."""
-    left = end - clock.now() - _SPIN_S
-    if left > 0.0:
-        time.sleep(left)
+    end = clock.now() + seconds
+    if seconds > _SPIN_S:
+        time.sleep(seconds - _SPIN_S)
     while clock.now() < end:
         pass
 
@@ -105,7 +77,7 @@ def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     realtime.enter(logging.getLogger("bench"))
     model, noise = body_model("zero2w", Body()), random.Random(1)
     robot = SimulatedRobot(BalboaBody(model, clock.now()), noise, errors=draw_errors(noise))
-    bus = TimedBus(robot)
+    bus = SimulatedBus(robot, clock.now, take=_take)
     balancer = Balancer(bus, model, 0.0, clock.now, bus.pause, start_mode="stand")
     tasks = SlackTasks(balancer, clock.now)
     while balancer.mode != "balancing":
@@ -128,16 +100,25 @@ def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     assert found.write is not None
     yield Row("8 bytes read, as the thesis' rate", 8e3 * RATE_SIZE / found.read, "ms", THESIS_READ_MS, 1.0)
     yield Row("8 bytes written, as the thesis' rate", 8e3 * RATE_SIZE / found.write, "ms", THESIS_WRITE_MS, 1.3)
+    for clock_khz in sizes.clocks_khz:
+        for cpu_ms in sizes.cpu_ms:
+            result = TimedRobot(scl=clock_khz * 1e3, cpu=cpu_ms * 1e-3).measure(sizes.balancing)
+            name = f"UWB report every, at {clock_khz:g} kHz and {cpu_ms:g} ms CPU"
+            missed = f", {result.missed} ticks missed" if result.missed else ""
+            behind = f", behind: {' '.join(sorted(result.behind))}" if result.behind else ""
+            carried = clock_khz >= 50.0 or cpu_ms <= 0.5
+            every = 1e3 / result.uwb if result.uwb else math.inf
+            yield Row(name + missed + behind, every, "ms", REPORT_MS, 1.0 if carried else None)
 
 
 def _tick(balancer: Balancer, tasks: SlackTasks) -> tuple[float, float, float]:
     """One tick; its control step, all of it, and the control step's time on the wire, s."""
     begun = clock.now()
-    robot = balancer.bus
-    assert isinstance(robot, TimedBus)
-    before = robot.robot.wire_s()
+    bus = balancer.bus
+    assert isinstance(bus, SimulatedBus)
+    before = bus.robot.wire_s()
     balancer.step(begun)
-    wire = robot.robot.wire_s() - before
+    wire = bus.robot.wire_s() - before
     step = clock.now() - begun
     balancer.show_leds(clock.now())
     tasks.run(begun + PERIOD_MS / 1e3)

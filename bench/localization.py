@@ -14,9 +14,9 @@ from pathlib import Path
 
 from bench.rows import Row
 from bench.uwb_motion import ANCHORS, SEEDS, WARM_UP, Outcome, errors, lag, rms, run
-from services.dwm.core.ekf import Ekf, EkfNoise
-from services.dwm.core.filters import percentile
-from services.dwm.core.tracker import Tracker
+from services.dwm.core.estimation.ekf import Ekf, EkfNoise
+from services.dwm.core.estimation.filters import percentile
+from services.dwm.core.estimation.tracker import Tracker
 
 SCENARIOS = (
     ("standing, 5 % hidden", 0.0, 0.05, 0.035),

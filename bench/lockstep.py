@@ -37,7 +37,7 @@ STARTING = 3
 """Messages for each link and direction that a start may take: x(0) again, as the first went nowhere before the link was
 up, with the question for the other's x(0), and the answer to the other's question."""
 
-_HEAD = struct.Struct("<BI")  # of a frame: kind, iteration (docs/lockstep.md)
+_HEAD = struct.Struct("<BI")  # of a frame: kind, iteration (docs/reference/network/lockstep.md)
 
 ZERO_GOAL_S = 2.5e-3
 """Budget of an iteration where the links take no time: what bus, mesh and app cost themselves."""

@@ -15,10 +15,8 @@ from services.apps import loader
 from services.apps.host import schema_of
 from services.apps.runner import Runner as App
 from services.mesh.__main__ import CHANCE, incarnation, local_by_file
-from services.mesh.core.routing.topology import Ground
 from services.mesh.core.routing.wanted_links import InitialLinks
-from services.mesh.locked_runtime import LockedRuntime
-from services.mesh.mesh import Mesh
+from services.mesh.mesh import Mesh, ground_of
 from services.mesh.network import Network
 from services.mesh.sockets import Sockets
 from swarm import clock
@@ -31,6 +29,7 @@ from swarm.errors import FrameError
 from swarm.messages.keys import key
 from swarm.process import log, service
 from swarm.process.edges import die_with_parent
+from swarm.process.locked_runtime import LockedRuntime
 from swarm.process.paths import runtime_dir
 
 APP = "consensus"
@@ -51,7 +50,7 @@ class Peer:
         self._mesh = Mesh(
             config,
             local,
-            InitialLinks(Ground(config.names, config.edges, auto=config.auto), local.dials),
+            InitialLinks(ground_of(config), local.dials),
             CHANCE,
             incarnation(),
             runtime,

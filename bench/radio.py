@@ -1,97 +1,118 @@
-"""A radio between robots that link over TCP: a process of its own, which hands on bytes as they came, but later.
+"""The slot radio: its fit to the thesis' recordings, and lockstep over it by our own cores.
 
-On a robot the kernel and the Bluetooth controller do this. `sim:` links do it within the robots' own meshes.
+First the model beside recorded runs (`bench.radio_fit`; SWARM_THESIS_DATA names their folder, and what is missing there
+is named). Then consensus of `swarm sim --virtual --radio slots`: mesh and apps with their real cores, which are held
+against the best that one link for each edge gave in a model of our messages. Beside it the original's pattern without
+its sleeps on the same radio, and the least that one piconet allows: no loss, no time in hosts, polls without a pause.
+`links = auto` is a hub that calls all others.
+How long a bridge stays is not known, so that is swept: graphs of several piconets depend on it, one piconet does not.
 """
 
-import argparse
-import asyncio
-import contextlib
-import selectors
-from functools import partial
-from typing import cast
+import statistics
+from collections.abc import Iterator
+from dataclasses import dataclass
 
-from swarm.process.edges import die_with_parent
+from bench import radio_fit
+from bench.apps import RECORDINGS
+from bench.radio_patterns import Bundled, Original
+from bench.rows import Row, number
+from sim.slots.parameters import Parameters
+from sim.virtual.run import simulate
+from swarm.core.graph import Graph
 
-LATENCY_S = 0.03
+GRAPHS = {"line 3": 0.017, "line 6": 0.094, "loop 6": 0.113, "thesis-d 6": 0.232, "full 6": 0.887}
+"""s an iteration with the best roles, of a model of our messages."""
+GOAL = 1.15
 
+HUB = {"line 3": 0.025, "line 6": 0.05, "loop 6": 0.05, "thesis-d 6": 0.06, "full 6": 0.075}
+"""s an iteration at most where links are what suits the radio."""
 
-def in_range(robot: int) -> str:
-    """The address at which others call a robot, by its number."""
-    return f"127.0.2.{robot + 1}"
+STAYS = (0.05, 0.2, 0.3)
+"""s, besides that of the fit."""
 
-
-def of_robot(robot: int) -> str:
-    """The address at which that robot listens."""
-    return f"127.0.1.{robot + 1}"
-
-
-class _End(asyncio.Protocol):
-    """One end of a link; `other` is there before bytes come."""
-
-    transport: asyncio.Transport
-    other: "_End"
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self.transport = cast(asyncio.Transport, transport)
-
-    def data_received(self, data: bytes) -> None:
-        asyncio.get_running_loop().call_later(LATENCY_S, self.other.transport.write, data)
-
-    def connection_lost(self, error: Exception | None) -> None:
-        if hasattr(self, "other"):
-            asyncio.get_running_loop().call_later(LATENCY_S, self.other.transport.close)
+LEAST = Parameters(poll_busy=2, loss=0.0, host=0.0, uart=1e12, scan=1e6)
+COMPUTE = 0.002
+"""s of a step in an app's process, on average: virtual time has none."""
 
 
-class _Caller(_End):
-    """The end of the robot that called; what it says before the other end is there is kept for it."""
+@dataclass(frozen=True)
+class Sizes:
+    """How much the area measures."""
 
-    def __init__(self, robot: int, port: int) -> None:
-        self._address = of_robot(robot), port
-        self._said = b""
-        self._joining: asyncio.Task[None]
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        super().connection_made(transport)
-        self._joining = asyncio.get_running_loop().create_task(self._join())
-
-    # Not by pause_reading: before Python 3.11.4 a transport reads all the same when it is asked for that here.
-    def data_received(self, data: bytes) -> None:
-        if hasattr(self, "other"):
-            super().data_received(data)
-        else:
-            self._said += data
-
-    async def _join(self) -> None:
-        try:
-            _, called = await asyncio.get_running_loop().create_connection(_End, *self._address)
-        except OSError:
-            self.transport.close()
-            return
-        self.other, called.other = called, self
-        if self._said:
-            super().data_received(self._said)
+    graphs: tuple[str, ...] = tuple(GRAPHS)
+    iterations: int = 200
+    rivals: int = 60
+    """Iterations of the other patterns."""
+    seeds: int = 3
+    stays: tuple[float, ...] = STAYS
+    pings: int = 100
 
 
-async def _serve(robots: int, port: int) -> None:
-    loop = asyncio.get_running_loop()
-    async with contextlib.AsyncExitStack() as stack:
-        for robot in range(robots):
-            server = await loop.create_server(partial(_Caller, robot, port), in_range(robot), port)
-            await stack.enter_async_context(server)
-        await asyncio.Event().wait()
+FULL = Sizes()
+SMOKE = Sizes(("line 3", "loop 6"), 20, 10, 1, (0.2,), 5)
 
 
-def main() -> None:
-    """`python -m bench.radio ROBOTS PORT`: until killed."""
-    parser = argparse.ArgumentParser(prog="bench.radio", description=__doc__)
-    parser.add_argument("robots", type=int)
-    parser.add_argument("port", type=int)
-    options = parser.parse_args()
-    die_with_parent()
-    # epoll waits whole milliseconds, select does not.
-    with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner:
-        runner.run(_serve(options.robots, options.port))
+def rows(sizes: Sizes = FULL) -> Iterator[Row]:
+    """Measure; yields rows as they are there."""
+    if missing := radio_fit.missing(RECORDINGS):
+        yield Row(f"no recordings: {missing[0]}", float(len(missing)), "", 1.0, None)
+    else:
+        yield from radio_fit.rows(RECORDINGS, sizes.rivals, sizes.pings, sizes.seeds)
+    for name in sizes.graphs:
+        shape, robots = name.split()
+        ours = [_consensus(shape, robots, sizes.iterations, seed, "slots") for seed in range(sizes.seeds)]
+        yield Row(f"iteration, {name}", 1e3 * _mean(ours, "seconds"), "ms", 1e3 * GRAPHS[name], GOAL)
+        hub = [_consensus(shape, robots, sizes.iterations, seed, "slots", links="auto") for seed in range(sizes.seeds)]
+        yield Row(f"iteration, links = auto, {name}", 1e3 * _mean(hub, "seconds"), "ms", 1e3 * HUB[name], 1.0)
+        start = statistics.median(number(run, "started_s") for run in hub)
+        yield Row(f"start, links = auto, {name}", start, "s", 1.0, None)
+        yield Row(f"messages an iteration, {name}", _mean(ours, "messages"), "", 2.0 * len(_edges(name)), None)
+        yield Row(f"start, {name}", statistics.median(number(run, "started_s") for run in ours), "s", 1.0, None)
+        for stay in sizes.stays:
+            runs = [
+                _consensus(shape, robots, sizes.iterations, seed, f"slots:stay={stay}") for seed in range(sizes.seeds)
+            ]
+            yield Row(
+                f"iteration, {name}, stays of {stay:g} s", 1e3 * _mean(runs, "seconds"), "ms", 1e3 * GRAPHS[name], None
+            )
+        original = statistics.fmean(_original(name, sizes.rivals, seed) for seed in range(sizes.seeds))
+        yield Row(f"the original's pattern, {name}", 1e3 * original, "ms", 1e3 * GRAPHS[name], None)
+        for text, parameters, compute in (("one piconet, bundled", Parameters(), COMPUTE), ("least", LEAST, 0.0)):
+            least = _bundled(name, sizes.rivals, parameters, compute)
+            yield Row(f"{text}, {name}", 1e3 * least, "ms", 1e3 * GRAPHS[name], None)
 
 
-if __name__ == "__main__":
-    main()
+def _consensus(
+    shape: str, robots: str, iterations: int, seed: int, radio: str, *, links: str = "graph"
+) -> dict[str, object]:
+    report, _ = simulate(
+        "consensus", "--robots", robots, "--topology", shape, "--iterations", str(iterations), "--seed", str(seed),
+        "--radio", radio, "--links", links,
+    )  # fmt: skip
+    return report
+
+
+def _mean(runs: list[dict[str, object]], what: str) -> float:
+    """Of a figure of each run, an iteration."""
+    return statistics.fmean(number(run, what) / max(1.0, number(run, "iterations")) for run in runs)
+
+
+def _edges(name: str) -> list[tuple[str, str]]:
+    """Of a graph; the robot with the lower name calls."""
+    shape, robots = name.split()
+    return sorted(Graph.of_shape(shape, [f"r{number}" for number in range(int(robots))]).edges)
+
+
+def _original(name: str, iterations: int, seed: int) -> float:
+    poll, lock = radio_fit.MARCH
+    run = Original(_edges(name), Parameters(), seed, poll=poll, lock=lock)
+    while min(map(len, run.times.values())) < iterations:
+        run.time.run(run.time.now + 10.0)
+    return run.iteration()
+
+
+def _bundled(name: str, iterations: int, parameters: Parameters, compute: float) -> float:
+    run = Bundled(_edges(name), parameters, 1, compute=compute)
+    while min(map(len, run.times.values())) < iterations:
+        run.time.run(run.time.now + 1.0)
+    return run.iteration()

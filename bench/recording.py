@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bench.rows import Row
-from services.apps.recorder import Recorder
+from services.apps.persistence.recorder import Recorder
 from swarm.recording import trajectory
 from swarm.recording.file import RecordingFile
 
@@ -75,7 +75,7 @@ def _cpu_s() -> float:
 
 def _resident_kib() -> float:
     """What importing it adds to an app host that has all the rest."""
-    program = f"{IMPORTS}\na = int({RESIDENT})\nimport services.apps.recording\nprint(int({RESIDENT}) - a)"
+    program = f"{IMPORTS}\na = int({RESIDENT})\nimport services.apps.persistence.recording\nprint(int({RESIDENT}) - a)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     return float(done.stdout) * resource.getpagesize() / 1024
 
@@ -84,7 +84,7 @@ def _lost_s(before: int) -> float:
     """Between the last state in the file and the last one that was recorded, when the process is killed."""
     program = (
         "import sys, time\nfrom collections import Counter\nfrom pathlib import Path\n"
-        "from swarm.recording.file import RecordingFile\nfrom services.apps.recorder import Recorder\n"
+        "from swarm.recording.file import RecordingFile\nfrom services.apps.persistence.recorder import Recorder\n"
         "recorder = Recorder(RecordingFile(Path(sys.argv[1]), Counter(), append=False), 'r0', 'x')\nk = 0\n"
         "while True:\n    recorder.state(k, time.monotonic(), {'v': 1.0}, {})\n    k += 1\n    time.sleep(0.005)\n"
     )

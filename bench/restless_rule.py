@@ -14,7 +14,7 @@ from pathlib import Path
 from bench.restless import swing
 from swarm.core.graph import Graph
 from swarm.recording.reader import RecordingReader
-from swarm.recording.trajectory import epoch_topic, is_state
+from swarm.recording.trajectory import beside, is_state
 
 State = tuple[float, int]
 """Value, and steps done."""
@@ -49,7 +49,7 @@ def read(paths: Mapping[str, Sequence[Path]], graph: Graph) -> dict[int, Epoch]:
                 states, k = epochs[number].states.setdefault(robot, {}), int(message["k"])
                 if states.setdefault(k, state) != state:
                     epochs[number].forks.append(f"{robot} has {states[k]} and {state} at {k} of epoch {number}")
-            elif sample.topic == epoch_topic(f"swarm/{robot}/app/restless/state"):
+            elif sample.topic == beside(f"swarm/{robot}/app/restless/state")[0]:
                 number = int(message["frames"])
                 links = [(a, b) for a, b in message["links"]]
                 found = Epoch(message["epoch"], message["k"], Graph(tuple(message["members"]), links))

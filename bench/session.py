@@ -18,7 +18,7 @@ from services.mesh.core.wire.auth import Tagger
 KEYS = {1: bytes(range(32))}
 KEY = "swarm/{}/app/consensus/sync/00000000000000a1-0-3-9f3c21aa"
 LOCKSTEP = struct.pack("<BI", 1, 7)
-"""Kind and iteration, which a lockstep message carries before its values (docs/lockstep.md)."""
+"""Kind and iteration, which a lockstep message carries before its values (docs/reference/network/lockstep.md)."""
 
 HEADER_LIMIT = 24
 """Bytes before and behind the values of a lockstep message, authenticated."""

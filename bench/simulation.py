@@ -74,9 +74,13 @@ class Simulation:
             time.sleep(POLL_S)
 
     def kill(self, robot: str, service: str, signal: str = "KILL") -> None:
-        """`swarm hand kill`: end (or stop, or continue) one service of one robot."""
+        """`swarm hand kill`: end (or stop, or continue) one service of one robot. Raises `SimulationError`."""
         command = ["hand", "kill", robot, service, "--signal", signal, "--run-dir", str(self.run_dir)]
-        subprocess.run([sys.executable, "-m", "laptop.cli", *command], check=True, capture_output=True)
+        done = subprocess.run(
+            [sys.executable, "-m", "laptop.cli", *command], capture_output=True, text=True, check=False
+        )
+        if done.returncode != 0:
+            raise SimulationError(f"{' '.join(command)}: {done.stderr}")
 
     def finish(self, timeout_s: float = 180.0) -> dict[str, object]:
         """Wait for the end; the object of `--json`. Raises `SimulationError` when it failed."""

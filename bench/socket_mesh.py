@@ -6,7 +6,7 @@
 import os
 from dataclasses import replace
 
-from bench import radio
+from bench import tcp_radio
 from services.mesh import __main__ as mesh
 from swarm.config import Config, load, who_am_i
 from swarm.config.dump import dump
@@ -34,8 +34,8 @@ def of_robot(config: Config, robot: str) -> Config:
 
 def _wired(config: Config, robot: str) -> Config:
     port = os.environ[PORT]
-    robots = [replace(each, link=f"tcp:{radio.in_range(i)}:{port}") for i, each in enumerate(config.robots)]
-    listen = f"{radio.of_robot(config.names.index(robot))}:{port}"
+    robots = [replace(each, link=f"tcp:{tcp_radio.in_range(i)}:{port}") for i, each in enumerate(config.robots)]
+    listen = f"{tcp_radio.of_robot(config.names.index(robot))}:{port}"
     settings = replace(config.mesh, insecure=False, key=os.environ[KEY], listen=listen)
     return replace(config, robots=tuple(robots), mesh=settings)
 

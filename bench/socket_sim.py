@@ -1,4 +1,4 @@
-"""`swarm sim` whose robots link over sockets, with `bench.radio` between them.
+"""`swarm sim` whose robots link over sockets, with `bench.tcp_radio` between them.
 
 `python -m bench.socket_sim ARGUMENTS`, as of `swarm sim`; six robots at most.
 """
@@ -11,7 +11,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from bench import radio, socket_mesh
+from bench import socket_mesh, tcp_radio
 from laptop.cli.runs import sim
 from sim import run
 from swarm.config.keyfile import new_key_file
@@ -22,14 +22,14 @@ ROBOTS = 6
 
 def main() -> int:
     """Start the radio, then the simulation with the other mesh in it."""
-    with tempfile.TemporaryDirectory(prefix="swarm-") as home, socket.create_server((radio.in_range(0), 0)) as free:
+    with tempfile.TemporaryDirectory(prefix="swarm-") as home, socket.create_server((tcp_radio.in_range(0), 0)) as free:
         key, port = Path(home) / "key", str(free.getsockname()[1])
         free.close()
         new_key_file(key, time.time())
         os.environ.update({socket_mesh.PORT: port, socket_mesh.KEY: str(key)})
         run.SERVICE_MODULES["mesh"] = "bench.socket_mesh"
         environment = {**os.environ, "SWARM_PARENT": str(os.getpid())}
-        command = [sys.executable, "-m", "bench.radio", str(ROBOTS), port]
+        command = [sys.executable, "-m", "bench.tcp_radio", str(ROBOTS), port]
         with subprocess.Popen(command, env=environment) as between:
             try:
                 return sim.main()

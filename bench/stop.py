@@ -25,7 +25,7 @@ from bench.stop_estop import NewerStop
 from bench.stop_robots import RobotsOnALine
 from bench.transfer import FULL as TRANSFER
 from laptop.cli import halt as halt_ssh
-from laptop.view import control
+from laptop.view.actions import control
 from swarm import clock
 from swarm.app.overlays import Overlays
 from swarm.errors import LocalError

@@ -10,7 +10,7 @@ import sys
 
 from services.balancer.balancer import Balancer
 from services.balancer.loop import main as balance
-from sim.wiring import simulated_bus
+from sim.devices.wiring import simulated_bus
 from swarm import clock
 from swarm.process.edges import run
 

@@ -19,11 +19,11 @@ from typing import TypeVar
 
 from bench.stop_body import TRUTH
 from laptop.fleet.ssh import Host, Ssh
-from laptop.view.control import Control
-from laptop.view.robot_actions import PageAction
-from laptop.view.robots import Robots
+from laptop.view.actions.control import Control
+from laptop.view.actions.robot_actions import PageAction
+from laptop.view.feeds.robots import Robots
+from sim.devices.world_client import WORLD_SOCKET
 from sim.processes import Processes
-from sim.world_client import WORLD_SOCKET
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus
 from swarm.config import load

@@ -12,9 +12,9 @@ from typing import Any
 
 from bench.rows import Row
 from bench.simulation import simulate
+from sim.core.contacts import TOUCH_M
 from sim.options import parse
 from sim.scenario import build
-from sim.scene import CONTACT_M
 from sim.virtual.run import PLACE, VirtualRun
 
 LINKS = ("--robots", "6", "--topology", "line", "--latency", "30ms", "--jitter", "10ms")
@@ -119,7 +119,7 @@ def _formation(sizes: Sizes) -> Iterator[Row]:
     )
     yield Row("the same: slowest formed after", _worst(found, "formed_after_s"), "s", FORMED_S, 1.0)
     closest = min(_figure(scene, "closest_m") for scene in found)
-    yield Row("the same: contact, beside the nearest two came", CONTACT_M, "m", closest, 1.0)
+    yield Row("the same: contact, beside the nearest two came", TOUCH_M, "m", closest, 1.0)
 
 
 def _crossings(sizes: Sizes) -> Iterator[Row]:
@@ -132,7 +132,7 @@ def _crossings(sizes: Sizes) -> Iterator[Row]:
         arrived += bool(scene["all_arrived"])
         took.append(_figure(scene, "seconds"))
     closest = min(_figure(scene, "closest_m") for scene in found)
-    yield Row(f"{sizes.crossings} crossings: contact, beside the nearest two came", CONTACT_M, "m", closest, 1.0)
+    yield Row(f"{sizes.crossings} crossings: contact, beside the nearest two came", TOUCH_M, "m", closest, 1.0)
     yield Row("the same: missed within 60 s", sizes.crossings - arrived, "", 1.0, 0.0)
     yield Row("the same: slowest", max(took), "s", CROSSING_S, 1.0)
     yield Row("the same: median", sorted(took)[len(took) // 2], "s", 2 * RADIUS / 0.2, None)

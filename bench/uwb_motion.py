@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from services.dwm.core.ekf import Innovation
-from services.dwm.core.filters import PlaceFilter
-from services.dwm.core.multilateration import Fix, multilaterate
-from services.dwm.core.tracker import Tracker
+from services.dwm.core.estimation.ekf import Innovation
+from services.dwm.core.estimation.filters import PlaceFilter
+from services.dwm.core.estimation.multilateration import Fix, multilaterate
+from services.dwm.core.estimation.tracker import Tracker
 from sim.core.uwb import multilaterate as plain_multilaterate
 
 ANCHORS = {"D001": (0.0, 0.0, 0.0), "D002": (1.94, 0.0, 0.0), "D003": (1.0, 1.94, 0.0), "C933": (0.5, 1.0, 0.0)}

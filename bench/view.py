@@ -31,6 +31,7 @@ NAMES = tuple(f"r{index}" for index in range(6))
 SIZE = (1400, 1000)
 FRAME_S = 1 / 50
 CROWD_FRAME_S = 1 / 20
+PAINTED_S = 1 / 200
 BROWSER = 0.20
 SERVER = 0.10
 """Cores."""
@@ -51,13 +52,14 @@ NOTE = """(() => {
   };
 })()"""
 
-# How many frames a second the page comes to where each one is wanted, as while robots drive.
+# How many frames a second the page comes to where each one is painted, as while robots drive, and how many those were.
 FRAMES = """new Promise((resolve) => {
   const begin = performance.now();
   let frames = 0;
   const next = (now) => {
+    swarmView.map.marks = [];
     swarmView.map.draw(now);
-    if (now > begin + 2000) resolve((1000 * frames) / (now - begin));
+    if (now > begin + 2000) resolve([(1000 * frames) / (now - begin), frames]);
     frames += 1;
     requestAnimationFrame(next);
   };
@@ -89,6 +91,8 @@ class Seen:
 
     frames: list[float] = field(default_factory=list)
     """A second, where all are wanted."""
+    painted: list[float] = field(default_factory=list)
+    """CPU time of the browser for one of them, s; all that the page does beside them is in it."""
     drawn: list[float] = field(default_factory=list)
     """Those that had to be drawn."""
     browser: list[float] = field(default_factory=list)
@@ -104,6 +108,7 @@ def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     middle = statistics.median
     pairs = _pairs("watched", seen, sizes)
     yield Row("6 robots, a frame of the page", 1 / middle(seen.frames), "s", FRAME_S, 1.0)
+    yield Row("6 robots, CPU time of the browser for each of such frames", middle(seen.painted), "s", PAINTED_S, 1.0)
     yield Row("6 robots, frames that had to be drawn", middle(seen.drawn), "1/s", 60.0, None)
     yield Row("6 robots, browser", middle(seen.browser), "cores", BROWSER, 1.0)
     yield Row("6 robots, server", middle(seen.server), "cores", SERVER, 1.0)
@@ -180,7 +185,10 @@ async def _watch(address: str, server: int, seconds: float, settle_s: float, see
         await asyncio.sleep(seconds)
         end, last = clock.now(), await _counts(page, server)
         drawn, browser, served = ((b - a) / (end - begin) for a, b in zip(first, last, strict=True))
-        seen.frames.append(await page.evaluate(FRAMES))
+        before = sum(map(cpu_s, _group(page.pid)))
+        rate, count = await page.evaluate(FRAMES)
+        seen.frames.append(rate)
+        seen.painted.append((sum(map(cpu_s, _group(page.pid))) - before) / count)
         seen.drawn.append(drawn)
         seen.browser.append(browser)
         seen.server.append(served)

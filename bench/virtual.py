@@ -44,6 +44,7 @@ SMOKE = Sizes(20, 10, 20, 40, 5, 1)
 def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     """Measure; yields rows as they are there."""
     yield Row(f"6 robots, {sizes.six} iterations, whole mesh", _alone(6, "loop", sizes.six), "s", SIX_S, 1.0)
+    yield Row("the same by swarm.simulate, with all states", _library(sizes.six), "s", SIX_S, 1.0)
     iterations = sizes.iterations
     settled = "random:1", iterations, "--mesh", "settled"
     # As many iterations and starts of robots on both sides of a turn.
@@ -61,6 +62,22 @@ def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     yield Row("the same, most of the turns", max(large / small / times for small, large in turns), "", 1.0, None)
     most = _alone(sizes.most, "random:1", iterations, "--mesh", "delay")
     yield Row(f"{sizes.most} robots, {iterations} iterations, delays", most, "s", TEN_THOUSAND_S, 1.0)
+
+
+def _library(iterations: int) -> float:
+    """CPU time of `swarm.simulate` and of the states as an array, s, in a process of its own."""
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        seconds: float = pool.apply(_library_seconds, (iterations,))
+    return seconds
+
+
+def _library_seconds(iterations: int) -> float:
+    from swarm import simulate  # so that its import does not count
+
+    began = time.process_time()
+    states = simulate("consensus", robots=6, topology="loop", iterations=iterations)["value"]
+    assert states.shape == (iterations + 1, 6)
+    return time.process_time() - began
 
 
 def _alone(*run: object) -> float:

@@ -1,4 +1,4 @@
-// What the Pi finds at I2C slave 20: every offset, once. services/balancer/core/balboa.py has the same numbers and a
+// What the Pi finds at I2C slave 20: every offset, once. services/balancer/core/devices/balboa.py has the same numbers and a
 // test compares them, so this table is written to be read by a machine too: one FIELD a line.
 //
 // A write is an index byte and data from that index on; a read is a write of the index byte alone, STOP, a pause of
@@ -11,12 +11,12 @@
 namespace layout {
 
 constexpr uint8_t ADDRESS = 20;
-constexpr uint8_t LAYOUT_VERSION = 1;  // another one means: offsets moved. New fields in reserved places keep it.
-constexpr uint8_t REVISION_NUMBER = 1;  // counts releases of the firmware
+constexpr uint8_t LAYOUT_VERSION = 2;  // another one means: offsets moved. New fields in reserved places keep it.
+constexpr uint8_t REVISION_NUMBER = 2;  // counts releases of the firmware
 
 constexpr uint8_t UWB_RANGES = 4;  // a PANS tag ranges to four modules at a time (DWM1001 system overview)
 constexpr uint8_t UWB_PLACE_SIZE = 13;
-constexpr uint8_t UWB_RANGE_SIZE = 20;
+constexpr uint8_t UWB_RANGE_SIZE = 7;
 constexpr uint8_t TUNE_NOTES = 15;
 constexpr uint8_t WINDOW_SIZE = 28;
 
@@ -27,7 +27,8 @@ constexpr uint8_t WINDOW_SIZE = 28;
     FIELD(MOTORS, 4, 4, pi)                  /* int16 left, right: -400..400 = duty -1..1 */              \
     FIELD(ENCODERS, 8, 4, firmware)          /* int16 left, right: counts, wrapping */                    \
     FIELD(BUTTONS, 12, 1, firmware)          /* bit 0 A, 1 B, 2 C: pressed */                             \
-    FIELD(STATUS, 13, 1, firmware)           /* bit 0: motors stopped, no motor write came in time */     \
+    FIELD(STATUS, 13, 1, firmware)           /* bit 0: motors stopped, no motor write came in time; */    \
+                                             /* bits 4-7: number of the newest UWB report, modulo 16 */   \
     FIELD(BATTERY, 14, 2, firmware)          /* uint16 mV */                                              \
     FIELD(RESET_CAUSE, 16, 1, firmware)      /* bits of ResetCause */                                     \
     FIELD(REVISION, 17, 1, firmware)         /* REVISION_NUMBER */                                        \
@@ -53,6 +54,11 @@ constexpr uint8_t WINDOW_SIZE = 28;
 #define LAYOUT_CONSTANT(name, offset, size, writer) constexpr uint8_t name = offset;
 LAYOUT_FIELDS(LAYOUT_CONSTANT)
 #undef LAYOUT_CONSTANT
+
+// An index from JOINED on reads ENCODERS to STATUS, and goes on at four times what it is above JOINED: what changes in
+// every tick and a piece of something else in one transfer. ONWARD goes on where the last such read ended.
+constexpr uint8_t JOINED = 223;
+constexpr uint8_t ONWARD = 255;
 
 constexpr int16_t MOTOR_TOP = 400;
 constexpr uint8_t MOTOR_TIMEOUT_MS = 200;
@@ -110,14 +116,15 @@ struct __attribute__((packed)) Front {
     uint16_t mailbox_length;
 };
 
-// The UWB block. The sequence number stands at both ends: a reader that fetches it in slices and finds them equal has
-// one report.
+// The UWB block. The sequence number stands at both ends: a reader that has fetched all of it finds them equal.
+// It is frozen when a read of its first byte is asked for and at no other time, so that its pieces may be read ticks apart.
 struct __attribute__((packed)) UwbReport {
     uint16_t sequence;  // 0: no report yet; then counts up, leaving out 0
     uint16_t age;       // ms since the report came, at the moment of the index byte; 65535 = that or more
     uint8_t count;      // of modules in sight; the first UWB_RANGES of them follow, the others are zero
     uint8_t place[UWB_PLACE_SIZE];                  // int32 x, y, z in mm, quality in %
-    uint8_t ranges[UWB_RANGES][UWB_RANGE_SIZE];     // uint16 address, uint32 mm, quality in %, place of that module
+    uint8_t ranges[UWB_RANGES][UWB_RANGE_SIZE];     // uint16 address, uint32 mm, quality in %
+    uint8_t places[UWB_RANGES][UWB_PLACE_SIZE];     // of those modules, which rarely change: last, to be left out
     uint16_t sequence_again;
 };
 
@@ -146,6 +153,7 @@ LAYOUT_CHECK(MAILBOX_LENGTH, mailbox_length)
 static_assert(sizeof(Front) == UWB, "the front ends where the UWB block begins");
 static_assert(sizeof(UwbReport) == 100, "UwbReport and the table differ");
 static_assert(NOTES + 1 + 2 * TUNE_NOTES <= MAILBOX_TOKEN, "the notes run into the mailbox");
-static_assert(MAILBOX_WINDOW + WINDOW_SIZE <= 256, "an index is one byte");
+static_assert(MAILBOX_WINDOW + WINDOW_SIZE <= JOINED, "an index is one byte");
+static_assert(4 * (ONWARD - 1 - JOINED) >= UWB + sizeof(UwbReport) - UWB_PLACE_SIZE - 2 - 3, "a place can be joined");
 
 }  // namespace layout

@@ -50,8 +50,12 @@ void publish(uint32_t now)
     report.count = count;
     memcpy(report.place, reader.place(), sizeof report.place);
     const uint8_t kept = count < layout::UWB_RANGES ? count : layout::UWB_RANGES;
-    memcpy(report.ranges, reader.range(0), kept * sizeof report.ranges[0]);
-    memset(report.ranges + kept, 0, (layout::UWB_RANGES - kept) * sizeof report.ranges[0]);
+    memset(report.ranges, 0, sizeof report.ranges);
+    memset(report.places, 0, sizeof report.places);
+    for (uint8_t n = 0; n < kept; ++n) {
+        memcpy(report.ranges[n], reader.range(n), sizeof report.ranges[0]);
+        memcpy(report.places[n], reader.range(n) + sizeof report.ranges[0], sizeof report.places[0]);
+    }
     reports::publish(now);
 }
 

@@ -52,6 +52,11 @@ void freeze(uint32_t now)
     slot.report.age = age > 0xFFFF || slot.report.sequence == 0 ? 0xFFFF : static_cast<uint16_t>(age);
 }
 
+uint8_t number()
+{
+    return static_cast<uint8_t>(slots[newest].report.sequence);
+}
+
 uint8_t frozen(uint8_t offset)
 {
     return reinterpret_cast<const uint8_t*>(&slots[held].report)[offset];

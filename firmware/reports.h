@@ -12,6 +12,7 @@ layout::UwbReport& next();      // main loop: to be filled, all but the sequence
 void publish(uint32_t now);     // main loop: it is whole, and came now (ms)
 
 void freeze(uint32_t now);      // interrupt
+uint8_t number();               // interrupt: low byte of the newest report's sequence number
 uint8_t frozen(uint8_t offset);  // interrupt: byte of the frozen report
 
 }  // namespace reports

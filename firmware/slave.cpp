@@ -19,6 +19,9 @@ static_assert(LONGEST >= 1 + WINDOW_SIZE, "a page and its window are one write")
 
 uint8_t snapshot[sizeof(Front)];
 uint8_t index = 0;           // of the next byte to be read
+uint8_t onward = 0;          // where a joined read goes on behind STATUS; 0: it has, or is none
+uint8_t mark = 0;            // where the last joined read ended
+bool marking = false;        // this read is a joined one, behind STATUS
 uint8_t first = 0;           // of the held write
 uint8_t held[LONGEST];
 uint8_t held_count = 0;
@@ -39,7 +42,7 @@ void freeze()
         *to++ = *live++;
         *to++ = *live++;
     }
-    reports::freeze(ticks::now_in_interrupt());
+    snapshot[STATUS] |= static_cast<uint8_t>(reports::number() << 4);
 }
 
 uint8_t room_at(uint8_t at)
@@ -87,9 +90,9 @@ void started()
     held_count = 0;
 }
 
-bool index_expected()
+bool copies(uint8_t byte)
 {
-    return index_next;
+    return index_next && (byte <= sizeof snapshot - 16 || byte >= JOINED);
 }
 
 bool received(uint8_t byte)
@@ -97,8 +100,16 @@ bool received(uint8_t byte)
     if (index_next) {
         index_next = false;
         index = first = byte;
+        onward = 0;
+        marking = false;
+        if (byte >= JOINED) {
+            index = ENCODERS;
+            onward = byte == ONWARD ? mark : static_cast<uint8_t>((byte - JOINED) << 2);
+        }
         room = room_at(byte);
         freeze();
+        if (byte == UWB || onward == UWB)
+            reports::freeze(ticks::now_in_interrupt());
     } else if (held_count < room) {
         held[held_count++] = byte;
     }
@@ -125,9 +136,16 @@ void abandoned()
 
 uint8_t transmit()
 {
+    if (onward != 0 && index == STATUS + 1) {
+        index = onward;
+        onward = 0;
+        marking = true;
+    }
     const uint8_t at = index;
     if (at != 0xFF)
         ++index;  // offset 255 is not in use: beyond it there are zeros
+    if (marking)
+        mark = index;
     if (at < sizeof snapshot)
         return snapshot[at];
     if (at < UWB + sizeof(UwbReport))

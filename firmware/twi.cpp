@@ -9,7 +9,7 @@
 #include "slave.h"
 
 #ifndef HOLD_US
-#define HOLD_US 8
+#define HOLD_US 12
 #endif
 
 namespace twi {
@@ -24,8 +24,8 @@ constexpr uint8_t PATIENCE_MS = 30;
 volatile uint8_t patience = 0;  // 0: not in a transfer
 
 // The I2C master of the Pi (BCM2835 and its kin) keeps its bit clock running while SCL is held, and may make a pulse
-// too short to see if it is let go near a clock edge, 5 us apart at 100 kHz. Holding for two edges and more is safe.
-// The interrupt's own 3-4 us come on top. At 400 kHz build with HOLD_US=0.
+// too short to see if it is let go near a clock edge, half a clock period apart: 5 us at 100 kHz. Holding for two edges and
+// more is safe. The interrupt's own 4 us come on top: 16 us are two edges at 62.5 kHz and one at 40 (README.md).
 inline void hold()
 {
     _delay_us(HOLD_US);
@@ -72,8 +72,8 @@ ISR(TWI_vect)
         break;
     case TW_SR_DATA_ACK:
         patience = PATIENCE_MS;
-        if (!slave::index_expected())
-            hold();  // an index takes its time as it is
+        if (!slave::copies(TWDR))
+            hold();  // copying takes its time as it is
         if (!slave::received(TWDR))
             acknowledge = 0;
         break;

@@ -1,1 +1,1 @@
-"""One process a concern: they meet on the bus, never by import (docs/architecture.md)."""
+"""One process a concern: they meet on the bus, never by import (docs/explanation/architecture.md)."""

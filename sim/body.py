@@ -1,11 +1,11 @@
 """`python -m sim.body`: the balancer of one simulated robot, the real one but for its I2C bus.
 
 The body moves with the loop's own clock (sim/core), tells its true pose to the world, and is acted upon by
-people (sim/world_client.py).
+people (sim/devices/world_client.py).
 """
 
 from services.balancer.loop import main as balance
-from sim.wiring import lying, simulated_bus
+from sim.devices.wiring import lying, simulated_bus
 from swarm.process.edges import run
 
 

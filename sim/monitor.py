@@ -1,5 +1,7 @@
 """What the simulation sees of its robots: the same keys anyone can watch, on every robot's bus."""
 
+import contextlib
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,6 +11,7 @@ from swarm.bus.zenoh_bus import Bus
 from swarm.errors import PayloadError
 from swarm.messages import (
     AppEpoch,
+    AppLog,
     AppProgress,
     AppState,
     BalancerState,
@@ -20,11 +23,14 @@ from swarm.messages import (
     Truth,
     read,
 )
-from swarm.messages.keys import key
+from swarm.messages.keys import key, parse
 
 THROTTLED_TRUTH_S = 0.2
 """Seconds between two messages of the throttled copy of the truth."""
 
+
+MOST_SAID = 1000
+"""Lines of apps that wait to be shown; the oldest are lost."""
 
 _TRUTHS = {Truth: "truth", Target: "target", LedChange: "leds"}
 
@@ -68,7 +74,9 @@ class Monitor:
         self._throttles = {
             name: Throttle(bus, key(name, "sim", "truth"), THROTTLED_TRUTH_S) for name, bus in self._buses.items()
         }
+        self._said: deque[tuple[str, bytes]] = deque(maxlen=MOST_SAID)
         for name, bus in self._buses.items():
+            bus.subscribe(key(name, "app", "*", "log"), lambda *sample: self._said.append(sample))
             bus.subscribe(
                 [
                     key(name, "*", "status"),
@@ -104,6 +112,17 @@ class Monitor:
                     self._decoded[topic] = payload
                     _update(self._seen[name], topic, payload)
         return self._seen
+
+    def said(self) -> list[tuple[str, AppLog]]:
+        """Robot and line of what apps have printed and logged since the last call."""
+        found = []
+        while self._said:
+            topic, payload = self._said.popleft()
+            with contextlib.suppress(PayloadError):
+                line = read(topic, payload)
+                assert isinstance(line, AppLog)
+                found.append((parse(topic).robot, line))
+        return found
 
     def close(self) -> None:
         """Leave all buses."""

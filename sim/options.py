@@ -2,35 +2,46 @@
 
 import argparse
 from pathlib import Path
+from typing import NoReturn
 
+from services.apps.loader import BUILT_IN
+from sim import commission_report
+from sim.commission_report import MeasuredRobot
 from sim.core.noise import ERRORS
+from sim.disturbances import SERVICES, Cut, Kill, Off, ScheduledPress, ScheduledPush, cut, kill, off, press, push
 from sim.quantities import (
     AppSetting,
-    Cut,
-    Off,
-    ScheduledPress,
     at_least,
-    cut,
     duration,
     loss,
-    off,
     positive,
-    press,
     rate,
     setting,
     skew,
+    slots,
     speed,
     velocity,
 )
+from sim.slots.parameters import Parameters
 from sim.virtual.body import MODELS
 from swarm.app import run_options
 from swarm.app.run_options import RunOptions
+from swarm.config.types import LINKS
 from swarm.errors import ConfigError
 from swarm.frozen import frozen
 
 FROM_START, SETTLED, DELAY = "start", "settled", "delay"
 MESHES = (FROM_START, SETTLED, DELAY)
 """Under virtual time: real mesh cores from power-on; such that know all links already; the delay of links alone."""
+
+EVENTS = ("cut", "kill", "off", "press", "push")
+"""Options that say what happens to a link or a robot at a time of the run."""
+
+LATENCY = 0.03
+"""s, one way: of links of which nothing else is known."""
+
+LAMPS, LAMPS_SKEW = "led_sync", 20e-6
+"""The app that is about clocks; how far their rates err under virtual time where nothing is said, as crystals do."""
 
 PRESS_S = 0.3
 """How long a button is held down."""
@@ -46,21 +57,30 @@ class Options:
     """Other apps that each robot runs meanwhile."""
     robots: int | None
     topology: str | None
+    links: str | None
+    """Which links carry it; None: as the configuration says."""
     config: Path | None
     algorithm: str | None
     settings: tuple[AppSetting, ...]
     step_size: float | None
     """The thesis' unit, 1/cm^2."""
+    like: MeasuredRobot | None
+    """What was measured of a real robot, for all simulated ones."""
     latency: float
     jitter: float
     bandwidth: float | None
     loss: float
     """Probability that a radio packet is lost and sent again."""
+    slots: Parameters | None
+    """The slot radio of virtual time; None: all links have the delays above."""
     clock_skew: float
     """How far the rates of the robots' clocks err at most, 1e-6 = 1 ppm; 0: all have one clock."""
     cuts: tuple[Cut, ...]
     offs: tuple[Off, ...]
+    kills: tuple[Kill, ...]
+    pushes: tuple[ScheduledPush, ...]
     presses: tuple[ScheduledPress, ...]
+    """All of these with robots and times that may still be drawn: a `Scenario` has them as they happen."""
     lying: str | None
     """front or back: how robots lie at the start; None: as the app wants it."""
     seconds: float | None
@@ -93,29 +113,34 @@ class Options:
     """Only print the page's address."""
 
 
-def parser() -> argparse.ArgumentParser:
+def parser(kind: type[argparse.ArgumentParser] = argparse.ArgumentParser) -> argparse.ArgumentParser:
     """The argument parser of `swarm sim`."""
-    p = argparse.ArgumentParser(
+    p = kind(
         prog="swarm sim",
         description="Run a simulated swarm: for each robot the processes that run on a Pi, in one simulated world.",
         epilog="Watch it from another terminal: z_sub 'swarm/**'. End one of its services: swarm hand kill r0 mesh. "
-        "Lay hands on a robot: swarm hand push r0, swarm hand lay r1 back, swarm hand press r2 A.",
+        "Act on a robot: swarm hand push r0, swarm hand lay r1 back, swarm hand press r2 A.",
     )
     p.add_argument(
         "apps",
         nargs="*",
         metavar="APP",
-        help="consensus, localization or a file with an app; none: just balance. Each robot runs further ones beside "
-        "the first, which the run is about",
+        help=f"{', '.join(BUILT_IN)}, or a file with an app; without an app robots only balance. Each robot runs all "
+        "apps; the first one ends the run",
     )
     swarm = p.add_argument_group("the swarm")
-    swarm.add_argument("--robots", type=at_least(1), metavar="N", help="number of robots (3, or as the replay has)")
+    swarm.add_argument("--robots", type=at_least(1), metavar="N", help="number of robots (3, or as in the replay)")
     swarm.add_argument(
         "--topology", metavar="NAME|FILE", help="line, loop, full, thesis-d, random:SEED, auto, or a matrix file"
     )
+    swarm.add_argument("--links", choices=LINKS, help="which links carry the topology: its own (graph), those of one "
+                       "hub (star) or of several (tree), or what suits the radio (auto)")  # fmt: skip
     swarm.add_argument("--config", type=Path, metavar="FILE", help="take the swarm from this swarm.toml instead")
+    swarm.add_argument("--like", type=Path, metavar="REPORT",
+                       help="use the I2C clock, latency, trim, battery and noise that swarm commission has "
+                       "measured")  # fmt: skip
     app = p.add_argument_group("the app")
-    app.add_argument("--algorithm", metavar="NAME", help="which algorithm of the app")
+    app.add_argument("--algorithm", metavar="NAME", help="algorithm of the app")
     app.add_argument("--set", dest="settings", action="append", type=setting, default=[],
                      metavar="[APP/][ROBOT.]NAME=VALUE",
                      help="a parameter of the first app or of the one named, for all robots or for one")  # fmt: skip
@@ -130,29 +155,40 @@ def parser() -> argparse.ArgumentParser:
         help="measurements of a simulation study: none, bias (5 %%), thesis (5 %% and 2 %% every 5 iterations)",
     )
     app.add_argument("--target-velocity", type=velocity, metavar="VX,VY",
-                     help="the target moves, m/s, from the first iteration of all robots on")  # fmt: skip
+                     help="velocity of the target, m/s, from the first iteration of all robots on")  # fmt: skip
     radio = p.add_argument_group("the radio")
-    radio.add_argument("--latency", type=duration, default=0.03, metavar="30ms", help="one way (30ms)")
+    radio.add_argument(
+        "--latency", type=duration, metavar="30ms", help="latency in one direction (30ms, or as in --like)"
+    )
     radio.add_argument(
         "--jitter", type=duration, default=0.0, metavar="10ms", help="standard deviation of the latency (0)"
     )
-    radio.add_argument("--bandwidth", type=rate, metavar="78kB", help="per second and direction (no limit)")
+    radio.add_argument("--bandwidth", type=rate, metavar="78kB", help="bandwidth per second and direction (no limit)")
     radio.add_argument(
-        "--loss", type=loss, default=0.0, metavar="0.05", help="radio packets that are lost, and sent again (0)"
+        "--loss", type=loss, default=0.0, metavar="0.05", help="share of radio packets that are lost and sent again (0)"
     )
+    radio.add_argument("--radio", dest="slots", type=slots, metavar="slots[:NAME=X,...]",
+                       help="under virtual time: a Bluetooth radio with piconets, bridges and pages in place of one "
+                       "delay for all links; slots:stay=0.2 changes a parameter")  # fmt: skip
     radio.add_argument("--cut", dest="cuts", action="append", type=cut, default=[], metavar="r0-r1@12s,3s",
                        help="cut a link 12 s after the first iteration for 3 s")  # fmt: skip
     radio.add_argument("--off", dest="offs", action="append", type=off, default=[], metavar="r2@5s,10s",
-                       help="under virtual time: switch a robot off 5 s after the first iteration for 10 s; "
-                       "@start: it comes late")  # fmt: skip
+                       help="switch a robot off 5 s after the first iteration for 10 s; @start: it comes late; "
+                       "any@2s..8s,10s: the seed draws robot and time, also for the other faults")  # fmt: skip
+    radio.add_argument("--kill", dest="kills", action="append", type=kill, default=[], metavar="r2.app@5s",
+                       help=f"end a service, which then restarts: {', '.join(SERVICES)} (under virtual "
+                       "time: app, mesh)")  # fmt: skip
     bodies = p.add_argument_group("the bodies")
-    bodies.add_argument("--clock-skew", type=skew, default=0.0, metavar="20ppm",
-                        help="under virtual time: each robot's clock has a zero of its own, and a rate that errs by "
-                        "up to this (0: all have one clock)")  # fmt: skip
+    bodies.add_argument("--clock-skew", type=skew, metavar="20ppm",
+                        help="under virtual time: each robot's clock has its own zero, and a rate error of "
+                        "up to this (0, all have one clock; with led_sync 20ppm)")  # fmt: skip
     bodies.add_argument("--press", dest="presses", action="append", type=press, default=[], metavar="r4.A@5s",
                         help="press a button 5 s after the first iteration")  # fmt: skip
+    bodies.add_argument("--push", dest="pushes", action="append", type=push, default=[], metavar="r1@5s,0.2",
+                        help="push a robot from behind 5 s after the first iteration, in N s (0.1; 0.5 topples "
+                        "it)")  # fmt: skip
     bodies.add_argument(
-        "--lying", choices=("front", "back"), help="robots lie on this side at the start and wait for an order"
+        "--lying", choices=("front", "back"), help="robots lie on this side at the start and wait for a command"
     )
     run = p.add_argument_group("the run")
     end = run.add_mutually_exclusive_group()
@@ -164,20 +200,20 @@ def parser() -> argparse.ArgumentParser:
         help="end after K iterations (100, or all of a replay)",
     )
     run.add_argument(
-        "--seed", type=at_least(0), default=1, metavar="S", help="of noise, jitter and random topologies (1)"
+        "--seed", type=at_least(0), default=1, metavar="S", help="seed of noise, jitter and random topologies (1)"
     )
     run_options.add_arguments(p)
     run.add_argument("--json", action="store_true", help="one JSON object as the last line of the output")
     run.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the run")
-    run.add_argument("--record", type=Path, metavar="DIR", help="keep the recording of the run in this folder")
-    run.add_argument("--run-dir", type=Path, metavar="DIR", help="where sockets and logs live while it runs")
+    run.add_argument("--record", type=Path, metavar="DIR", help="write the recording of the run to this folder")
+    run.add_argument("--run-dir", type=Path, metavar="DIR", help="directory for sockets and logs during the run")
     p.add_argument("--virtual", action="store_true",
-                   help="in one process under a virtual clock: reproducible, and as fast as it computes")  # fmt: skip
+                   help="use one process and a virtual clock: reproducible, and as fast as possible")  # fmt: skip
     p.add_argument("--body", choices=MODELS, default=MODELS[0],
-                   help="how bodies move under virtual time: with ramps and errors, or as they are told")  # fmt: skip
+                   help="motion under virtual time: with ramps and errors, or exactly as commanded")  # fmt: skip
     p.add_argument("--mesh", choices=MESHES,
-                   help="under virtual time the whole mesh from its start, or settled (above 50 robots), "
-                   "or its delays alone")  # fmt: skip
+                   help="model of the mesh under virtual time: the whole mesh from its start, the settled mesh "
+                   "(above 50 robots), or delays only")  # fmt: skip
     p.add_argument(
         "--view", action="store_true", help="under virtual time: show the run in the browser, as swarm view does"
     )
@@ -188,9 +224,26 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
-def parse(arguments: list[str]) -> Options:
-    """Read the command line; argparse ends the process with code 2 and a message where it is wrong."""
-    read = _tuples(parser().parse_intermixed_args(arguments))
+class _Refusing(argparse.ArgumentParser):
+    """Raises what is wrong instead of ending the process."""
+
+    def error(self, message: str) -> NoReturn:
+        raise ConfigError(message.removeprefix("argument "))
+
+
+def parse(arguments: list[str], *, ends: bool = True) -> Options:
+    """Read the command line; where it is wrong, argparse ends the process with code 2 and a message, or with `ends`
+    false `ConfigError` is raised."""
+    reader = parser(argparse.ArgumentParser if ends else _Refusing)
+    read = _tuples(reader.parse_intermixed_args(arguments))
+    read.like = None if read.like is None else commission_report.read(read.like)
+    if read.latency is None:
+        measured = None if read.like is None else read.like.latency
+        read.latency = LATENCY if measured is None else measured
+    if read.clock_skew is None:
+        # Of clocks that are one, LEDs tell nothing.
+        lamps = read.virtual and read.app == LAMPS and read.target_velocity is None
+        read.clock_skew = LAMPS_SKEW if lamps else 0.0
     options = Options(run_options=run_options.of(read), **vars(read))
     if options.config is not None and (options.robots is not None or options.topology is not None):
         raise ConfigError("--config names robots and topology itself: leave out --robots and --topology")
@@ -202,8 +255,10 @@ def parse(arguments: list[str]) -> Options:
         raise ConfigError("--target-velocity and --clock-skew: each robot would have another time, leave out one")
     if options.clock_skew and not options.virtual:
         raise ConfigError("--clock-skew is for --virtual: processes of one machine have one clock")
-    if options.offs and not options.virtual:
-        raise ConfigError("--off is for --virtual; of real processes: swarm hand kill r2 app, swarm hand kill r2 mesh")
+    if options.slots is not None and not options.virtual:
+        raise ConfigError("--radio slots is for --virtual: between real processes there are delays alone")
+    if options.slots is not None and (options.jitter or options.bandwidth or options.loss or options.mesh == DELAY):
+        raise ConfigError("--radio slots has times of its own: leave out --jitter, --bandwidth, --loss, --mesh delay")
     if options.view and not options.virtual:
         raise ConfigError("--view shows virtual time; for this one: swarm view, in another terminal")
     if (options.speed is not None or options.no_open) and not options.view:
@@ -215,6 +270,7 @@ def parse(arguments: list[str]) -> Options:
             (options.replay, "--replay"),
             (options.noise, "--noise"),
             (options.offs, "--off"),
+            (options.kills, "--kill"),
             (options.plot, "--plot"),
         ):
             if given:
@@ -229,6 +285,6 @@ def parse(arguments: list[str]) -> Options:
 def _tuples(namespace: argparse.Namespace) -> argparse.Namespace:
     apps = vars(namespace).pop("apps")
     namespace.app, namespace.beside = (apps[0] if apps else None), tuple(apps[1:])
-    for name in ("settings", "cuts", "offs", "presses"):
+    for name in ("settings", "cuts", "offs", "kills", "pushes", "presses"):
         setattr(namespace, name, tuple(getattr(namespace, name)))
     return namespace

@@ -145,6 +145,12 @@ class Processes:
                 child.process = None
             child.restart_at = None
 
+    def end(self, robot: str, service: str) -> None:
+        """End the process of a robot's service at once; it is started again."""
+        child = self.find(robot, service)
+        if child is not None and child.process is not None:
+            child.process.kill()
+
     def start(self, robot: str) -> None:
         """Boot a robot that `kill` has ended: whatever went before is forgotten."""
         for child in self.of(robot):

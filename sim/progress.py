@@ -6,6 +6,7 @@ from typing import TextIO
 
 from sim.monitor import Seen
 from sim.scenario import Scenario
+from swarm.messages import AppLog
 from swarm.process.terminal import steer
 
 TERMINAL_PERIOD_S = 0.25
@@ -52,6 +53,12 @@ class ProgressDisplay:
         if self._drawn:
             steer(self._stream, f"\x1b[{self._drawn}F\x1b[J")
             self._drawn = 0
+
+
+def said(robot: str, line: AppLog) -> str:
+    """What an app has printed or logged, in a line for people."""
+    level = "" if line.level in ("print", "info") else f"{line.level}: "
+    return f"{line.t:9.3f} s  {robot}  {level}{line.text}"
 
 
 def _robot(scenario: Scenario, seen: Seen, missing: Sequence[str]) -> str:

@@ -1,4 +1,4 @@
-"""What people write on the command line of `swarm sim`: times, rates, probabilities, and events of a run such as a cut.
+"""What people write on the command line of `swarm sim`: times, rates, probabilities.
 
 Each reader raises `argparse.ArgumentTypeError`, which says what was expected.
 """
@@ -10,18 +10,15 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from services.mesh.core.radio_model import MAX_LOSS
+from sim.slots.parameters import Parameters
 from swarm.app import settings
 from swarm.app.settings import Setting
-from swarm.errors import AppError
-from swarm.frozen import frozen
+from swarm.errors import AppError, ConfigError
 from swarm.messages.keys import is_name
 
 _DURATION = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "": 1.0}
 _SIZE = {"B": 1.0, "kB": 1e3, "MB": 1e6, "": 1.0}
 _NUMBER = re.compile(r"([0-9.]+(?:e[+-]?[0-9]+)?) *([a-zA-Z%]*)")
-
-AT_START = "start"
-"""In place of a time: from the beginning on."""
 
 SLOWEST, FASTEST = 0.01, 1000.0
 """s of virtual time a second that a page may wish for."""
@@ -31,37 +28,6 @@ MAX_VELOCITY = 10.0
 
 MAX_SKEW = 100e-6
 """More than a crystal errs, and what the mesh clock is made for."""
-
-
-@frozen
-class Cut:
-    """A link that passes nothing for a while."""
-
-    a: str
-    b: str
-    at: float
-    """s after the first iteration of all robots (without an app: after all are ready)."""
-    seconds: float
-
-
-@frozen
-class Off:
-    """A robot that is switched off for a while, and forgets what it knew but for its votes."""
-
-    robot: str
-    at: float | None
-    """s, counted like a cut's; None: from the beginning."""
-    seconds: float
-
-
-@frozen
-class ScheduledPress:
-    """A button that somebody presses."""
-
-    robot: str
-    button: str
-    at: float
-    """s, counted like a cut's."""
 
 
 def velocity(text: str) -> tuple[float, float]:
@@ -96,34 +62,6 @@ def rate(text: str) -> float:
     if value <= 0:
         raise argparse.ArgumentTypeError("a bandwidth must be above zero")
     return value
-
-
-def cut(text: str) -> Cut:
-    """A cut `r0-r1@12s,3s`: which link, when, how long."""
-    match = re.fullmatch(r"([a-z][a-z0-9_]*)-([a-z][a-z0-9_]*)@([^,]+),(.+)", text)
-    if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a cut such as r0-r1@12s,3s (link, start, length)")
-    return Cut(match[1], match[2], duration(match[3]), duration(match[4]))
-
-
-def off(text: str) -> Off:
-    """A robot `r2@5s,10s` that is switched off: which, when, how long; `r2@start,10s` comes late."""
-    match = re.fullmatch(r"([a-z][a-z0-9_-]*)@([^,]+),(.+)", text)
-    if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a robot such as r2@5s,10s (which, from when, how long)")
-    at = None if match[2] == AT_START else duration(match[2])
-    seconds = duration(match[3])
-    if not seconds > 0:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a time above zero")
-    return Off(match[1], at, seconds)
-
-
-def press(text: str) -> ScheduledPress:
-    """A button `r4.A@5s`: whose, which, when."""
-    match = re.fullmatch(r"([a-z][a-z0-9_-]*)\.([ABCabc])@(.+)", text)
-    if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a button such as r4.A@5s (robot, button, time)")
-    return ScheduledPress(match[1], match[2].upper(), duration(match[3]))
 
 
 class AppSetting(NamedTuple):
@@ -176,6 +114,17 @@ def loss(text: str) -> float:
     if not value <= MAX_LOSS:
         raise argparse.ArgumentTypeError(f"{text!r}: expected at most {100 * MAX_LOSS:g}%")
     return value
+
+
+def slots(text: str) -> Parameters:
+    """The slot radio, `slots` or `slots:stay=0.2,loss=0.1`."""
+    kind, _, parameters = text.partition(":")
+    if kind != "slots":
+        raise argparse.ArgumentTypeError(f"{text!r}: expected slots or slots:NAME=X,...")
+    try:
+        return Parameters.parse(parameters)
+    except ConfigError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def skew(text: str) -> float:

@@ -14,8 +14,13 @@ from swarm.recording.trajectory import Trajectory
 
 Json = dict[str, object]
 
+MOST_ENTRIES = 4
+"""Entries up to which a vector stands in the table."""
 MOST_ROWS = 50
 """Robots that the table shows."""
+
+REPLAY_BOUND_CM = 0.1
+"""By so much a replay may differ from what was recorded: the thesis' own recordings are followed to 0.001 cm."""
 
 TARGET_COLUMNS = ("result.x", "result.y")
 
@@ -37,6 +42,7 @@ class RunOutcome:
     rss_mib: Mapping[str, float]
     """Resident memory of each robot's processes."""
     restarts: Mapping[str, int]
+    """Of each robot: services that were started again, and times that it was switched off and on."""
     problems: tuple[str, ...]
     missing: tuple[str, ...] = ()
     """Robots that the others have gone on without, and that are not back at the end."""
@@ -52,6 +58,8 @@ class RunOutcome:
     """When a target that moves began to, by the clock of the trajectories, s."""
     beside: Mapping[str, Mapping[str, Trajectory]] = field(default_factory=dict)
     """Of other apps that the robots ran meanwhile."""
+    never: tuple[str, ...] = ()
+    """What was to happen and did not, since the run ended before."""
 
     def target(self, t: float) -> tuple[float, float]:
         """Where the target was at a time of the trajectories, m."""
@@ -89,6 +97,7 @@ def summary(outcome: RunOutcome) -> Json:
         "restarts": sum(outcome.restarts.values()),
         "problems": list(outcome.problems),
         "missing": list(outcome.missing),
+        "never": list(outcome.never),
         **({"scene": dict(outcome.scene)} if outcome.scene else {}),
     }
     if outcome.beside:
@@ -102,9 +111,10 @@ def summary(outcome: RunOutcome) -> Json:
     if outcome.computed_s is not None:
         report["virtual"] = True
         report["computed_s"] = round(outcome.computed_s, 3)
-    if scenario.app == "consensus":
+    if _is_consensus(scenario):
         report["mean"] = true_mean(scenario)
         report["error"] = consensus_error(scenario, paths)
+    report |= metrics(paths)
     if scenario.app == "localization":
         report["error_cm"] = target_error_cm(outcome, {name: estimate(path) for name, path in paths.items()})
     if scenario.recorded:
@@ -112,7 +122,13 @@ def summary(outcome: RunOutcome) -> Json:
         report["recorded_error_cm"] = target_error_cm(outcome, last)
         if scenario.algorithm == "thesis":  # another algorithm is not meant to follow the recorded one
             report["replay_deviation_cm"] = replay_deviation_cm(scenario, paths)
+            report["problems"] = [*outcome.problems, *_mismatch(scenario, paths, report["replay_deviation_cm"])]
     return report
+
+
+def _is_consensus(scenario: Scenario) -> bool:
+    """Whether it is the built-in app, whose truth is known: an author's own may have its name and other fields."""
+    return scenario.app == "consensus" and scenario.loaded is not None and scenario.loaded.is_built_in
 
 
 def result(path: Trajectory) -> Json | None:
@@ -124,6 +140,24 @@ def result(path: Trajectory) -> Json | None:
         for name, text in zip(path.columns, path.rows[path.last], strict=True)
         if name.startswith("result.")
     }
+
+
+def metrics(paths: Mapping[str, Trajectory]) -> Json:
+    """What an app measures of itself (`error`, `error_NAME`): the mean over the robots at their last iterations, and
+    under `NAME_most` the largest."""
+    found: Json = {}
+    for column in dict.fromkeys(name for path in paths.values() for name in path.columns if is_metric(name)):
+        values = [path.value(path.last, column) for path in paths.values() if path.last >= 0]
+        known = [value for value in values if math.isfinite(value)]
+        name = column.removeprefix("result.")
+        found[name] = math.fsum(known) / len(known) if known else None
+        found[f"{name}_most"] = max(known, default=None)
+    return found
+
+
+def is_metric(column: str) -> bool:
+    """Whether a column is what an app measures of itself."""
+    return column == "result.error" or column.startswith("result.error_")
 
 
 def bodies(outcome: RunOutcome) -> Json:
@@ -182,6 +216,21 @@ def replay_deviation_cm(scenario: Scenario, paths: Mapping[str, Trajectory]) -> 
     return 100 * max(distances)
 
 
+def _mismatch(scenario: Scenario, paths: Mapping[str, Trajectory], deviation: object) -> list[str]:
+    """What is to be said of a replay that does not follow what was recorded."""
+    if not isinstance(deviation, float) or deviation <= REPLAY_BOUND_CM:
+        return []
+    first, name = min(
+        (k, name)
+        for name, path in paths.items()
+        for k, recorded in enumerate(scenario.recorded[name].estimates)
+        if k in path.rows and 100 * math.dist(estimate(path, k), recorded) > REPLAY_BOUND_CM
+    )
+    reason = "likely another step size (--step-size) or graph (--topology), or a robot's file or rows are missing"
+    where = f"from iteration {first} of {name} on"
+    return [f"the replay leaves the recorded trajectory by {deviation:.3g} cm, {where}: {reason}"]
+
+
 def table(report: Json, outcome: RunOutcome) -> str:
     """The report for people."""
     rows = [("robot", "iterations", *_headings(outcome), "restarts")]
@@ -207,7 +256,21 @@ def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _results(path: Trajectory) -> str:
-    return ", ".join(f"{name}={_short(value)}" for name, value in (result(path) or {}).items()) or "-"
+    """Results in one cell, of the last iteration: errors first, a vector under one name, of a long one its length."""
+    vectors: dict[str, list[object]] = {}
+    for name, value in (result(path) or {}).items():
+        vectors.setdefault(name.partition("[")[0], []).append(value)
+    names = sorted(vectors, key=lambda name: not is_metric(f"result.{name}"))
+    return (
+        ", ".join(f"{name}={_cell(vectors[name], vector=f'result.{name}' not in path.columns)}" for name in names)
+        or "-"
+    )
+
+
+def _cell(values: Sequence[object], *, vector: bool) -> str:
+    if not vector:
+        return _short(values[0])
+    return f"[{', '.join(map(_short, values))}]" if len(values) <= MOST_ENTRIES else f"[{len(values)} numbers]"
 
 
 def _headings(outcome: RunOutcome) -> tuple[str, ...]:
@@ -248,8 +311,14 @@ def _sentences(report: Json, outcome: RunOutcome) -> list[str]:
         lines.append(
             f"memory      {report['rss_mib_per_robot']} MiB resident a robot (shared pages counted in each process)"
         )
-    if outcome.scenario.app == "consensus":
+    if _is_consensus(outcome.scenario):
         lines.append(f"error       {_short(report['error'])} from the mean {_short(report['mean'])}")
+    else:
+        lines += [
+            f"{name:<11} {_short(report[name])} mean of the robots, {_short(report[f'{name}_most'])} at most"
+            for name in report
+            if f"{name}_most" in report
+        ]
     if outcome.scenario.app == "localization":
         recorded = f" (recorded: {_short(report['recorded_error_cm'])} cm)" if outcome.scenario.recorded else ""
         lines.append(f"error       {_short(report['error_cm'])} cm mean distance to the true target{recorded}")
@@ -257,8 +326,11 @@ def _sentences(report: Json, outcome: RunOutcome) -> list[str]:
         lines.append(f"deviation   {_short(report['replay_deviation_cm'])} cm from the recorded trajectory at most")
     if outcome.missing:
         lines.append(f"missing     {', '.join(outcome.missing)}: the others have gone on without")
+    lines += [f"never       {each}" for each in outcome.never]
     lines += scene.sentences(outcome.scene)
-    lines += [f"problem     {problem}" for problem in outcome.problems]
+    problems = report["problems"]
+    assert isinstance(problems, list)
+    lines += [f"problem     {problem}" for problem in problems]
     return lines
 
 

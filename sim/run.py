@@ -10,17 +10,17 @@ from pathlib import Path
 from typing import TextIO
 
 from sim import footprint, scene
-from sim.app_requests_server import Orders
 from sim.control import link_cuts
+from sim.control.app_requests_server import Orders
+from sim.control.power_server import Power
 from sim.control.send_action import do
 from sim.core import actions
 from sim.core.start_timeout import START_LIMIT_S, StartTimeout
+from sim.disturbances import Cut, Disturbance, Kill, Off, ScheduledPress, ScheduledPush, never
 from sim.monitor import Monitor, Seen
 from sim.options import PRESS_S, Options
-from sim.power_server import Power
 from sim.processes import APP_FAULT, Processes
-from sim.progress import ProgressDisplay
-from sim.quantities import Cut, ScheduledPress
+from sim.progress import ProgressDisplay, said
 from sim.report import RunOutcome
 from sim.scenario import Scenario
 from sim.world import BodyWorld
@@ -69,14 +69,20 @@ class ProcessRun:
         self._services = (*SERVICE_MODULES, *([f"app/{scenario.app}"] if scenario.app else []))
         self._beside = {f"app/{each.app}": each for each in scenario.beside}
         number = os.urandom(8)
-        if scenario.program is not None and scenario.beside:  # else the apps' processes begin the folder all alike
-            about = folder.describe(scenario.app or "", int.from_bytes(number, "big"), options.seed, scenario.digest)
+        if scenario.loaded is not None and scenario.beside:  # else the apps' processes begin the folder all alike
+            digest = scenario.loaded.digest
+            about = folder.describe(scenario.loaded.name, int.from_bytes(number, "big"), options.seed, digest)
             folder.begin(self._records, about, {})
         self._processes = Processes(self._environment(number.hex()))
         self._monitor = Monitor(run_dir, names, scenario.app)
         self._orders = Orders(run_dir, self._processes, names, self._start_app)
         self._world = BodyWorld(run_dir, scenario.config, options.seed, self._monitor.truth)
         self._power = Power(run_dir, names, self._processes)
+        self._late = scenario.late
+        """Robots that are still to come, and when, s after the command."""
+        timed = (each for each in scenario.disturbances if each.at is not None)
+        self._disturbances = sorted(timed, key=lambda each: each.at or 0.0)
+        """What is still to happen."""
 
     def __enter__(self) -> "ProcessRun":
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -84,7 +90,8 @@ class ProcessRun:
         for note in self._scenario.notes:
             self._progress.say(note)
         for name in self._scenario.config.names:
-            self._start_robot(name)
+            if name not in self._late:
+                self._start_robot(name)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -100,28 +107,31 @@ class ProcessRun:
     def watch(self) -> RunOutcome:
         """Follow the run until its end (iterations, seconds, Ctrl-C, or a service that cannot be kept up)."""
         started: float | None = None
-        cuts = sorted(self._options.cuts, key=lambda cut: cut.at)
-        presses = sorted(self._options.presses, key=lambda press: press.at)
         asked, start_timeout = 0.0, StartTimeout(self._commanded)
         while not self._stop:
             now = clock.now()
             self._power.look(now)
+            for name in [name for name, after in self._late.items() if now - self._commanded >= after]:
+                del self._late[name]
+                self._start_robot(name)
             for child in self._processes.supervise(now):
                 # An app has named its fault on the bus; else the end of the log is all there is.
                 reason = "" if child.exit_code == APP_FAULT else f": {child.last_words()}"
-                said = f"{child.robot} {child.service} {child.given_up}{reason}"
+                words = f"{child.robot} {child.service} {child.given_up}{reason}"
                 if child.service not in self._services:  # another app: beside, or one that somebody has started
-                    self._progress.say(said)
+                    self._progress.say(words)
                     if child.service in self._beside:
                         self._problems.append(f"{child.robot} {child.service} {child.given_up}: {child.last_words()}")
                     continue
-                self._problems.append(said)
+                self._problems.append(words)
                 self._stop = True
             for done in self._orders.look():
                 self._progress.say(done)
             if now - asked > (ASK_S if started is None else ASK_AGAIN_S):
                 asked = now
                 self._monitor.ask_status()
+            for robot, line in self._monitor.said():
+                self._progress.say(said(robot, line))
             seen = self._monitor.look()
             missing = {name: robot.not_ready(self._services) for name, robot in seen.items()}
             self._progress.show(now, now - self._commanded, seen, missing)
@@ -133,15 +143,13 @@ class ProcessRun:
                 elif (faults := _faults(seen)) and not self._scenario.run_options.drop:
                     self._problems += faults
                     break
-                elif start_timeout.lost(_ready(seen, missing), now):
+                elif not self._late and start_timeout.lost(_ready(seen, missing), now):
                     found = _obstacles(seen, missing)
                     self._problems.append(f"no first iteration, and nothing new for {START_LIMIT_S:g} s: {found}")
                     break
             else:
-                while cuts and now - started >= cuts[0].at:
-                    self._cut(cuts.pop(0))
-                while presses and now - started >= presses[0].at:
-                    self._press(presses.pop(0))
+                while self._disturbances and now - started >= (self._disturbances[0].at or 0.0):
+                    self._let_happen(self._disturbances.pop(0), now)
                 if self._is_done(seen, now - started):
                     break
             time.sleep(TICK_S)
@@ -205,16 +213,26 @@ class ProcessRun:
         self._problems += faults  # the others have gone on without them
         return True
 
-    def _cut(self, cut: Cut) -> None:
-        self._progress.say(f"cut {cut.a}-{cut.b} for {cut.seconds:g} s")
-        for robot, peer in ((cut.a, cut.b), (cut.b, cut.a)):
-            with contextlib.suppress(OSError):  # a mesh being restarted has no socket, and no link either
-                link_cuts.silence(self._run_dir, robot, peer, cut.seconds)
+    def _let_happen(self, what: Disturbance, now: float) -> None:
+        self._progress.say(str(what))
+        match what:
+            case Cut(a, b, _, seconds):
+                for robot, peer in ((a, b), (b, a)):
+                    with contextlib.suppress(OSError):  # a mesh being restarted has no socket, and no link either
+                        link_cuts.silence(self._run_dir, robot, peer, seconds)
+            case Off(robot, _, seconds):
+                self._power.off(robot, now, seconds)
+            case Kill(robot, service):
+                self._processes.end(robot, f"app/{self._scenario.app}" if service == "app" else service)
+            case ScheduledPress(robot, button):
+                self._act(robot, actions.Press(button, PRESS_S))
+            case ScheduledPush(robot, _, impulse):
+                self._act(robot, actions.Push(impulse))
 
-    def _press(self, press: ScheduledPress) -> None:
-        self._progress.say(f"press {press.button} of {press.robot}")
+    def _act(self, robot: str, act: actions.SimulationAction) -> None:
+        """Lay a hand on a robot; its body may be away for a moment."""
         try:
-            do(self._run_dir / press.robot, actions.Press(press.button, PRESS_S))
+            do(self._run_dir / robot, act)
         except LocalError as error:
             self._progress.say(f"warning: {error}")
 
@@ -244,7 +262,7 @@ class ProcessRun:
         if self._options.seconds is not None:
             self._problems += _held_up(seen)
         memory = {name: footprint.resident_mib(self._processes.of(name)) for name in names}
-        found = self._world.look(lambda scene_record: scene.seen(self._scenario, scene_record, self._commanded))
+        found = self._world.look(lambda record, contacts: scene.seen(self._scenario, record, contacts, self._commanded))
         self._processes.stop()  # only then are the recordings complete
         paths = self._trajectories(self._scenario.app) if self._scenario.app is not None else {}
         beside = {each.app: self._trajectories(each.app) for each in self._beside.values()}
@@ -261,14 +279,18 @@ class ProcessRun:
             bodies={name: seen[name].balancer for name in names},
             messages=_messages(seen),
             rss_mib=memory,
-            restarts={name: sum(child.restarts for child in self._processes.of(name)) for name in names},
+            restarts={
+                name: self._power.cycles[name] + sum(child.restarts for child in self._processes.of(name))
+                for name in names
+            },
             problems=tuple(self._problems),
             missing=tuple(name for name in names if name not in _members(seen)),
             scene=found,
-            scene_record=self._world.look(lambda scene_record: scene_record),
+            scene_record=self._world.look(lambda scene_record, _: scene_record),
             began=self._commanded,
             moves_from=self._moves_from,
             beside=beside,
+            never=never(self._disturbances, (), 0.0 if started is None else now - started),
         )
 
 

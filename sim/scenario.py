@@ -12,17 +12,21 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from services.apps import loader
-from services.apps.localization.guard import check_step_size, limit_step_size
+from services.apps.builtin.localization.guard import check_step_size, limit_step_size
+from services.mesh.core.routing.physical_links import physical
+from services.mesh.mesh import links_of
+from sim import commission_report
 from sim.core import noise
-from sim.core.module_line import SOURCE
-from sim.module import module_address
-from sim.options import Options
+from sim.core.module_line import SOURCE, module_address
+from sim.disturbances import Cut, Disturbance, Kill, Off, drawn
+from sim.options import LAMPS, Options
+from sim.robot_limits import lacking_modules, too_many_links
 from swarm import config as configuration
-from swarm.app.event_app import EventApp, PeriodicApp
+from swarm.app.event_app import EventApp, PeriodicApp, channels_of
 from swarm.app.run_options import RunOptions
 from swarm.app.settings import on_top
 from swarm.config import Affine, Anchor, AppConfig, Config, Dwm, Linear, MeshConfig, RobotConfig, SimulationConfig
-from swarm.config.load import AUTO
+from swarm.config.load import AUTO, wrong_links
 from swarm.config.types import DEFAULT_RELAY
 from swarm.core.graph import Graph
 from swarm.errors import AppError, ConfigError, LocalError
@@ -56,6 +60,9 @@ BEGUN_BY_BUTTON = ("flooding_demo", "stand_up", "unicast_demo")
 ITERATIONS = {"formation": 600, "goto": 3000, "stand_up": 5}
 """Of apps that want others; those of goto are the most it may take, it ends when all have arrived."""
 
+VIRTUAL_SERVICES = ("mesh", "app")
+"""What can be killed under virtual time."""
+
 NOISE = "noise"
 """Folder of a run in which measurements that were made up are."""
 
@@ -69,6 +76,7 @@ class Beside(NamedTuple):
     app: str
     program: str
     """As of a `Scenario`."""
+    loaded: loader.LoadedApp
 
 
 @frozen
@@ -80,8 +88,8 @@ class Scenario:
     """The app's name, as in keys and in swarm.toml."""
     program: str | None
     """What the app host is started with: the name of a built-in app, or the path of a file."""
-    digest: bytes
-    """Of the app's code; empty without one."""
+    loaded: loader.LoadedApp | None
+    """The app itself."""
     algorithm: str | None
     """The algorithm the app runs, None where the app has no such parameter."""
     topology: str
@@ -99,6 +107,8 @@ class Scenario:
     steps: bool
     """Whether the app has iterations; one that only reacts to events has none."""
 
+    disturbances: tuple[Disturbance, ...]
+    """What is to happen to robots and links, with robots and times that are drawn."""
     lying: str | None
     """The side on which the robots lie at the start; None: they stand up by themselves."""
 
@@ -111,6 +121,11 @@ class Scenario:
         return replace(self.run_options, last=self.iterations if self.recordings else None, rule=None)
 
     @property
+    def late(self) -> dict[str, float]:
+        """Robots that come later than the others, and by how many s."""
+        return {each.robot: each.seconds for each in self.disturbances if isinstance(each, Off) and each.at is None}
+
+    @property
     def recorded(self) -> dict[str, ThesisRecording]:
         """The recordings of real robots, with their estimates."""
         return {} if self.synthetic else self.recordings
@@ -121,13 +136,16 @@ class Scenario:
         return {name: self.config.app(self.app or "").of(name) for name in self.config.names}
 
 
-def build(options: Options, run_dir: Path) -> Scenario:
-    """The scenario of `options` with its sockets in `run_dir`; raises `ConfigError` or `RecordingError`."""
+def build(options: Options, run_dir: Path, app: loader.LoadedApp | None = None) -> Scenario:
+    """The scenario of `options` with its sockets in `run_dir`; raises `ConfigError` or `RecordingError`.
+
+    `app`: the one that `options.app` names, where it is there already."""
     recordings = read_folder(options.replay) if options.replay is not None else []
     base = configuration.load(options.config) if options.config is not None else _default(options, len(recordings))
     if recordings and len(recordings) != len(base.robots):
         raise ConfigError(f"{options.replay} holds {len(recordings)} robots, the swarm has {len(base.robots)}")
-    app = loader.load(options.app) if options.app is not None else None
+    if app is None and options.app is not None:
+        app = loader.load(options.app)
     apps = _apps(app, options)
     config = replace(
         base,
@@ -139,29 +157,23 @@ def build(options: Options, run_dir: Path) -> Scenario:
             )
             for index, robot in enumerate(base.robots)
         ),
-        mesh=replace(base.mesh, insecure=True, key=None, listen=None),
+        mesh=replace(base.mesh, insecure=True, key=None, listen=None, links=options.links or base.mesh.links),
         dwm=_dwm(base, options.replay, run_dir),
         simulation=_places(base),
     )
+    if problem := wrong_links(config.mesh.links, len(config.robots), auto=config.auto):
+        raise ConfigError(f"--links: {problem}")
     if options.target_velocity is not None:
         # An average over three seconds would be of places that the target has left.
         moving = replace(config.simulation, target_velocity=options.target_velocity)
         config = replace(config, simulation=moving, dwm=replace(config.dwm, window=1, position_window=WINDOW))
+    if options.like is not None:
+        config = commission_report.apply(config, options.like)
     for each in apps:
         parameters = _parameters(config, each, options, first=each is app)
         config = replace(config, apps={**config.apps, each.name: parameters})
         each.check(config)
-    for cut in options.cuts:
-        if not config.auto and cut.b not in config.neighbours(cut.a):
-            raise ConfigError(f"--cut {cut.a}-{cut.b}: there is no such link in the topology")
-    for off in options.offs:
-        if off.robot not in config.names:
-            raise ConfigError(f"--off {off.robot}: the robots are {', '.join(config.names)}")
-        if odd := [each.name for each in apps if any(issubclass(kind, EventApp) for kind in each.algorithms.values())]:
-            raise ConfigError(f"--off {off.robot}: {odd[0]} has no lockstep whose members could change")
-    for press in options.presses:
-        if press.robot not in config.names:
-            raise ConfigError(f"--press {press.robot}.{press.button}: the robots are {', '.join(config.names)}")
+    disturbances = _disturbances(config, options)
     iterations = options.iterations
     if app is not None and iterations is None and options.seconds is None and options.run_options.rule is None:
         iterations = ITERATIONS.get(app.name, DEFAULT_ITERATIONS)
@@ -176,22 +188,46 @@ def build(options: Options, run_dir: Path) -> Scenario:
         config=config,
         app=app.name if app is not None else None,
         program=_program(app) if app is not None else None,
-        digest=app.digest if app is not None else b"",
+        loaded=app,
         algorithm=_algorithm(config, app) if app is not None else None,
         topology=options.topology or ("file" if options.config is not None else "line"),
         iterations=iterations,
         run_options=replace(options.run_options, last=iterations),
         recordings=recorded,
         synthetic=options.noise is not None,
-        beside=tuple(Beside(each.name, _program(each)) for each in apps[1:]),
+        beside=tuple(Beside(each.name, _program(each), each) for each in apps[1:]),
         steps=app is not None and not _reacts_only(config, app),
+        disturbances=disturbances,
         lying=options.lying or (STANDING_UP_FROM if any(each.name == "stand_up" for each in apps) else None),
-        notes=tuple(
-            note
-            for each in apps
-            for note in (*_step_size(config, each, {} if options.noise else recorded), *_buttons(each, options))
+        notes=(
+            *(() if config.auto else too_many_links(config.names, config.edges, links_of(config, bluetooth=True))),
+            *(
+                note
+                for each in apps
+                for note in (
+                    *lacking_modules(base, each),
+                    *_step_size(config, each, {} if options.noise else recorded),
+                    *_buttons(each, options),
+                    *_forgetting(config, each, options),
+                    *_clocks(each, options),
+                )
+            ),
         ),
     )
+
+
+def _disturbances(config: Config, options: Options) -> tuple[Disturbance, ...]:
+    """What was asked for, with robots and times that the seed has drawn."""
+    kinds = (options.presses, options.cuts, options.offs, options.kills, options.pushes)
+    found = tuple(each for kind in kinds for each in drawn(kind, config.names, options.seed))
+    links = links_of(config, bluetooth=options.slots is not None)
+    pairs = {frozenset(pair) for pair in (*config.edges, *physical(config.names, config.edges, links))}
+    for each in found:
+        if isinstance(each, Cut) and not config.auto and frozenset((each.a, each.b)) not in pairs:
+            raise ConfigError(f"--cut {each.a}-{each.b}: there is no such link in the topology")
+        if isinstance(each, Kill) and options.virtual and each.service not in VIRTUAL_SERVICES:
+            raise ConfigError(f"{each}: under virtual time {' and '.join(VIRTUAL_SERVICES)} are processes of their own")
+    return found
 
 
 def _apps(app: loader.LoadedApp | None, options: Options) -> tuple[loader.LoadedApp, ...]:
@@ -227,7 +263,7 @@ def _reacts_only(config: Config, app: loader.LoadedApp) -> bool:
 
 
 def _program(app: loader.LoadedApp) -> str:
-    return app.name if app.name in loader.BUILT_IN else app.source
+    return app.name if app.is_built_in else app.source
 
 
 def _algorithm(config: Config, app: loader.LoadedApp) -> str | None:
@@ -244,7 +280,7 @@ def _step_size(config: Config, app: loader.LoadedApp, recordings: Mapping[str, T
     is only told. Of an automatic topology nobody knows the graph yet.
     """
     algorithm = _algorithm(config, app)
-    if app.name != "localization" or algorithm not in ("thesis", "diging") or config.auto:
+    if app.name != "localization" or not app.is_built_in or algorithm not in ("thesis", "diging") or config.auto:
         return ()
     made: Any = app.make(config, config.names[0])
     gamma = made.step_size
@@ -269,6 +305,26 @@ def _buttons(app: loader.LoadedApp, options: Options) -> tuple[str, ...]:
     if app.name not in BEGUN_BY_BUTTON or options.presses:
         return ()
     return (f"{app.name} waits for a button: swarm hand press r0 A, from another terminal, or --press r0.A@2s",)
+
+
+def _forgetting(config: Config, app: loader.LoadedApp, options: Options) -> tuple[str, ...]:
+    """Tell that a lockstep does not go on by itself with a robot that was switched off."""
+    kind, _ = app.choose(config.app(app.name).of(config.names[0]))
+    lockstep = not issubclass(kind, EventApp) or bool(channels_of(kind))
+    off = next((each for each in options.offs if each.at is not None), None)
+    if off is None or options.run_options.drop or not lockstep:
+        return ()
+    return (
+        f"{off}: {app.name} has lost its state there afterwards, and the others wait for it; --absent drop goes on",
+    )
+
+
+def _clocks(app: loader.LoadedApp, options: Options) -> tuple[str, ...]:
+    if app.name != LAMPS or options.app != LAMPS or not options.clock_skew:
+        return ()
+    return (
+        f"each robot has a clock of its own, up to {options.clock_skew * 1e6:g} ppm off; --clock-skew changes that",
+    )
 
 
 def _both_units(gamma: float) -> str:
@@ -343,7 +399,7 @@ def _parameters(config: Config, wanted: loader.LoadedApp, options: Options, *, f
         common["algorithm"] = options.algorithm
     if options.step_size is not None and first:
         common["step_size"] = options.step_size * 1e4  # 1/cm^2 in 1/m^2
-    if wanted.name == "consensus" and "value" not in common:
+    if wanted.name == "consensus" and wanted.is_built_in and "value" not in common:
         starts = START_VALUES.get(len(config.names), tuple(float(index) for index in range(len(config.names))))
         for robot, value in zip(config.names, starts, strict=True):
             robots.setdefault(robot, {}).setdefault("value", value)

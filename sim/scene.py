@@ -1,39 +1,59 @@
-"""What the world saw of an app at work: figures for the report, app by app."""
+"""What the world saw of a run: figures for the report; of every app, how near robots came."""
 
 from collections.abc import Mapping
 
 from services.apps.core import formation
+from services.balancer.core.control.body import body_model
+from sim.core.contacts import Contacts
 from sim.core.scene_record import SceneRecord
 from sim.scenario import Scenario
+from swarm.config import Config
 
 Json = dict[str, object]
 
-WATCHED = ("led_sync", "stand_up", "formation", "goto")
-"""Apps of which there is something to see."""
+WATCHED = ("led_sync", "stand_up", "formation")
+"""Apps of which there is more to see than that."""
 
-CONTACT_M = 0.15
-"""Distance between axles at which two robots touch."""
+NEARNESS = ("closest_m", "closest_pair", "closest_after_s", "contacts", "touched", "fell_by_contact")
+"""Figures of how near robots came."""
+WORDS = (("touched", "touched"), ("fell", "fell_by_contact"))
+MOST_LISTED = 5
+"""Contacts that the report for people names."""
 FORMED_M = 0.05
 """A formation with a smaller root mean square error is one."""
 
 
-def seen(scenario: Scenario, scene_record: SceneRecord, began: float) -> Json:
-    """Figures by name: times in s since `began`, lengths in m; only for apps of which there is something to see."""
-    match scenario.app:
-        case "led_sync":
-            return _phases(scenario, scene_record, began)
-        case "stand_up":
-            return _wave(scenario, scene_record, began)
-        case "formation":
-            return _formation(scenario, scene_record, began)
-        case "goto":
-            return _closest(scene_record, began)
-    return {}
+def contacts_of(config: Config) -> Contacts:
+    """What keeps an eye on robots that touch, of the weight that they have."""
+    models = {name: body_model(config.robot(name).board, config.body_of(name)) for name in config.names}
+    return Contacts({name: model.mass + model.wheel_mass for name, model in models.items()})
+
+
+def seen(scenario: Scenario, scene_record: SceneRecord | None, contacts: Contacts, began: float) -> Json:
+    """Figures by name: times in s since `began`, lengths in m. `scene_record` is None where the app is not `WATCHED`;
+    without a contact, `contacts` is 0 and the names of contacts and falls are left out."""
+    found: Json = {}
+    if scene_record is not None:
+        match scenario.app:
+            case "led_sync":
+                found = _phases(scenario, scene_record, began)
+            case "stand_up":
+                found = _wave(scenario, scene_record, began)
+            case "formation":
+                found = _formation(scenario, scene_record, began)
+    return found | _near(contacts, began)
 
 
 def sentences(figures: Mapping[str, object]) -> list[str]:
     """The same for people."""
-    return [f"{name.replace('_', ' '):<11} {_shown(value)}" for name, value in figures.items()]
+    lines = [f"{name.replace('_', ' '):<11} {_shown(value)}" for name, value in figures.items() if name not in NEARNESS]
+    if "closest_m" in figures:
+        when = _shown(figures["closest_after_s"])
+        contacts = figures["contacts"] or "no"
+        met = f"{contacts} contact{'' if contacts == 1 else 's'}"
+        lines.append(f"nearest     {_shown(figures['closest_m'])} m, {figures['closest_pair']} after {when} s; {met}")
+        lines += [f"{name:<11} {_listed(figures[key])}" for name, key in WORDS if key in figures]
+    return lines
 
 
 def _phases(scenario: Scenario, scene_record: SceneRecord, began: float) -> Json:
@@ -83,19 +103,32 @@ def _formation(scenario: Scenario, scene_record: SceneRecord, began: float) -> J
     return {
         "misfit_m": round(misfits[-1][1], 4) if misfits else None,
         "formed_after_s": None if formed is None else round(formed - began, 1),
-        **_closest(scene_record, began),
     }
 
 
-def _closest(scene_record: SceneRecord, began: float) -> Json:
-    closest = scene_record.closest
+def _near(contacts: Contacts, began: float) -> Json:
+    closest = contacts.closest
     if closest is None:
-        return {"closest_m": None}
-    return {
+        return {}  # one robot alone
+    found: Json = {
         "closest_m": round(closest.distance, 4),
         "closest_pair": f"{closest.a}-{closest.b}",
         "closest_after_s": round(closest.t - began, 1),
+        "contacts": contacts.count,
     }
+    if contacts.count:
+        found["touched"] = [
+            f"{each.a}-{each.b} after {each.t - began:.1f} s at {each.speed:.2f} m/s" for each in contacts.contacts
+        ]
+    if contacts.fallen:
+        found["fell_by_contact"] = [f"{robot} after {t - began:.1f} s" for t, robot in contacts.fallen]
+    return found
+
+
+def _listed(entries: object) -> str:
+    assert isinstance(entries, list)
+    more = f" (--json has more: {len(entries)})" if len(entries) > MOST_LISTED else ""
+    return "; ".join(entries[:MOST_LISTED]) + more
 
 
 def _shown(value: object) -> str:

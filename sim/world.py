@@ -14,10 +14,12 @@ from pathlib import Path
 from typing import TypeVar
 
 from sim.control import datagrams
-from sim.core.actions import BODY_SOCKET, BodyPlace, pack
+from sim.core.actions import BODY_SOCKET, BodyPlace, SimulationAction, pack
+from sim.core.contacts import Contacts
 from sim.core.module_line import SOURCE as SOURCE_ATMEGA
 from sim.core.scene_record import SceneRecord
-from sim.module import ModuleBoard
+from sim.devices.module import ModuleBoard
+from sim.scene import contacts_of
 from swarm import clock
 from swarm.config import Config
 from swarm.errors import PayloadError
@@ -29,7 +31,6 @@ from swarm.process.paths import socket_path
 SOCKET = "world.sock"
 
 T = TypeVar("T")
-
 TRUTH_PERIOD_S = 0.1
 """`sim/truth` is published at 10 Hz, as poses are."""
 
@@ -46,6 +47,8 @@ class BodyReport:
     tilt: float
     held: bool
     """In the hand that holds it at the start."""
+    speed: float = 0.0
+    """Of the axle, forward, m/s."""
 
 
 @frozen
@@ -101,6 +104,7 @@ class BodyWorld:
                 self._modules.add(name)
         self._wake = os.eventfd(0, os.EFD_CLOEXEC)
         self._scene_record = SceneRecord(config.names)
+        self._contacts = contacts_of(config)
         self._seeing = threading.Lock()
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
@@ -119,10 +123,10 @@ class BodyWorld:
         self._socket.close()
         os.close(self._wake)
 
-    def look(self, at: Callable[[SceneRecord], T]) -> T:
-        """`at(scene_record)`, while nothing new is seen."""
+    def look(self, at: Callable[[SceneRecord, Contacts], T]) -> T:
+        """`at(scene_record, contacts)`, while nothing new is seen."""
         with self._seeing:
-            return at(self._scene_record)
+            return at(self._scene_record, self._contacts)
 
     def _run(self) -> None:
         while not self._closing:
@@ -161,13 +165,20 @@ class BodyWorld:
             if last is None
             else BodyPlace(last.x, last.y, last.heading, last.tilt, last.held)
         )
-        with contextlib.suppress(OSError):  # it ended again
-            self._socket.sendto(pack(place), str(socket_path(self._run_dir / robot, BODY_SOCKET)))
+        self._act(robot, place)
+
+    def _act(self, robot: str, act: SimulationAction) -> None:
+        with contextlib.suppress(OSError):  # the body's process has ended
+            self._socket.sendto(pack(act), str(socket_path(self._run_dir / robot, BODY_SOCKET)))
 
     def _place(self, report: BodyReport) -> None:
         self._last[report.robot] = report
+        robot, t, place = report.robot, report.t, (report.x, report.y)
         with self._seeing:
-            self._scene_record.pose(report.robot, report.t, (report.x, report.y), report.tilt)
+            self._scene_record.pose(robot, t, place, report.tilt)
+            hits = self._contacts.pose(robot, t, place, report.heading, report.speed, report.tilt, held=report.held)
+        for hit in hits:
+            self._act(hit.robot, hit.knock(self._last[hit.robot].heading))
         if self._ranging:
             self._modules.update_pose(report.robot, report.x, report.y, report.heading)
         due = self._publish_at[report.robot]

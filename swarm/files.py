@@ -27,7 +27,7 @@ def atomic_write(
         new.unlink()
     try:
         # A new inode that nobody else has open. A secret is never readable to others, not even for a moment.
-        file = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644 if mode is None else 0o600)
+        file = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644 if mode is None else 0o600)
         try:
             if owner is not None and owner != (os.geteuid(), os.getegid()):
                 os.fchown(file, *owner)
@@ -59,8 +59,10 @@ def make_folder(path: Path) -> None:
 
 
 def sync_folder(path: Path) -> None:
-    """Wait until the names in a folder are on the disk."""
-    folder = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    """Wait until the names in a folder are on the disk. Systems that cannot open folders (Windows) do that alone."""
+    if not hasattr(os, "O_DIRECTORY"):
+        return
+    folder = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(folder)
     finally:
@@ -70,7 +72,7 @@ def sync_folder(path: Path) -> None:
 def open_reserved(path: Path, size: int, mode: int) -> int:
     """Open a file for reading and writing, and reserve its first `size` bytes: a disk that is full later cannot fail a
     write to them, nor end the process with SIGBUS where they are mapped. Raises `OSError`, on a full disk above all."""
-    file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, mode)
+    file = os.open(path, os.O_RDWR | os.O_CREAT, mode)
     try:
         os.posix_fallocate(file, 0, size)
     except OSError:

@@ -1,10 +1,10 @@
 """Cores of the asynchronous overlay joined in memory, in virtual time: loss, delay, order, hangs and kills as told."""
 
-import heapq
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
+
+from timed_world import TimedWorld
 
 from swarm.core.asynchronous import Asynchronous, HandlerCall, Publish
 from swarm.core.lockstep_frames import Channel
@@ -65,7 +65,7 @@ class Process:
         self.carry_out()
 
 
-class World:
+class World(TimedWorld):
     """A line of robots. `fate(sender, receiver)` gives a frame's delay in s; None = it is lost."""
 
     def __init__(
@@ -75,15 +75,13 @@ class World:
         handler_time: Callable[[str, HandlerCall], float] = lambda *_: 0.0,
         versions: dict[str, int] | None = None,
     ) -> None:
+        super().__init__()
         self.names: Sequence[str] = [f"r{number}" for number in range(count)]
-        self.now = 0.0
         self.fate = fate
         self.handler_time = handler_time
         self.versions = versions or {}
         self.processes: dict[str, Process] = {}
         self.frames: list[tuple[float, str, bytes]] = []
-        self._queue: list[tuple[float, int, Callable[[], None]]] = []
-        self._order = itertools.count()
         self._incarnations = dict.fromkeys(self.names, 0)
 
     def start(self, name: str, **options: Any) -> Process:
@@ -93,9 +91,6 @@ class World:
         self._incarnations[name] += 1
         process = self.processes[name] = Process(self, name, self._incarnations[name], **options)
         return process
-
-    def at(self, time: float, act: Callable[[], None]) -> None:
-        heapq.heappush(self._queue, (time, next(self._order), act))
 
     def publish(self, sender: Process, data: bytes) -> None:
         self.frames.append((self.now, sender.name, data))
@@ -108,13 +103,6 @@ class World:
         receiver = self.processes.get(name)
         if receiver is not None and receiver.alive:
             receiver.do(lambda core, now: core.receive(sender.name, sender.core.channel, data, now))
-
-    def run(self, until: float) -> None:
-        while self._queue and self._queue[0][0] <= until:
-            time, _, act = heapq.heappop(self._queue)
-            self.now = max(self.now, time)
-            act()
-        self.now = until
 
 
 def never(*_: object) -> float:

@@ -4,13 +4,13 @@ Robots keep pages (snapshots) in a directory that a reboot empties, and their vo
 a robot reaches is compared with a model: each epoch a plain synchronous run from the states its members entered with.
 """
 
-import heapq
 import struct
 from collections import Counter, deque
-from itertools import count
+from functools import partial
 from random import Random
 
 from lockstep_world import way_around
+from timed_world import TimedWorld
 
 from services.apps.core.lockstep_run import LockstepRun, Renew
 from services.apps.core.terms import Terms
@@ -163,7 +163,7 @@ class Process:
             del self.world.processes[self.robot]
 
 
-class World:
+class World(TimedWorld):
     def __init__(self, edges, *, seed=0, last=None, rule=None, drop=True, after=2.0, content=lambda x: False):
         self.edges = tuple(sorted(tuple(sorted(edge)) for edge in edges))
         self.names = sorted({name for edge in self.edges for name in edge})
@@ -171,7 +171,7 @@ class World:
         self.terms = Terms(RUN, SCHEMA, last, rule, drop, after)
         self.content = content
         self.random = Random(seed)
-        self.now = 0.0
+        super().__init__()
         self.loss = 0.0
         self.compute = 0.01
         self.latency = 0.03
@@ -190,14 +190,9 @@ class World:
         self.rebooted = set()
         self.damaged = set()
         """Robots whose file of votes is damaged."""
-        self._order = count()
-        self._events = []
         self._arrival = {}
 
     # Events
-
-    def at(self, when, action):
-        heapq.heappush(self._events, (when, next(self._order), action))
 
     def later(self, process, action):
         """What the app does takes a while, and one thing goes after the other."""
@@ -205,26 +200,14 @@ class World:
         process.free_at = begin + self.compute * self.random.choice((0.0, 0.5, 1.0))
         self.at(process.free_at, lambda: process.take(lambda _: action()))
 
-    def run(self, seconds, until=lambda: False):
-        end = self.now + seconds
-        while not until():
-            timers = [(p.deadline, p) for p in self.processes.values() if p.deadline is not None]
-            timer = min(timers, key=lambda entry: entry[0], default=(float("inf"), None))
-            event = self._events[0][0] if self._events else float("inf")
-            if min(timer[0], event) > end:
-                self.now = end
-                return until()
-            if event <= timer[0]:
-                self.now = max(self.now, event)
-                heapq.heappop(self._events)[2]()
-            else:
-                deadline, process = timer
-                self.now = max(self.now, deadline)
-                process.lockstep.handle_timer(self.now)
-                process.pump()
-                later = process.deadline if process.alive else None
-                assert later is None or later > self.now, "a timer that fires for ever"
-        return True
+    def timers(self):
+        return [(p.deadline, partial(self._handle_timer, p)) for p in self.processes.values() if p.deadline is not None]
+
+    def _handle_timer(self, process):
+        process.lockstep.handle_timer(self.now)
+        process.pump()
+        later = process.deadline if process.alive else None
+        assert later is None or later > self.now, "a timer that fires for ever"
 
     # Processes
 

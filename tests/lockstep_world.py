@@ -5,13 +5,13 @@ connection, a connection that ends takes what is in flight with it, and late cop
 keep their last `Save` on a disk that survives the process; a process may die between any two actions.
 """
 
-import heapq
 import struct
 from collections import Counter, deque
-from itertools import count
+from functools import partial
 from random import Random
 
 import networkx
+from timed_world import TimedWorld
 
 from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Finished, Lockstep, Save, Send, Waiting
 
@@ -173,15 +173,15 @@ class Process:
             self.world.processes[self.robot].remove(self)
 
 
-class World:
+class World(TimedWorld):
     def __init__(self, edges, last, *, seed=0, latency=0.03, jitter=0.0, rtt=0.06, linger=1e9):
+        super().__init__()
         self.edges = [tuple(sorted(edge)) for edge in edges]
         names = sorted({name for edge in edges for name in edge})
         self.neighbours = {name: {b if a == name else a for a, b in self.edges if name in (a, b)} for name in names}
         self.last, self.latency, self.jitter, self.rtt, self.linger = last, latency, jitter, rtt, linger
         self.truth = undisturbed(self.neighbours, last)
         self.random = Random(seed)
-        self.now = 0.0
         self.loss = 0.0
         """Chance that a bus loses a message, on either side."""
         self.copies = 0.0
@@ -199,41 +199,22 @@ class World:
         """Messages by (from, to, kind)."""
         self.around = 0
         """How many of them went around a link."""
-        self._order = count()
-        self._events = []
         self._last_arrival = {}
 
     # Events
 
-    def at(self, when, action):
-        heapq.heappush(self._events, (when, next(self._order), action))
+    def timers(self):
+        return [
+            (deadline, partial(self._handle_timer, process))
+            for process in self.everyone
+            if not process.stopped and (deadline := process.core.next_deadline()) is not None
+        ]
 
-    def run(self, seconds, until=lambda: False):
-        """Let virtual time pass; returns whether `until` came true."""
-        end = self.now + seconds
-        while not until():
-            timers = [
-                (deadline, process)
-                for processes in self.processes.values()
-                for process in processes
-                if not process.stopped and (deadline := process.core.next_deadline()) is not None
-            ]
-            timer = min(timers, key=lambda entry: entry[0], default=(float("inf"), None))
-            event = self._events[0][0] if self._events else float("inf")
-            if min(timer[0], event) > end:
-                self.now = end
-                return until()
-            if event <= timer[0]:
-                self.now = max(self.now, event)
-                heapq.heappop(self._events)[2]()
-            else:
-                deadline, process = timer
-                self.now = max(self.now, deadline)
-                process.core.handle_timer(self.now)
-                later = process.core.next_deadline()
-                assert later is None or later > self.now, "a timer that fires for ever"
-                process.pump()
-        return True
+    def _handle_timer(self, process):
+        process.core.handle_timer(self.now)
+        later = process.core.next_deadline()
+        assert later is None or later > self.now, "a timer that fires for ever"
+        process.pump()
 
     def compute_time(self):
         return self.random.choice((0.0, 0.5, 1.0)) * self.compute

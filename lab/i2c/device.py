@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Self
 
 from lab.i2c.cuse import LARGEST, Cuse
+from lab.i2c.firmware import Chip, solder
 from lab.i2c.ioctls import I2CDevice
 from lab.i2c.robot import RobotAdapter
-from sim.wiring import simulated_bus
+from sim.devices.wiring import simulated_bus
 from swarm import clock
 from swarm.config import Config
 from swarm.process.edges import notify
@@ -79,9 +80,13 @@ class Memory:
             return -1
 
 
-def serve(config: Config, robot: str, orders_at: str) -> None:
-    """Serve; systemd is notified when the device is there. `orders_at` is the path of the socket."""
-    adapter = RobotAdapter(simulated_bus(config, robot), clock.now, time.sleep)
+def serve(config: Config, robot: str, orders_at: str, chip: Chip | None = None) -> None:
+    """Serve; systemd is notified when the device is there. `orders_at` is the path of the socket; `chip`, where there
+    is one, takes the place of the simulated ATmega."""
+    bus = simulated_bus(config, robot)
+    if chip is not None:
+        solder(bus.robot, chip, clock.now)
+    adapter = RobotAdapter(bus, clock.now, time.sleep)
     cuse = Cuse(NAME, I2CDevice(adapter), Memory().of)
     orders = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     Path(orders_at).unlink(missing_ok=True)

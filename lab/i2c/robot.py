@@ -8,7 +8,7 @@ from typing import Any
 
 from lab.i2c.ioctls import Message, failure
 from sim.core.devices import NOBODY
-from sim.i2c import SimulatedBus
+from sim.devices.i2c import SimulatedBus
 from swarm.errors import LocalError
 
 ANY = 0

@@ -7,6 +7,7 @@ Who it is the machine says (its host's name), so one disk does for all robots of
 
 import dataclasses
 import subprocess
+from collections.abc import Iterable
 from pathlib import Path
 
 import lab
@@ -22,6 +23,12 @@ HERE = Path(__file__).parent
 PLACE = "/opt/lab"
 """Of this package inside."""
 CARRIED = ("__init__.py", "waiting.py", "i2c/*.py", "robot/__init__.py", "robot/__main__.py", "robot/module.py")
+FIRMWARE = f"{PLACE}/firmware-built"
+SIMULATOR = ("firmware/layout.h", "tests/firmware/firmware_layout.py", "tests/firmware/avr_bench.py")
+"""The AVR simulator's binding, and what it reads."""
+WITH_FIRMWARE = f"""[Service]
+Environment=LAB_FIRMWARE={FIRMWARE} LD_LIBRARY_PATH={FIRMWARE} PYTHONPATH={PLACE}:{PLACE}/tests/firmware
+"""
 KEY_MODE = 0o100600
 NICENESS = -10
 """Of a machine with such a disk, on the host: its body falls in real time. A robot has a processor of its own; those of
@@ -73,8 +80,9 @@ class Disk:
         return subprocess.run(["debugfs", *words, str(self._path)], capture_output=True, text=True, check=True).stdout
 
 
-def robots(image: Image, folder: Path, config: str, key: Path) -> Image:
-    """The image of a swarm's robots, in that folder."""
+def robots(image: Image, folder: Path, config: str, key: Path, firmware: Iterable[Path] = ()) -> Image:
+    """The image of a swarm's robots, in that folder. `firmware`: balboa.elf, libbench.so and the libraries that the
+    machine lacks for it; then the ATmega is the firmware in the AVR simulator."""
     path = folder / "robots.ext4"
     subprocess.run(["cp", "--sparse=always", str(image.disk), str(path)], check=True)
     disk = Disk(path)
@@ -92,6 +100,13 @@ def robots(image: Image, folder: Path, config: str, key: Path) -> Image:
     for unit in OURS:
         disk.file(HERE / f"units/{unit}.service", f"{UNITS}/{unit}.service")
     disk.file(HERE / "units/balancer.conf", f"{UNITS}/swarm-balancer.service.d/90-lab.conf")
+    if firmware := [*firmware]:
+        for source in firmware:
+            disk.file(source, f"{FIRMWARE}/{source.name}")
+        for name in SIMULATOR:
+            disk.file(ours.parent / name, f"{PLACE}/{name}")
+        (folder / "firmware.conf").write_text(WITH_FIRMWARE)
+        disk.file(folder / "firmware.conf", f"{UNITS}/lab-parts.service.d/firmware.conf")
     disk.link(f"{UNITS}/multi-user.target.wants/swarm.target", f"{RELEASED}/swarm.target")
     for unit in SERVICES:
         place = UNITS if unit in OURS else RELEASED

@@ -4,7 +4,7 @@ import shutil
 from pathlib import Path
 
 from sim.core.module_line import TTY
-from sim.module import ModuleBoard
+from sim.devices.module import ModuleBoard
 from swarm.config import Config
 
 POLL_S = 1.0

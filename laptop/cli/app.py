@@ -1,25 +1,37 @@
-"""`swarm app start|stop NAME [ROBOT...]`: another app on the robots of a running simulation, beside those that run."""
+"""`swarm app start|stop NAME [ROBOT...]`: another app beside those that run, on simulated robots or on real ones."""
 
 import argparse
 
+from laptop.fleet import apps, everyone, robot_command
+from laptop.fleet.everyone import ReportProgress
+from laptop.fleet.ssh import Host
+from laptop.fleet.units import unit
 from sim.control import app_requests
-from swarm.onboard.arguments import add_json, add_robots, add_run_dir, show
+from swarm.onboard.arguments import show
 from swarm.process.simulations import robots, running
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare `start|stop NAME [ROBOT...]`. The act is part of the command's name."""
     parser.add_argument("act", choices=app_requests.ACTS, help=argparse.SUPPRESS)
-    parser.add_argument("app", help="a built-in app")
-    parser.add_argument("which", nargs="*", metavar="ROBOT", help="which robots (all)")
-    add_robots(parser, "the same as an option")
-    add_run_dir(parser)
-    add_json(parser)
+    parser.add_argument("app", help="a built-in app; on real robots also an app that swarm run has copied")
+    parser.add_argument("which", nargs="*", metavar="ROBOT", help="names of robots (default: all)")
+    robot_command.add_simulation(parser)
+    everyone.add_arguments(parser, timeout_s=60)
 
 
 def run(args: argparse.Namespace) -> int:
     """Raises `LocalError` where there is no such simulation, robot or app."""
-    run_dir = running(args.run_dir)
-    done = app_requests.give(run_dir, args.act, args.app, [*args.which, *(args.robots or ())] or list(robots(run_dir)))
-    show(args, {"app": args.app, "act": args.act, "done": done}, [done])
-    return 0
+    if not robot_command.is_meant(args):
+        run_dir = running(args.run_dir)
+        named = [*args.which, *(args.robots or ())]
+        done = app_requests.give(run_dir, args.act, args.app, named or list(robots(run_dir)))
+        show(args, {"app": args.app, "act": args.act, "done": done}, [done])
+        return 0
+    everyone.named(args)
+    _, hosts, ssh = everyone.chosen(args)
+
+    async def job(host: Host, _: ReportProgress) -> str:
+        return await apps.systemctl(ssh, host, args.act, [unit(args.app)])
+
+    return everyone.run(args, hosts, job)

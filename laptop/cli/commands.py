@@ -3,52 +3,74 @@
 from swarm.onboard import commands as robot
 from swarm.onboard.command_line import Command, CommandGroup, Sections
 
+FAR = "laptop.cli.far"
+
 SECTIONS: Sections = {
     "write an app, simulate it, look at runs": {
         "new": Command("sim.rehearsal.new", help="write a commented app and its test"),
-        "check": Command("sim.rehearsal.check", help="examine an app before any robot moves: size, time, convergence"),
+        "check": Command("sim.rehearsal.check", help="check an app before any robot moves: size, time, convergence"),
         "sim": Command("laptop.cli.runs.sim", help="simulate a swarm of real service processes, or in virtual time"),
         "demo": Command("laptop.cli.runs.sim", ("--demo",), "three simulated robots find a target, in under a minute"),
         "sweep": Command("laptop.cli.runs.sweep", help="run an app over parameters, topologies and seeds"),
         "plot": Command("laptop.cli.runs.plot"),
         "view": Command("laptop.cli.runs.view"),
         "film": Command("laptop.cli.runs.film"),
+        "foxglove": Command("laptop.cli.runs.foxglove"),
         "replay": Command("laptop.cli.runs.replay"),
         "export": Command("laptop.cli.runs.export"),
         "import": Command("laptop.cli.runs.import_csv"),
     },
     "a running swarm": {
         "hand": CommandGroup(
-            "act on simulated robots",
+            "in simulations",
             {
                 "press": Command("laptop.cli.hand", ("press",), "press a button of a simulated robot"),
                 "push": Command("laptop.cli.hand", ("push",), "push a simulated robot"),
                 "lay": Command("laptop.cli.hand", ("lay",), "lay a simulated robot on its back or front"),
-                "place": Command("laptop.cli.hand", ("place",), "put a simulated robot somewhere else, lying"),
-                "unplug": Command("laptop.cli.hand", ("unplug",), "take a device off a simulated robot's I2C bus"),
-                "kill": Command("laptop.cli.hand", ("kill",), "end one service; the simulation starts it again"),
+                "place": Command("laptop.cli.hand", ("place",), "put a simulated robot at another place, lying"),
+                "lift": Command("laptop.cli.hand", ("lift",), "lift a simulated robot, or put it down"),
+                "roll": Command("laptop.cli.hand", ("roll",), "turn a wheel of a simulated robot by hand"),
+                "miswire": Command("laptop.cli.hand", ("miswire",), "mount a part of a simulated robot the wrong way"),
+                "unplug": Command(
+                    "laptop.cli.hand", ("unplug",), "disconnect a device from a simulated robot's I2C bus"
+                ),
+                "kill": Command("laptop.cli.hand", ("kill",), "end one service; the simulation restarts it"),
                 "cut": Command("laptop.cli.hand", ("cut",), "cut the radio link between two simulated robots"),
                 "reboot": Command("laptop.cli.hand", ("reboot",), "switch a simulated robot off and on again"),
             },
         ),
-        "mesh": robot.MESH._replace(commands={**robot.MESH.commands, "show": Command("laptop.cli.mesh")}),
+        "balance": robot.BALANCE._replace(
+            commands={
+                name: each._replace(module="laptop.cli.robots.balance") for name, each in robot.BALANCE.commands.items()
+            }
+        ),
+        "drive": Command("laptop.cli.robots.drive"),
+        "commission": Command("laptop.cli.robots.commission"),
+        "mesh": robot.MESH._replace(
+            commands={name: each._replace(far=FAR) for name, each in robot.MESH.commands.items()}
+            | {"show": Command("laptop.cli.mesh", far=FAR)}
+        ),
         "measure": robot.MEASURE._replace(
             commands={
-                **robot.MEASURE.commands,
-                "rtt": Command("laptop.cli.measure", ("rtt",), robot.MEASURE.commands["rtt"].help),
-                "throughput": Command("laptop.cli.measure", ("throughput",), robot.MEASURE.commands["throughput"].help),
-                "radio": Command("laptop.cli.radio"),
+                "rtt": Command("laptop.cli.measure", ("rtt",), robot.MEASURE.commands["rtt"].help, FAR),
+                "throughput": Command(
+                    "laptop.cli.measure", ("throughput",), robot.MEASURE.commands["throughput"].help, FAR
+                ),
+                "radio": Command("laptop.cli.radio", far=FAR),
+                "i2c": robot.MEASURE.commands["i2c"]._replace(far=FAR),
             }
         ),
         "app": CommandGroup(
-            "apps while they run",
+            "running apps",
             {
-                "start": Command("laptop.cli.app", ("start",), "start an app beside those that run"),
+                "start": Command("laptop.cli.app", ("start",), "start a further app"),
                 "stop": Command("laptop.cli.app", ("stop",), "stop an app"),
                 "param": Command("laptop.cli.param"),
             },
         ),
         **robot.TOOLS,
+        "dwm": Command("services.dwm.tool", help="show, configure and check UWB modules", far=FAR),
+        "calibrate": Command("laptop.cli.calibrate", help=robot.TOOLS["calibrate"].help),
     },
     "real robots, over ssh": {
         "provision": Command("laptop.cli.robots.provision"),
@@ -74,9 +96,9 @@ SECTIONS: Sections = {
         ),
     },
     "safety": {
-        "estop": Command("laptop.cli.halt", ("stop",), "stop every robot, and say who has obeyed"),
+        "estop": Command("laptop.cli.halt", ("stop",), "stop every robot, and list the robots that confirmed"),
         "stop": Command("laptop.cli.halt", ("stop",), "the same as estop"),
-        "arm": Command("laptop.cli.halt", ("arm",), "take every stop back, and say who has heard it"),
+        "arm": Command("laptop.cli.halt", ("arm",), "take back all stops, and list the robots that confirmed"),
     },
     "this shell": {
         "completion": Command("laptop.cli.completion"),

@@ -47,9 +47,9 @@ class _Answers:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what a robot's command takes, and the way by ssh."""
     halt.add_arguments(parser)
-    parser.add_argument("--no-ssh", action="store_true", help="over bus and mesh only")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="the robots to reach by ssh")
-    parser.add_argument("--ssh-config", type=Path, metavar="FILE", help="in place of ~/.ssh/config")
+    parser.add_argument("--no-ssh", action="store_true", help="use only bus and mesh, not ssh")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="swarm.toml with the robots to reach by ssh")
+    parser.add_argument("--ssh-config", type=Path, metavar="FILE", help="ssh configuration, in place of ~/.ssh/config")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -115,7 +115,8 @@ def table(how: Mapping[str, str], answers: _Answers, *, stop: bool) -> list[str]
         lines.append((name, "yes" if paths else "NOT CONFIRMED", paths or "-", answers.outcomes[name].text))
     missing = [name for name, paths in how.items() if not paths]
     summary = f"{what}: {len(how) - len(missing)} of {len(how)} robots"
-    return [*columns(lines), "", summary + (f"; NOT CONFIRMED: {' '.join(missing)}" if missing else "")]
+    summary += f"; NOT CONFIRMED: {' '.join(missing)}" if missing else ""
+    return [*columns(lines), "", summary, *([] if stop else [halt.NEXT])]
 
 
 def command(robots: tuple[Host, ...], ssh: Ssh, *, stop: bool, reason: str) -> _Answers:

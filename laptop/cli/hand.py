@@ -1,6 +1,7 @@
 """`swarm hand ACT ROBOT ...`: what a person can do to the robots of a running simulation."""
 
 import argparse
+import math
 import os
 import signal
 from pathlib import Path
@@ -8,7 +9,7 @@ from pathlib import Path
 from laptop.fleet.units import SERVICES
 from sim.control import link_cuts, power_switch, send_action
 from sim.core import actions
-from sim.core.actions import BodyPlace, Lay, Press, Push, Unplug
+from sim.core.actions import Carry, Lay, Lift, Miswire, Press, Push, Roll, Unplug
 from swarm.errors import LocalError
 from swarm.messages.keys import is_name
 from swarm.onboard.arguments import add_json, add_run_dir, number, show
@@ -31,29 +32,49 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     press = act("press")
     press.add_argument("button", choices=actions.BUTTONS)
-    press.add_argument("--hold", type=float, default=0.2, metavar="S", help="seconds until it is let go (0.2)")
+    press.add_argument("--hold", type=float, default=0.2, metavar="S", help="seconds that the button is held (0.2)")
     push = act("push")
-    text = "N s, negative from the front (0.1; 0.5 is too much)"
+    text = "N s, negative from the front (0.1; 0.5 topples the robot)"
     push.add_argument("--impulse", type=float, default=0.1, metavar="NS", help=text)
     act("lay").add_argument("side", choices=actions.SIDES)
     place = act("place")
     for axis in ("x", "y"):
-        place.add_argument(axis, type=number(-1e3, 1e3), help="where to, m")
-    place.add_argument("--heading", type=number(-10, 10, "rad"), default=0.0, metavar="RAD", help="0 = along x (0)")
+        place.add_argument(axis, type=number(-1e3, 1e3), help="new place of the robot, m")
+    place.add_argument(
+        "--heading", type=number(-10, 10, "rad"), default=0.0, metavar="RAD", help="new heading, 0 = along x (0)"
+    )
+    lift = act("lift")
+    lift.add_argument(
+        "--tilt", type=number(-180, 180, "deg"), default=0.0, metavar="DEG", help="angle from upright (0)"
+    )
+    lift.add_argument("--turn", type=number(-720, 720, "deg"), default=0.0, metavar="DEG", help="turn to the left (0)")
+    lift.add_argument("--down", action="store_true", help="put it down upright, and hold it until its motors run")
+    roll = act("roll")
+    roll.add_argument("wheel", choices=actions.WHEELS)
+    roll.add_argument(
+        "--degrees",
+        type=number(-1440, 1440, "deg"),
+        default=360.0,
+        metavar="DEG",
+        help="turn forward, negative: backward (360)",
+    )
+    miswire = act("miswire")
+    miswire.add_argument("part", choices=actions.MISWIRINGS)
+    miswire.add_argument("--back", action="store_true", help="mount the part correctly again")
     unplug = act("unplug")
     unplug.add_argument("device", choices=actions.DEVICES)
-    unplug.add_argument("--back", action="store_true", help="put it back")
+    unplug.add_argument("--back", action="store_true", help="connect the device again")
     kill = act("kill")
     kill.add_argument("service", help=f"{', '.join(SERVICES)}, app or app/NAME")
-    text = "KILL (default): no chance to clean up; TERM: a clean stop; STOP and CONT: freeze it and go on"
+    text = "KILL (default): ends at once; TERM: stops cleanly; STOP and CONT: freezes and continues"
     kill.add_argument("--signal", choices=SIGNALS, default="KILL", help=text)
     cut = act("cut")
     cut.add_argument("peer", help="the robot at the other end")
-    text = f"until it is mended, at most {MAX_CUT_S:g} (10)"
+    text = f"length of the cut, at most {MAX_CUT_S:g} (10)"
     cut.add_argument("--seconds", type=number(0, MAX_CUT_S, "s"), default=10.0, metavar="S", help=text)
-    cut.add_argument("--mend", dest="seconds", action="store_const", const=0.0, help="mend it now")
+    cut.add_argument("--mend", dest="seconds", action="store_const", const=0.0, help="end the cut now")
     reboot = act("reboot")
-    text = f"s until its services start again ({BOOT_S:g})"
+    text = f"seconds until its services start again ({BOOT_S:g})"
     reboot.add_argument("--off", type=float, default=BOOT_S, metavar="S", help=text)
 
 
@@ -77,8 +98,17 @@ def do(runtime: Path, args: argparse.Namespace) -> str:
             send_action.do(runtime, Lay(args.side))
             return f"laid on its {args.side}"
         case "place":
-            send_action.do(runtime, BodyPlace(args.x, args.y, args.heading, -1.0, held=False))
+            send_action.do(runtime, Carry(args.x, args.y, args.heading))
             return f"lies on its back at ({args.x:g}, {args.y:g}) m"
+        case "lift":
+            send_action.do(runtime, Lift(math.radians(args.tilt), math.radians(args.turn), down=args.down))
+            return "stands upright, held by a hand" if args.down else f"in the hand, {args.tilt:g} degrees from upright"
+        case "roll":
+            send_action.do(runtime, Roll(args.wheel, math.radians(args.degrees)))
+            return f"{args.wheel} wheel turned by {args.degrees:g} degrees"
+        case "miswire":
+            send_action.do(runtime, Miswire(args.part, back=args.back))
+            return f"{args.part} is mounted the {'right' if args.back else 'wrong'} way"
         case "unplug":
             send_action.do(runtime, Unplug(args.device, back=args.back))
             return f"{args.device} is {'back on' if args.back else 'off'} its bus"

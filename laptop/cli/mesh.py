@@ -10,7 +10,7 @@ from swarm.onboard.ask import AWAY
 from swarm.onboard.mesh import show
 from swarm.onboard.mesh.collected import CollectedMesh
 
-HELP = "the robots of the swarm, their links, and the graph they make"
+HELP = "show the robots of the swarm, their links and the graph"
 
 ON_A_CIRCLE = 12
 """Robots up to which a circle shows every link; more are placed by their distances."""

@@ -3,12 +3,12 @@
 import argparse
 import shlex
 
-from laptop.fleet import everyone
+from laptop.fleet import everyone, robot_command
 from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.ssh import Host
 from swarm.onboard import param
 
-HELP = "show or change parameters of an app that runs"
+HELP = "show or change parameters of a running app"
 
 COMMAND = "sudo -n /opt/swarm/current/bin/swarm app param"
 """On a robot."""
@@ -17,13 +17,14 @@ COMMAND = "sudo -n /opt/swarm/current/bin/swarm app param"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what a robot's command takes, and the way by ssh."""
     param.add_arguments(parser)
-    parser.add_argument("--fleet", action="store_true", help="on the robots of the config, over ssh")
+    parser.add_argument("--fleet", action="store_true", help="the robots of the config, even if a simulation runs here")
     everyone.add_way(parser, timeout_s=20)
 
 
 def run(args: argparse.Namespace) -> int:
     """Code 1 where a robot does not answer, or refuses."""
-    if not args.fleet:
+    args.real = args.fleet
+    if not (args.fleet or robot_command.is_meant(args)):
         return param.run(args)
     param.settings_of(args)  # what is wrong is said here, not by each robot
     _, robots, ssh = everyone.chosen(args)

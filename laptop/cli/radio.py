@@ -5,7 +5,7 @@ import argparse
 from laptop.plotting.style import add_plot, figure
 from swarm.onboard.measure import radio
 
-HELP = "signal strength of a Bluetooth link"
+HELP = "measure the signal strength of a Bluetooth link"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -9,15 +9,19 @@ import re
 import secrets
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
+from urllib.parse import quote
 
 from laptop.fleet import versions
+from laptop.fleet.install import pack
 from laptop.fleet.ssh import Host, HostError, Ssh
 from laptop.fleet.units import SERVICES, unit
 from laptop.fleet.versions import Versions
+from services.apps import sources
 from swarm.app.settings import on_top, parse
 from swarm.config import Config
 from swarm.errors import AppError, LocalError, RemoteError
 from swarm.messages.keys import is_name
+from swarm.process.text import printable
 
 APPS = "/var/lib/swarm/apps"
 SETTINGS = "/etc/swarm/apps"
@@ -26,14 +30,34 @@ _PLAIN = re.compile(r"[A-Za-z0-9_.,:+=\[\]/-]+")
 """What a setting may hold: systemd splits its arguments at spaces, and knows quotes."""
 
 _START = """set -e; umask 022
-[ -z "{folder}" ] || {{ mkdir -p {folder}; head -c {size} >{folder}/new; mv {folder}/new {folder}/{name}.py
-sync {folder}/{name}.py {folder} {apps}; }}
+systemctl show --property=InvocationID --value {unit}
+if [ -n "{folder}" ]; then
+    rm -rf {apps}/{name}-????????????.new; mkdir -p {folder}.new
+    head -c {size} >{folder}.new/tar; tar -x --no-same-owner -f {folder}.new/tar -C {folder}.new; rm {folder}.new/tar
+    find {folder}.new -exec sync {{}} +
+    [ -d {folder} ] || mv -T {folder}.new {folder}; rm -rf {folder}.new; sync {apps}
+fi
 cat >{settings}.new; sync {settings}.new; mv {settings}.new {settings}; sync {directory}
 systemctl restart --no-block {unit}
 find {apps} -mindepth 1 -maxdepth 1 -name "{name}-????????????" ! -path "{folder}" -exec rm -rf {{}} +"""
-"""For the robot's shell, in single quotes: the app lies in a folder that is named by its content, and one renamed file
-says both where it is and how it is run. Whatever breaks before that has changed nothing, and a robot that loses its
-power after it still has both when it comes back: it could not join this run again with the settings of another."""
+"""For the robot's shell, in single quotes: the app lies in a folder that is named by its content and comes whole, and
+one renamed file says both where it is and how it is run. Whatever breaks before that has changed nothing, and a robot
+that loses its power after it still has both when it comes back: it could not join this run again with the settings of
+another."""
+
+_FIRST = """i=0; state=; while [ $i -lt {tries} ]; do
+    state=$(systemctl show --property=ActiveState --value {unit})
+    if [ "$(systemctl show --property=InvocationID --value {unit})" != "{before}" ]; then
+        case $state in active | failed) break ;; esac
+    fi
+    i=$((i + 1)); sleep 0.5
+done
+echo $state; [ "$state" = active ] || sudo -n journalctl --unit={unit} --no-pager --lines=5 --output=cat"""
+"""For the robot's shell: waits until another invocation than `before` is ready or has failed; prints the unit's state,
+and where it is not ready its last words."""
+
+WAIT_S = 20.0
+"""Seconds that an app has for its first state: imports, and a measurement where it needs one."""
 
 _KNOWN = f"""cd {SETTINGS} 2>/dev/null || exit 0
 for each in *.env; do [ ! -e $each ] || echo $(sha256sum <$each) $each $(sed -n s/^APP=//p $each); done"""
@@ -53,21 +77,29 @@ class AppStart:
     """A new run of an app."""
 
     def __init__(
-        self, name: str, source: bytes | None, *, arguments: Sequence[str] = (), settings: Sequence[str] = ()
+        self,
+        name: str,
+        files: Mapping[str, bytes] | None,
+        *,
+        arguments: Sequence[str] = (),
+        settings: Sequence[str] = (),
     ) -> None:
-        """`source`: of a file of the user's; None = a built-in app. `settings`: `[ROBOT.]NAME=VALUE`, checked."""
+        """`files`: of the user's app, `NAME.py` among them; None = a built-in one. `settings`: `[ROBOT.]NAME=VALUE`,
+        checked."""
         self.unit = unit(name)
-        digest = "" if source is None else hashlib.sha256(source).hexdigest()[:12]
-        folder = f"{APPS}/{name}-{digest}" if source is not None else ""
+        folder = f"{APPS}/{name}-{sources.digest(files).hex()[:12]}" if files is not None else ""
+        data = b"" if files is None else pack(files, dict.fromkeys(files, 0o644))
         # One number for this run on every robot: what an earlier run left behind has another.
         words = ["--run", secrets.token_hex(8), *arguments]
         for setting in settings:
-            words += ["--set", setting]
-        place = name if source is None else f"{folder}/{name}.py"
-        self._feed = [source or b"", f"APP={place}\nARGUMENTS={' '.join(words)}\n".encode()]
+            # systemd splits at spaces and knows quotes: what has any of them is written with % and two hex digits.
+            plain = _PLAIN.fullmatch(setting) is not None
+            words += ["--set", setting] if plain else ["--escaped", quote(setting, safe=",:+=[]/")]
+        place = name if files is None else f"{folder}/{name}.py"
+        self._feed = [data, f"APP={place}\nARGUMENTS={' '.join(words)}\n".encode()]
         self._script = _START.format(
             folder=folder,
-            size=len(source or b""),
+            size=len(data),
             name=name,
             directory=SETTINGS,
             settings=f"{SETTINGS}/{name}.env",
@@ -77,8 +109,24 @@ class AppStart:
 
     async def on(self, ssh: Ssh, host: Host) -> str:
         """Begin on a robot, not waiting: an app is ready when it has its first measurement. Raises `HostError`."""
-        await ssh.check(host, f"sudo -n sh -c '{self._script}'", feed=self._feed)
+        await self._begin(ssh, host)
         return f"started {self.unit}"
+
+    async def until_first_state(self, ssh: Ssh, host: Host) -> str:
+        """Begin on a robot, and wait until its app has a first state. Raises `HostError` with its last words."""
+        before = await self._begin(ssh, host)
+        script = _FIRST.format(unit=self.unit, before=before, tries=round(WAIT_S / 0.5))
+        state, *said = (await ssh.check(host, script)).splitlines() or [""]
+        if state == "active":
+            return f"{self.unit} runs"
+        words = " | ".join(printable(line) for line in said if line.strip()) or "it has said nothing"
+        how = "has failed" if state == "failed" else f"has no first state after {WAIT_S:g} s ({state or 'unknown'})"
+        raise HostError(f"{self.unit} {how}: {words}")
+
+    async def _begin(self, ssh: Ssh, host: Host) -> str:
+        """Start it; returns which invocation of the unit there was before."""
+        said = await ssh.check(host, f"sudo -n sh -c '{self._script}'", feed=self._feed)
+        return said.split()[0] if said.split() else ""
 
 
 async def systemctl(ssh: Ssh, host: Host, action: str, names: Iterable[str]) -> str:
@@ -96,9 +144,6 @@ def check_name(name: str, told: str) -> None:
 
 def check_settings(settings: Sequence[str], config: Config, name: str) -> None:
     """What can be known here is said here: the robots' own word would come when the app has not started."""
-    for text in settings:
-        if not _PLAIN.fullmatch(text):
-            raise LocalError(f"--set {text}: no spaces and quotes in it, please; write it into swarm.toml")
     try:
         on_top(config.app(name), map(parse, settings), config.names)
     except AppError as error:

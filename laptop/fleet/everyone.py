@@ -12,6 +12,7 @@ from typing import TypeVar
 from laptop.fleet.core.answers import MISUNDERSTOOD, misunderstood
 from laptop.fleet.ssh import Host, HostError, Ssh, hosts
 from swarm.config import Config, load
+from swarm.config.find import LOOKED_IN
 from swarm.errors import LocalError
 from swarm.frozen import frozen
 from swarm.onboard.arguments import add_json, add_robots, number, show
@@ -51,16 +52,18 @@ def failure(error: BaseException, timeout_s: float) -> str:
 
 def add_arguments(parser: argparse.ArgumentParser, *, timeout_s: float) -> None:
     """Declare what all commands for robots have in common."""
-    add_robots(parser, "only these (default: all of the config)")
+    add_robots(parser, "names of robots (default: all of the config)")
     add_json(parser)
     add_way(parser, timeout_s=timeout_s)
 
 
 def add_way(parser: argparse.ArgumentParser, *, timeout_s: float) -> None:
     """Declare how robots are reached, and how long each may take."""
-    parser.add_argument("--config", type=Path, metavar="FILE", help="default: SWARM_CONFIG, else /etc/swarm/swarm.toml")
-    parser.add_argument("--ssh-config", type=Path, metavar="FILE", help="in place of ~/.ssh/config")
-    text = f"for each robot ({timeout_s:g})"
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help=f"swarm.toml with the robots (default: {LOOKED_IN})"
+    )
+    parser.add_argument("--ssh-config", type=Path, metavar="FILE", help="ssh configuration, in place of ~/.ssh/config")
+    text = f"seconds to wait for each robot ({timeout_s:g})"
     parser.add_argument("--timeout", type=number(0, unit="s", above=True), default=timeout_s, metavar="S", help=text)
 
 

@@ -6,9 +6,10 @@ as one tar stream and compared again, so what breaks in mid-transfer costs the r
 
 import hashlib
 import io
+import re
 import shlex
 import tarfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from laptop.fleet.everyone import ReportProgress
@@ -31,7 +32,7 @@ done"""
 
 @frozen
 class Release:
-    """A release as `deploy/release` makes it."""
+    """A release as `laptop.fleet.release` makes it."""
 
     path: Path
     identity: str
@@ -46,6 +47,19 @@ class Release:
         """The input of `sha256sum --check`."""
         lines = (f"{hashlib.sha256(data).hexdigest()}  {name}\n" for name, data in sorted(self.files.items()))
         return "".join(lines).encode()
+
+    def lacks(self, packages: Iterable[str]) -> list[str]:
+        """Those of `[robot] packages` of which it has no wheel."""
+        there = {_plain(name.removeprefix("wheels/").partition("-")[0]) for name in self.files if name.endswith(".whl")}
+        return [each for each in packages if _plain(_NAME.match(each)[0]) not in there]  # type: ignore[index]
+
+
+_NAME = re.compile(r"[A-Za-z0-9._-]+")
+
+
+def _plain(name: str) -> str:
+    """A package's name as pip compares it."""
+    return re.sub(r"[-_.]+", "_", name).lower()
 
 
 def pack(files: Mapping[str, bytes], modes: Mapping[str, int]) -> bytes:
@@ -66,24 +80,30 @@ def read_release(path: Path) -> Release:
             entries = {entry.name.partition("/")[2]: entry for entry in archive.getmembers() if entry.isfile()}
             files = {name: archive.extractfile(entry).read() for name, entry in entries.items()}  # type: ignore[union-attr]
     except (OSError, tarfile.TarError, EOFError) as error:
-        raise LocalError(f"{path}: no release can be read: {error}; deploy/release makes one") from None
+        raise LocalError(f"{path}: no release can be read: {error}; swarm deploy without a release makes one") from None
     try:
         identity = files["ID"].decode().strip()
         machine, python = files["FOR"].decode().split()
         files["install"]
     except (KeyError, ValueError) as error:
-        raise LocalError(f"{path}: not a release ({error}); deploy/release makes one") from None
+        raise LocalError(f"{path}: not a release ({error}); swarm deploy without a release makes one") from None
     return Release(path, identity, machine, python, files, {name: entry.mode for name, entry in entries.items()})
 
 
-def fitting(releases: list[Release], machine: str, pythons: list[str]) -> Release:
+async def ask_kind(ssh: Ssh, host: Host) -> tuple[str, str] | None:
+    """Processor and Python of the robot, those that a release has to be for; None where it has no Python of ours."""
+    machine, *pythons = (await ssh.check(host, _WHAT)).split()
+    return (machine, pythons[0]) if pythons else None
+
+
+def fitting(releases: Sequence[Release], machine: str, pythons: list[str]) -> Release:
     """The release for a robot; raises `HostError` that names what it would need."""
     for release in releases:
         if release.machine == machine and release.python in pythons:
             return release
     have = ", ".join(f"{release.machine} Python {release.python}" for release in releases)
     needs = f"{machine} Python {pythons[-1]}" if pythons else f"{machine} without any Python that we know"
-    raise HostError(f"it is {needs}, the releases are for {have}: deploy/release --machine {machine} --python ...")
+    raise HostError(f"it is {needs}, the releases are for {have or 'none'}: swarm deploy without one makes what fits")
 
 
 async def bring(ssh: Ssh, host: Host, release: Release, tell: ReportProgress) -> int:
@@ -142,7 +162,7 @@ async def install(
 ) -> tuple[str, int]:
     """Bring and install the release that fits the robot; what `install` said last, and the bytes sent."""
     machine, *pythons = (await ssh.check(host, _WHAT)).split()
-    release = fitting(list(releases), machine, pythons)
+    release = fitting(releases, machine, pythons)
     sent = await bring(ssh, host, release, tell)
     tell("installing")
     data = pack(files, {})

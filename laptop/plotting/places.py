@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from laptop.plotting import style
+from services.apps.core import formation
+from sim.core.contacts import TOUCH_M
 from swarm import config
 from swarm.config import Config
 from swarm.errors import ConfigError, LocalError
@@ -18,6 +20,12 @@ Place = tuple[float, float]
 
 Spread = tuple[float, float, float]
 """Variance of x, covariance, variance of y, m^2; NaN where they are not known."""
+
+PLACED = ("swarm/*/dwm/pose", "swarm/*/sim/truth", "swarm/*/app/*/measurement")
+"""Topics that tell where robots are, the best one first."""
+
+MOVING = ("formation", "goto")
+"""Apps of which it matters how near robots come to each other."""
 
 SIGMAS = 2.0
 """Standard deviations of the ellipses drawn: 86 % of a plane's normal distribution."""
@@ -32,17 +40,23 @@ class _Estimate(NamedTuple):
     spread: Spread
 
 
-def scene(figure: Any, run: Run) -> None:
+def scene(figure: Any, run: Run, references: Mapping[str, Sequence[Place]] | None = None) -> None:
     """Anchors, robots, their paths, and what they think where the target is, with ellipses of two standard
-    deviations. Where the target's place is known, the estimates' errors over iterations stand beside the map."""
+    deviations. Of simulated robots the true paths are there too. Where the target's place is known, the estimates'
+    errors over iterations stand beside the map, dotted those of the `references` (by robot, from iteration 0 on); of
+    apps that drive, how near robots came, and how far they were from their formation."""
     swarm = _config(run.path)
     way, estimates = _target(run, swarm), _estimates(run)
-    panels = 2 if way and estimates else 1
+    robots = list(run.robots)
+    truths = paths(run, ("swarm/*/sim/truth",))
+    moves = truths if run.app in MOVING and len(truths) > 1 else {}
+    panels = 2 if (way and estimates) or moves else 1
     figure.set_size_inches(5.2 * panels, 4.8)
     axes = figure.add_subplot(1, panels, 1)
-    robots = list(run.robots)
-    if panels == 2:
-        _errors(figure.add_subplot(1, 2, 2), way, estimates, robots)
+    if way and estimates:
+        _errors(figure.add_subplot(1, 2, 2), way, estimates, robots, references or {})
+    elif moves:
+        distances(figure.add_subplot(1, 2, 2), run, {name: moves[name] for name in robots if name in moves})
     marks: set[str] = set()
     seen: list[Place] = []
     if swarm is not None:
@@ -62,10 +76,21 @@ def scene(figure: Any, run: Run) -> None:
             )
         axes.plot(*way[-1][1], "*", color="black", markersize=13, zorder=5, **_once(marks, "target"))
     tracks = paths(run)
+    names: list[tuple[str, Place, Any]] = []
     for index, name in enumerate(robots):
         colour = style.colour(index, len(robots))
         if name in tracks:
-            _path(axes, tracks[name], colour, name, marks)
+            if name in truths and f"swarm/{name}/dwm/pose" in run.topics:
+                axes.plot(
+                    *zip(*(place for place, _ in truths[name]), strict=True),
+                    ":",
+                    color="black",
+                    linewidth=0.8,
+                    zorder=3,
+                    **_once(marks, "true path"),
+                )
+            _path(axes, tracks[name], colour, marks)
+            names.append((name, tracks[name][-1][0], colour))
             seen += [place for place, _ in tracks[name]]
         if track := estimates.get(name):
             axes.plot(*zip(*(it.place for it in track), strict=True), "-", color=colour, linewidth=0.7, alpha=0.6)
@@ -85,9 +110,10 @@ def scene(figure: Any, run: Run) -> None:
         raise LocalError(f"{run.path}: no place is recorded: neither poses nor a target")
     frame(axes, seen)
     axes.set(xlabel="x / m", ylabel="y / m", aspect="equal")
-    legend = axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
+    legend = axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=3)
+    style.name_points(axes, names, [place for name, _, _ in names for place, _ in tracks[name][::3]])
     for handle in legend.legend_handles:
-        handle.set_color("black" if handle.get_label().startswith("target") else style.GREY)
+        handle.set_color("black" if handle.get_label().startswith(("target", "true")) else style.GREY)
 
 
 def _config(path: Path) -> Config | None:
@@ -106,13 +132,14 @@ def _once(marks: set[str], label: str) -> dict[str, str]:
     return {"label": label}
 
 
-def paths(run: Run) -> dict[str, list[tuple[Place, dict[str, Any]]]]:
-    """Where each robot was: by its poses, else by the simulation's truth, else by what its app measured."""
+def paths(run: Run, topics: Sequence[str] = PLACED) -> dict[str, list[tuple[Place, dict[str, Any]]]]:
+    """Where each robot was, by the first of the topics that has it: by its poses, else by the simulation's truth, else
+    by what its app measured."""
     found: dict[str, list[tuple[Place, dict[str, Any]]]] = {}
-    for topic in ("swarm/*/dwm/pose", "swarm/*/sim/truth", "swarm/*/app/*/measurement"):
+    for topic in topics:
         fresh: dict[str, list[tuple[Place, dict[str, Any]]]] = {}
         for sample in run.samples(topic):
-            message = sample.message
+            message = sample.message | {"t": sample.t}
             if message.get("quality", 1) > 0:
                 fresh.setdefault(sample.topic.split("/")[1], []).append(((message["x"], message["y"]), message))
         found = {**fresh, **found}
@@ -161,22 +188,65 @@ def _estimates(run: Run) -> dict[str, list[_Estimate]]:
 
 
 def _errors(
-    axes: Any, way: Sequence[tuple[float, Place]], estimates: Mapping[str, list[_Estimate]], robots: list[str]
+    axes: Any,
+    way: Sequence[tuple[float, Place]],
+    estimates: Mapping[str, list[_Estimate]],
+    robots: list[str],
+    references: Mapping[str, Sequence[Place]],
 ) -> None:
-    """How far from the target each robot's estimates were."""
+    """How far from the target each robot's estimates were, and those that it is compared with."""
     for index, name in enumerate(robots):
         track = estimates.get(name, ())
         errors = [100 * math.dist(it.place, _at(way, it.t)) for it in track]
-        axes.plot([it.k for it in track], errors, color=style.colour(index, len(robots)), linewidth=1.0)
+        colour = style.colour(index, len(robots))
+        axes.plot([it.k for it in track], errors, color=colour, linewidth=1.0)
+        if track and name in references:
+            recorded = [100 * math.dist(place, _at(way, track[0].t)) for place in references[name]]
+            axes.plot(recorded, ":", color=colour, linewidth=1.6, label="recorded" if not index else None)
+    if references:
+        axes.legend(loc="upper right")
     axes.set(xlabel="iteration", ylabel="distance to the true target / cm", yscale="log")
 
 
-def _path(axes: Any, path: list[tuple[Place, dict[str, Any]]], colour: Any, name: str, marks: set[str]) -> None:
+def distances(axes: Any, run: Run, tracks: Mapping[str, list[tuple[Place, dict[str, Any]]]]) -> None:
+    """Over time the distance of the two robots that are nearest to each other, and of a formation how far the robots
+    are from it (root mean square, wherever it stands)."""
+    import numpy as np
+
+    times = {name: np.array([message["t"] for _, message in track]) for name, track in tracks.items()}
+    grid = np.arange(max(each[0] for each in times.values()), min(each[-1] for each in times.values()), 0.2)
+    places = np.array(
+        [
+            [np.interp(grid, times[name], [place[axis] for place, _ in track]) for axis in (0, 1)]
+            for name, track in tracks.items()
+        ]
+    )
+    pairs = [np.hypot(*(places[i] - places[j])) for i in range(len(places)) for j in range(i)]
+    axes.plot(grid, np.min(pairs, axis=0), color=style.COLOURS[0], label="nearest two")
+    axes.axhline(TOUCH_M, color=style.GREY, linewidth=0.8, linestyle="--", label="robots touch")
+    if run.app == "formation":
+        told = [sample.message["parameters"] for sample in run.samples("swarm/*/app/formation/parameters")]
+        shape, size = (told[0][name]["value"] if told else None for name in ("shape", "size"))
+        robots = list(tracks)
+        offsets = np.array(
+            [
+                formation.offset(shape or formation.SHAPES[0], i, len(robots), size or formation.SIZE)
+                for i in range(len(robots))
+            ]
+        )
+        apart = places - offsets[:, :, None]
+        apart -= apart.mean(axis=0)
+        misfit = np.sqrt((apart**2).sum(axis=1).mean(axis=0))
+        axes.plot(grid, misfit, color=style.COLOURS[1], label="from the formation")
+    axes.set(xlabel="time / s", ylabel="distance / m", ylim=(0, None))
+    style.legend(axes, 3)
+
+
+def _path(axes: Any, path: list[tuple[Place, dict[str, Any]]], colour: Any, marks: set[str]) -> None:
     xs, ys = zip(*(place for place, _ in path), strict=True)
     axes.plot(xs, ys, "-", color=colour, linewidth=1.0, alpha=0.9, **_once(marks, "path"))
     place, last = path[-1]
     axes.plot(*place, "o", color=colour, markersize=7, zorder=4, **_once(marks, "robot"))
-    axes.annotate(name, place, textcoords="offset points", xytext=(6, 6), color=colour, fontsize=8.5)
     if (heading := last.get("heading")) is not None:
         axes.annotate(
             "",

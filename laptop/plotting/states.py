@@ -1,16 +1,24 @@
 """What apps computed: states over iterations and over time, iterations over time."""
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from laptop.plotting import style
+from sim.report import is_metric
 from swarm.errors import LocalError
+from swarm.recording.reader import PLOTTED
 from swarm.recording.run import Run
 from swarm.recording.trajectory import Trajectory
 
+_Panel = tuple[str, str, dict[str, Trajectory]]
+"""Label, column, and the robots' trajectories."""
+
 DOTS = 120
 """Iterations up to which each has a dot."""
+AWAY_S = 0.5
+"""s without an iteration that are a gap in a line, at least."""
 PANELS = 6
 """Columns shown at most, where none are asked for."""
 
@@ -21,33 +29,59 @@ def states(figure: Any, run: Run, columns: Sequence[str] = (), labels: Mapping[s
     `columns`: names as in the app, or with the channel before them (`frequency.value`); default: what is shared.
     `labels`: what stands at the axis of a column, with its unit; default: its name.
     """
-    panels = [(label, column, paths) for label, column, paths in _columns(run) if not columns or label in columns]
+    every = _columns(run)
+    if columns:  # in the order in which they are asked for; a vector by its name alone
+        panels = [each for name in columns for each in every if name in (each[0], each[0].partition("[")[0])]
+    else:
+        panels = every
     if not panels:
         known = ", ".join(label for label, _, _ in _columns(run)) or "none"
         raise LocalError(f"{run.path}: no such column of states; there are: {known}")
     if not columns:
-        panels = [panel for panel in panels if not panel[1].startswith("result.")][:PANELS] or panels[:PANELS]
+        panels = (_marked(run, panels) or _chosen(panels))[:PANELS]
     figure.set_size_inches(7.2, max(2.9, 2.3 * len(panels)))
     grid = figure.add_gridspec(len(panels), 2)
     for row, (label, column, paths) in enumerate(panels):
-        title = (labels or {}).get(label, label)
+        title = (labels or {}).get(label, label.removeprefix("result."))
         if _is_truth(column, paths):
             _truth(figure.add_subplot(grid[row, :]), title, column, paths)
             continue
         left = figure.add_subplot(grid[row, 0])
         right = figure.add_subplot(grid[row, 1], sharey=left)
+        whole = all(_is_whole(path, column) for path in paths.values() if path.rows)
         for index, (name, path) in enumerate(paths.items()):
-            ks = sorted(path.rows)
-            values = [path.value(k, column) for k in ks]
-            look = _look(index, len(paths), len(ks))
-            left.plot(ks, values, label=name, **look)
+            look = _look(index, len(paths), len(path.rows)) | ({"drawstyle": "steps-post"} if whole else {})
+            left.plot(*_line(path, column, path.breaks), label=name, **look)
+            ks, values = _line(path, column, gaps(path))
             right.plot([path.times[k] for k in ks], values, **look)
         left.set(xlabel="iteration", ylabel=title)
         right.set(xlabel="time / s")
         style.whole(left.xaxis)
+        if whole:
+            style.whole(left.yaxis)
         right.tick_params(labelleft=False)
         if row == 0:
             style.legend(left, len(paths))
+
+
+def _marked(run: Run, panels: Sequence[_Panel]) -> list[_Panel]:
+    """What the author's `plotted` names, in that order."""
+    names = [name for notes in run.notes(PLOTTED) for name in notes.get(run.app, "").split()]
+    shared = {panel[0] for panel in panels if not panel[1].startswith("result.")}
+    once = [panel for panel in panels if panel[0].removeprefix("result.") not in shared or panel[0] in shared]
+    return [panel for name in names for panel in once if panel[1].removeprefix("result.").partition("[")[0] == name]
+
+
+def _chosen(panels: Sequence[_Panel]) -> list[_Panel]:
+    """What tells most where nothing is named: errors, single values, then vectors entry by entry."""
+    errors = [panel for panel in panels if is_metric(panel[1])]
+    shared = [panel for panel in panels if not panel[1].startswith("result.")]
+    results = [panel for panel in panels if panel[1].startswith("result.") and not is_metric(panel[1])]
+    single = [panel for panel in shared if "[" not in panel[1]]
+    rest = [panel for panel in shared if "[" in panel[1]]
+    if not single and not errors:  # what the app reports says more than the first entries of its vectors
+        rest = results + rest
+    return errors + single + rest or list(panels)
 
 
 def iterations(figure: Any, run: Run) -> None:
@@ -60,15 +94,48 @@ def iterations(figure: Any, run: Run) -> None:
     for panel, (channel, paths) in enumerate(channels):
         axes = figure.add_subplot(len(channels), 1, panel + 1)
         for index, (name, path) in enumerate(paths.items()):
-            ks = sorted(path.times)
-            look = _look(index, len(paths), len(ks)) | {"drawstyle": "steps-post"}
-            axes.plot([path.times[k] for k in ks], ks, label=f"{name}: {_pace(path)}", **look)
+            look = _look(index, len(paths), len(path.times)) | {"drawstyle": "steps-post"}
+            ks = _with_gaps(sorted(path.times), gaps(path))
+            times = [path.times[k] for k in ks]
+            drawn = [math.nan if again else k for k, again in zip(ks, _again(ks), strict=True)]
+            axes.plot(times, drawn, label=f"{name}: {_pace(path)}", **look)
         axes.set(xlabel="time / s", ylabel=f"iteration of {channel}" if channel else "iteration")
         style.whole(axes.yaxis)
         style.legend(axes, len(paths), loc="center left", bbox_to_anchor=(1.0, 0.5), ncols=1, title="mean period")
 
 
-def _columns(run: Run) -> list[tuple[str, str, dict[str, Trajectory]]]:
+def gaps(path: Trajectory) -> tuple[int, ...]:
+    """The k before which a robot was away: it began anew there, or did nothing for `AWAY_S` where it has a pace."""
+    ks = sorted(path.rows)
+    steps = [path.times[after] - path.times[k] for k, after in itertools.pairwise(ks)]
+    ordered = sorted(steps)
+    paced = len(steps) >= 10 and ordered[len(steps) * 9 // 10] <= 3 * ordered[len(steps) // 2]
+    long = max(AWAY_S, 10 * ordered[len(steps) // 2]) if paced else math.inf
+    pauses = [after for step, after in zip(steps, ks[1:], strict=True) if step > long]
+    return tuple(sorted({*path.breaks, *pauses}))
+
+
+def _line(path: Trajectory, column: str, breaks: Sequence[int]) -> tuple[list[int], list[float]]:
+    """Iterations and values, nan where the line has a gap."""
+    ks = _with_gaps(sorted(path.rows), breaks)
+    return ks, [math.nan if again else path.value(k, column) for k, again in zip(ks, _again(ks), strict=True)]
+
+
+def _with_gaps(ks: Sequence[int], breaks: Sequence[int]) -> list[int]:
+    """Iterations, the last one before each gap twice."""
+    found: list[int] = []
+    for k in ks:
+        if k in breaks and found:
+            found.append(found[-1])
+        found.append(k)
+    return found
+
+
+def _again(ks: Sequence[int]) -> list[bool]:
+    return [index > 0 and ks[index - 1] == k for index, k in enumerate(ks)]
+
+
+def _columns(run: Run) -> list[_Panel]:
     """Label, column and trajectories of all that can be drawn: a vector's parts one by one."""
     found = []
     for channel in run.states():
@@ -89,6 +156,12 @@ def _number(text: str) -> bool:
         return math.isfinite(float(text))
     except ValueError:
         return text in ("True", "False")
+
+
+def _is_whole(path: Trajectory, column: str) -> bool:
+    """Whether it counts: between two iterations there is nothing to be drawn as a slope."""
+    index = path.columns.index(column)
+    return all(row[index].lstrip("-").isdigit() for row in path.rows.values())
 
 
 def _is_truth(column: str, paths: Mapping[str, Trajectory]) -> bool:

@@ -4,11 +4,16 @@ column. matplotlib is there where the `lab` extra is, and only imported when it 
 
 import argparse
 import contextlib
+import itertools
+import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from swarm.errors import LocalError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#999933")
 """Okabe and Ito's palette and one more."""
@@ -57,6 +62,45 @@ def legend(axes: Any, count: int, **options: Any) -> None:
         axes.legend(**{**place, "handlelength": 1.4, "columnspacing": 1.0, **options})
 
 
+def name_points(
+    axes: Any, points: Sequence[tuple[str, tuple[float, float], Any]], crowd: Sequence[tuple[float, float]]
+) -> None:
+    """Write a name at each point (name, place, colour), beside it where there is most room: away from the other points,
+    from names already written, and from the `crowd` of further places that are drawn. Call it when the axes have their
+    limits."""
+    axes.figure.draw_without_rendering()  # a layout that is still to come would move what we measure
+    to_pixels = axes.transData.transform
+    pixel = axes.figure.dpi / 72
+    taken = [tuple(to_pixels(place)) for _, place, _ in points]
+    lines = [tuple(to_pixels(place)) for place in crowd]
+    for name, place, shade in points:
+        x, y = to_pixels(place)
+        width, height = 5.2 * pixel * len(name), 8.5 * pixel
+        best = None
+        for reach, dx, dy in itertools.product((9, 15), (0, 1, -1), (1, 0, -1)):
+            if not dx and not dy:
+                continue
+            middle = (x + dx * (reach * pixel + width / 2), y + dy * (reach * pixel + height / 2))
+            apart = min((_room(middle, width, height, each) for each in taken if each != (x, y)), default=1e3)
+            passed = sum(_room(middle, width, height, each) <= 0.0 for each in lines)
+            score = (min(apart, 12.0 * pixel), -passed, -reach)
+            if best is None or score > best[0]:
+                best = score, middle, (dx, dy, reach)
+        assert best is not None
+        _, middle, (dx, dy, reach) = best
+        taken += [(middle[0] + part * width / 3, middle[1]) for part in (-1, 0, 1)]
+        axes.annotate(
+            name, place, textcoords="offset points", xytext=(dx * reach, dy * reach), color=shade, fontsize=8.5,
+            ha=("center", "left", "right")[dx], va=("center", "bottom", "top")[dy], zorder=7,
+            bbox={"facecolor": "white", "alpha": 0.7, "edgecolor": "none", "pad": 0.5},  # stroked, it is no text in SVG
+        )  # fmt: skip
+
+
+def _room(middle: tuple[float, float], width: float, height: float, point: tuple[float, float]) -> float:
+    """How far a point is from a box, in pixels; 0 within it."""
+    return math.hypot(max(0.0, abs(point[0] - middle[0]) - width / 2), max(0.0, abs(point[1] - middle[1]) - height / 2))
+
+
 def whole(axis: Any) -> None:
     """Ticks of an axis that counts."""
     from matplotlib.ticker import MaxNLocator
@@ -74,7 +118,7 @@ def rows_of_robots(axes: Any, robots: Sequence[str]) -> None:
 
 def add_plot(parser: argparse.ArgumentParser) -> None:
     """Declare `--plot`."""
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw it: .png, .pdf or .svg")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="write a picture: .png, .pdf or .svg")
 
 
 @contextlib.contextmanager
@@ -97,3 +141,23 @@ def figure(path: Path, *, settings: Any = None, **options: Any) -> Iterator[Any]
             raise LocalError(f"{path}: {error}") from None
         finally:
             plt.close(made)
+
+
+@contextlib.contextmanager
+def shown_figure(path: Path | None) -> Iterator["Figure"]:
+    """A matplotlib figure in our style that a notebook shows where its cell ends with it, and that is written to
+    `path`, where there is one. Raises `LocalError` as `figure` does."""
+    try:
+        from matplotlib import pyplot as plt
+    except ImportError:
+        raise LocalError('plot needs matplotlib: pip install "balboa-swarm[lab]"') from None
+    settings: Any = RC
+    with plt.rc_context(settings):
+        made = plt.figure(layout="constrained")
+        plt.close(made)  # or a notebook shows it twice
+        yield made
+        try:
+            if path is not None:
+                made.savefig(path, dpi=130)
+        except (OSError, ValueError) as error:
+            raise LocalError(f"{path}: {error}") from None

@@ -44,13 +44,17 @@ class Page:
         self._number = 0
         self._session: str | None = None
 
-    async def start(self, size: tuple[int, int], address: str) -> None:
+    async def start(self, size: tuple[int, int], scale: float, address: str) -> None:
         """Show what is at `address`."""
         target = (await self._ask("Target.createTarget", url="about:blank"))["targetId"]
         self._session = (await self._ask("Target.attachToTarget", targetId=target, flatten=True))["sessionId"]
         width, height = size
         await self._ask(
-            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False
+            "Emulation.setDeviceMetricsOverride",
+            width=round(width / scale),
+            height=round(height / scale),
+            deviceScaleFactor=scale,
+            mobile=False,
         )
         await self._ask("Page.navigate", url=address)
 
@@ -99,8 +103,9 @@ class Page:
 
 
 @contextlib.asynccontextmanager
-async def opened(address: str, size: tuple[int, int]) -> AsyncIterator[Page]:
-    """A page of `size` pixels that shows what is at `address`; the browser ends with it. Raises `LocalError`."""
+async def opened(address: str, size: tuple[int, int], scale: float = 1.0) -> AsyncIterator[Page]:
+    """A page of `size` pixels that shows what is at `address`; the browser ends with it. A `scale` below 1 makes all
+    that is on it smaller. Raises `LocalError`."""
     program = browser()
     with tempfile.TemporaryDirectory(prefix="swarm-view-", ignore_cleanup_errors=True) as profile:
         options = [
@@ -120,7 +125,7 @@ async def opened(address: str, size: tuple[int, int]) -> AsyncIterator[Page]:
         writing, protocol = await loop.connect_write_pipe(asyncio.streams.FlowControlMixin, os.fdopen(our_out, "wb"))
         try:
             page = Page(pid, reader, asyncio.StreamWriter(writing, protocol, reader, loop))
-            await page.start(size, address)
+            await page.start(size, scale, address)
             yield page
         finally:
             reading.close()

@@ -15,6 +15,15 @@ from swarm.errors import LocalError
 from swarm.frozen import frozen
 
 ENCODER = "ffmpeg"
+FORMATS = {
+    ".mp4": "-c:v libx264 -crf 18 -pix_fmt yuv420p -movflags +faststart -f mp4",
+    ".webp": "-c:v libwebp_anim -quality 60 -compression_level 6 -loop 0 -f webp",
+}
+"""What the encoder is told, by the file's suffix: a film, or an animated picture that a page of text can show."""
+
+DESK = 1280
+"""Pixels across of the page that a film shows; a film of fewer shows it smaller."""
+
 MAX_FRAMES = 200_000
 """Some two hours; more is a slip of the hand."""
 
@@ -55,7 +64,7 @@ def encoder() -> str:
 async def shoot(address: str, film: Film, path: Path, tell: Callable[[int, int], None]) -> None:
     """Write the film of the page at `address`; `tell(done, all)` after each picture. Raises `LocalError`.
 
-    The file appears when it is whole.
+    The file appears when it is whole; its suffix is one of `FORMATS`.
     """
     instants, program = film.instants(), encoder()
     part = path.with_name(f".{path.name}.part")
@@ -73,16 +82,7 @@ async def shoot(address: str, film: Film, path: Path, tell: Callable[[int, int],
         "png",
         "-i",
         "-",
-        "-c:v",
-        "libx264",
-        "-crf",
-        "18",
-        "-pix_fmt",
-        "yuv420p",
-        "-movflags",
-        "+faststart",
-        "-f",
-        "mp4",
+        *FORMATS[path.suffix].split(),
         str(part),
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.DEVNULL,
@@ -94,7 +94,8 @@ async def shoot(address: str, film: Film, path: Path, tell: Callable[[int, int],
     errors = asyncio.create_task(process.stderr.read())
     try:
         try:
-            async with chromium.opened(f"{address}&directed&{query}", film.size) as page:
+            scale = min(1.0, film.size[0] / DESK)
+            async with chromium.opened(f"{address}&directed&{query}", film.size, scale) as page:
                 await page.until("Boolean(window.swarmView?.store.swarm)")
                 for number, t in enumerate(instants, 1):
                     await page.evaluate(f"swarmView.show({t!r})")
@@ -124,7 +125,7 @@ SIZE = (1400, 1000)
 SETTLE_S = 4.0
 """s that a live page has to connect, and for trails and charts to grow."""
 
-DRAWN_S = 0.5
+DRAWN_S = 1.0
 """s within which all parts of the page have drawn what they know."""
 
 
@@ -137,6 +138,8 @@ async def take(address: str, path: Path, at: float | None, charts: Sequence[str]
         if at is not None:
             await page.evaluate(f"swarmView.player.seek({at!r})")
         await asyncio.sleep(SETTLE_S if at is None else DRAWN_S)
+        await page.evaluate("swarmView.settled()")
+        await asyncio.sleep(DRAWN_S)
         await page.until("document.querySelector('#connection').textContent !== 'server lost'")  # on a busy machine
         picture = await page.picture()
     try:

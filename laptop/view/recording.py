@@ -1,18 +1,23 @@
 """What a recorded run shows at any instant of it."""
 
+import math
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from laptop.view.feed import config_of
-from laptop.view.history import HISTORY_S
-from laptop.view.picture import TRAIL_S, Event, Picture, places
+from laptop.view import series
+from laptop.view.feeds.feed import config_of
+from laptop.view.feeds.picture import TRAIL_S, Event, Picture, places
+from laptop.view.series import dig
 from swarm.errors import RecordingError, SwarmError
 from swarm.messages.json_values import json_value
 from swarm.messages.keys import parse as parse_key
 from swarm.recording.core import json_text
 from swarm.recording.run import Run
+
+LEVELS = ("error", "warning", "info")
+MAX_MARKS = 400
 
 JUMP_S = 3.0
 """A page that goes further than this at once does not play, it jumps."""
@@ -72,13 +77,54 @@ class ViewedRecording:
             step["trails"] = {robot: list(self._trail(robot, t)) for robot in self._rows}
         return step
 
-    def history(self, robot: str, topic: str, t: float) -> list[tuple[float, object]]:
-        """What a key held in the two minutes before an instant."""
-        return list(self._between(robot, topic, t - HISTORY_S, t))
+    def series(self, topic: str, fields: Sequence[series.Path]) -> dict[str, list[series.Row]]:
+        """Numbers of a key over the whole run, by robot."""
+        found, most = {}, series.most_of(len(self._rows))
+        for robot, topics in self._rows.items():
+            times, data = topics.get(topic, ((), ()))
+            step = -(-len(times) // most) or 1
+            last = len(times) - 1
+            chosen = sorted({*range(0, len(times), step), *((last,) if times else ())})
+            found[robot] = series.rows(((times[index], self._message(data[index])) for index in chosen), fields)
+        return {robot: rows for robot, rows in found.items() if rows}
+
+    def marks(self) -> list[tuple[float, str, str]]:
+        """Time, level and text of what happened in the whole run, for a strip of its time: of much the worst."""
+        worst = sorted(self._events, key=lambda event: (LEVELS.index(event.level), event.t))[:MAX_MARKS]
+        return sorted((event.t, event.level, f"{event.robot} {event.text}") for event in worst)
+
+    def places(self, t: float) -> dict[str, tuple[float, float]]:
+        """Where the robots were at an instant, m."""
+        found = {}
+        for robot in self._rows:
+            here = list(places(self._newest(robot, self._pose_topic(robot), t), -math.inf))
+            if here:
+                found[robot] = here[0]
+        return found
+
+    def parameters(self) -> dict[str, object]:
+        """Of the apps of the first robot that tells them, by `APP NAME`, as they were at the end."""
+        for topics in self._rows.values():
+            found: dict[str, object] = {}
+            for topic, (_, data) in topics.items():
+                told = dig(self._message(data[-1]), ("parameters",)) if topic.endswith("/parameters") else None
+                if isinstance(told, dict):
+                    app = topic.split("/")[1]
+                    found |= {f"{app} {name}": dig(each, ("value",)) for name, each in told.items()}
+            if found:
+                return found
+        return {}
 
     def _trail(self, robot: str, t: float) -> Iterator[tuple[float, float]]:
-        topic = "sim/truth" if "sim/truth" in self._rows[robot] else "dwm/pose"
-        return places(self._between(robot, topic, t - TRAIL_S, t), t - TRAIL_S)
+        return places(self._between(robot, self._pose_topic(robot), t - TRAIL_S, t), t - TRAIL_S)
+
+    def _pose_topic(self, robot: str) -> str:
+        return "sim/truth" if "sim/truth" in self._rows[robot] else "dwm/pose"
+
+    def _newest(self, robot: str, topic: str, t: float) -> Iterator[tuple[float, object]]:
+        times, data = self._rows[robot].get(topic, ([], []))
+        if index := bisect_right(times, t):
+            yield times[index - 1], self._message(data[index - 1])
 
     def _between(self, robot: str, topic: str, since: float, t: float) -> Iterator[tuple[float, object]]:
         times, data = self._rows.get(robot, {}).get(topic, ([], []))

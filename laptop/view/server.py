@@ -7,6 +7,7 @@ times, and only when it has taken the last ones. What a page asks never waits fo
 
 import asyncio
 import concurrent.futures
+import contextlib
 import hmac
 import itertools
 import json
@@ -18,12 +19,16 @@ from typing import Any
 
 from aiohttp import WSMsgType, web
 
-from laptop.view.control import Control
-from laptop.view.feed import LiveFeed
-from laptop.view.picture import TRAIL_S, Picture
+from laptop.view import series
+from laptop.view.actions.control import Control
+from laptop.view.camera import add_camera
+from laptop.view.feeds.feed import LiveFeed
+from laptop.view.feeds.picture import TRAIL_S, Picture
+from laptop.view.layouts import Layouts, default_path
+from laptop.view.playing import Playing, number
 from laptop.view.questions import Answer, Questions
 from laptop.view.recording import ViewedRecording
-from swarm.config.types import Config
+from laptop.view.scene import scene
 from swarm.errors import LocalError, PayloadError
 from swarm.messages.json_input import read_json
 
@@ -51,26 +56,35 @@ _POLICY = (
 )
 """Nothing from the network at run time."""
 
+EXPECTED = (
+    "expected {series: {topic, fields}}, {do: {act, ...}}, {pace: {speed, paused}}, {look: {t}} or "
+    "{layout: {name, panels}}"
+)
+
 Feed = LiveFeed | ViewedRecording
 
 _FEED: web.AppKey[Feed] = web.AppKey("feed")
 _TOKEN: web.AppKey[str] = web.AppKey("token")
 _CONTROL: web.AppKey[Control | None] = web.AppKey("control")
+_LAYOUTS: web.AppKey[Layouts] = web.AppKey("layouts")
 _HALTS: web.AppKey[concurrent.futures.Executor] = web.AppKey("halts")
 """A thread that carries out stops, and nothing else."""
 
 _log = logging.getLogger("view")
 
 
-def application(feed: Feed, control: Control | None, token: str) -> web.Application:
-    """The server; run it with `serve`. There is nothing to control in a recording."""
+def application(feed: Feed, control: Control | None, token: str, layouts: Path | None = None) -> web.Application:
+    """The server; run it with `serve`. There is nothing to control in a recording. `layouts`: the file where pages'
+    layouts are kept."""
     app = web.Application(middlewares=[_guard])
     app[_FEED], app[_CONTROL], app[_TOKEN] = feed, control, token
+    app[_LAYOUTS] = Layouts(layouts or default_path())
     app[_HALTS] = halts = concurrent.futures.ThreadPoolExecutor(1, "stops")
     app.on_cleanup.append(lambda _: asyncio.to_thread(halts.shutdown, cancel_futures=True))
     app.router.add_get("/", _index)
     app.router.add_get("/live", _live)
     app.router.add_static("/page", PAGE)
+    add_camera(app, feed if isinstance(feed, ViewedRecording) else None)
     return app
 
 
@@ -101,18 +115,19 @@ async def _live(request: web.Request) -> web.StreamResponse:
     # Not compressed: it is this machine, and a page that has gone away would leave a task behind.
     socket = web.WebSocketResponse(heartbeat=HEARTBEAT_S, max_msg_size=_MAX_REQUEST, compress=False)
     await socket.prepare(request)
-    feed, control = request.app[_FEED], request.app[_CONTROL]
+    feed, control, layouts = request.app[_FEED], request.app[_CONTROL], request.app[_LAYOUTS]
     if isinstance(feed, ViewedRecording):
-        await _play(feed, socket)
+        with contextlib.suppress(ConnectionError):  # the page may be gone before its answer is there
+            await _play(Playing(feed, request.app[_LAYOUTS], request.query.get("run")), socket)
         return socket
     loop, halts = asyncio.get_running_loop(), request.app[_HALTS]
     questions = Questions(
         # In threads: a simulation takes its time to obey, and the page's pictures go on.
-        lambda asked: loop.run_in_executor(halts, _answer, feed, control, asked),
-        lambda asked: asyncio.to_thread(_answer, feed, control, asked),
+        lambda asked: loop.run_in_executor(halts, _answer, feed, control, layouts, asked),
+        lambda asked: asyncio.to_thread(_answer, feed, control, layouts, asked),
         socket.send_str,
     )
-    tasks = [asyncio.create_task(_steps(feed, control, socket)), asyncio.create_task(questions.run())]
+    tasks = [asyncio.create_task(_steps(feed, control, layouts, socket)), asyncio.create_task(questions.run())]
     try:
         async for message in socket:
             if message.type != WSMsgType.TEXT:
@@ -140,7 +155,7 @@ def _tell_defect(ended: object) -> None:
         _log.error("a page is told no more", exc_info=ended)
 
 
-async def _steps(feed: LiveFeed, control: Control | None, socket: web.WebSocketResponse) -> None:
+async def _steps(feed: LiveFeed, control: Control | None, layouts: Layouts, socket: web.WebSocketResponse) -> None:
     """Tell a page what there is, then what changes."""
     known: dict[str, Any] = {}
     moved = rest = number = 0
@@ -168,7 +183,7 @@ async def _steps(feed: LiveFeed, control: Control | None, socket: web.WebSocketR
         if robots:
             step["robots"] = robots
         if full:
-            parts |= {"swarm": _swarm(feed, control), "pace": feed.pace()}
+            parts |= {"swarm": scene(feed, control), "pace": feed.pace(), "layouts": layouts.told()}
         for name, value in parts.items():
             if known.get(name) != value:
                 step[name] = known[name] = value
@@ -180,57 +195,23 @@ def _trail(picture: Picture, robot: str, now: float) -> list[tuple[float, float]
     return picture.trail(robot, "sim/truth", TRAIL_S, now) or picture.trail(robot, "dwm/pose", TRAIL_S, now)
 
 
-async def _play(recording: ViewedRecording, socket: web.WebSocketResponse) -> None:
+async def _play(playing: Playing, socket: web.WebSocketResponse) -> None:
     """Answer a page that goes through a recording at its own pace."""
-    swarm = (_swarm(recording, None) or {"kind": recording.kind, "robots": list(recording.robots), "edges": []}) | {
-        "recording": {"first": recording.first, "last": recording.last, "damage": recording.damage}
-    }
-    await socket.send_json({"t": recording.first, "live": True, "swarm": swarm})
+    await socket.send_json(playing.first())
     async for message in socket:
         if message.type != WSMsgType.TEXT:
             continue
         try:
             asked = read_json(message.data)
-            if "seek" in asked:
-                since = asked["seek"].get("since")
-                answer = recording.step(None if since is None else _number(since), _number(asked["seek"]["t"]))
-            else:
-                robot, topic = str(asked["history"]["robot"]), str(asked["history"]["topic"])
-                rows = recording.history(robot, topic, _number(asked["history"]["t"]))
-                answer = {"history": {"robot": robot, "topic": topic, "rows": rows}}
-        except LocalError as error:
-            answer = {"refused": str(error)}
-        except (PayloadError, ValueError, KeyError, TypeError, AttributeError):
-            answer = {"refused": "expected {seek: {since, t}} or {history: {robot, topic, t}}"}
+        except PayloadError as error:
+            answer: Answer = {"refused": str(error)}
+        else:
+            answer = await asyncio.to_thread(playing.answer, asked)
         await socket.send_str(json.dumps(answer, allow_nan=False, separators=(",", ":")))
 
 
-def _swarm(feed: Feed, control: Control | None) -> dict[str, Any] | None:
-    """What does not move: names, links that are to be, anchors."""
-    config = feed.config
-    if config is None:
-        return None
-    return {
-        "kind": feed.kind,
-        "acts": [] if control is None else list(control.acts),
-        "robots": list(config.names),
-        "edges": [list(edge) for edge in config.edges],
-        "anchors": [{"name": anchor.address, "x": anchor.x, "y": anchor.y} for anchor in config.anchors],
-        "target": _target(config),
-    }
-
-
-def _target(config: Config) -> dict[str, Any] | None:
-    """Where the target really is; of real robots nobody knows, unless it is one of the anchors."""
-    simulated = all(str(robot.link).startswith("sim:") for robot in config.robots)
-    if config.dwm.target is None or not simulated:
-        return None
-    x, y = config.simulation.target
-    return {"name": "target's start" if config.simulation.moving else "target", "x": x, "y": y}
-
-
-def _answer(feed: LiveFeed, control: Control | None, asked: Any) -> Answer:
-    """The answer to what a page asks: the history of a key, or an act."""
+def _answer(feed: LiveFeed, control: Control | None, layouts: Layouts, asked: Any) -> Answer:
+    """The answer to what a page asks: numbers of a key over time, an instant of the past, a layout, or an act."""
     try:
         if "do" in asked:
             if control is None:
@@ -238,26 +219,39 @@ def _answer(feed: LiveFeed, control: Control | None, asked: Any) -> Answer:
             return {"done": control.do(asked["do"])}
         if "pace" in asked:
             speed = asked["pace"]["speed"]
-            feed.set_pace(None if speed is None else _number(speed), bool(asked["pace"]["paused"]))
+            feed.set_pace(None if speed is None else number(speed), bool(asked["pace"]["paused"]))
             return {"done": "paused" if asked["pace"]["paused"] else f"speed: {speed or 'max'}"}
-        robot, topic = str(asked["history"]["robot"]), str(asked["history"]["topic"])
+        if "layout" in asked:
+            return {"done": layouts.keep(asked["layout"]), "layouts": layouts.told()}
+        if "look" in asked:
+            return _look(feed, number(asked["look"]["t"]))
+        topic, fields = series.wanted(asked["series"])
     except LocalError as error:
         return {"refused": str(error)}
     except (ValueError, KeyError, TypeError, OverflowError):
-        return {"refused": "expected {history: {robot, topic}}, {do: {act, ...}} or {pace: {speed, paused}}"}
+        return {"refused": EXPECTED}
     except Exception:  # noqa: BLE001 - a defect of ours, and the page's way to a stop lives on
         _log.exception("an act has failed")
         return {"refused": "this program has a defect there: its log says more"}
+    found: dict[str, list[series.Row]] = {}
     with feed.lock:
-        rows = feed.picture.history(robot, topic)
-    return {"history": {"robot": robot, "topic": topic, "rows": rows}}
+        robots = feed.picture.robots
+    for robot in robots:
+        with feed.lock:  # for one robot at a time: the others' samples go on
+            samples = feed.picture.history(robot, topic, series.most_of(len(robots)))
+        if rows := series.rows(samples, fields):
+            found[robot] = rows
+    return {"series": {"topic": topic, "fields": fields, "rows": found}}
 
 
-def _number(value: object) -> float:
-    """A number that a page has sent; `TypeError` where it is none."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError("no number")
-    return float(value)
+def _look(feed: LiveFeed, t: float) -> Answer:
+    """What a page showed at an instant of the last two minutes."""
+    with feed.lock:
+        picture = feed.picture
+        robots = picture.look(t)
+        trails = {robot: _trail(picture, robot, t) for robot in robots}
+        events = [event._asdict() for event in picture.events_since(0) if event.t <= t]
+        return {"look": {"t": t, "live": True, "robots": robots, "trails": trails, "events": events}}
 
 
 async def _repeat(control: Control) -> None:

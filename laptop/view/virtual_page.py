@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable
 
 from laptop.cli.runs.view import announce
-from laptop.view.virtual_feed import VirtualFeed
+from laptop.view.feeds.virtual_feed import VirtualFeed
 from sim.options import Options
 from sim.report import RunOutcome
 from sim.scenario import Scenario

@@ -8,22 +8,26 @@ restart.
 import argparse
 import hashlib
 import os
+from urllib.parse import unquote
 
 from services.apps import loader, topology
-from services.apps.claim import AppLock
 from services.apps.equipment import equip
 from services.apps.event_host import EventHost
 from services.apps.event_runner import EventRunner
 from services.apps.host import LockstepHost, Part
-from services.apps.lockstep_driver import Place
 from services.apps.measurements import source_of
-from services.apps.recording import AppRecording, place_of
-from services.apps.runner import Runner
-from services.apps.storage import FileStorage
+from services.apps.persistence.claim import AppLock
+from services.apps.persistence.recording import AppRecording, place_of
+from services.apps.persistence.storage import FileStorage
+from services.apps.recorded_values import RecordedValues
+from services.apps.runner import Runner, metrics_of
+from services.apps.speaker import let_speak, prints_heard
+from services.apps.topology import Place
 from swarm.app import run_options
 from swarm.app.event_app import EventApp
 from swarm.app.settings import Setting, parse, with_settings
 from swarm.app.sync_app import SyncApp
+from swarm.app.truth import TruthWatch
 from swarm.config import Config
 from swarm.core.lockstep_frames import MAX_ITERATION
 from swarm.errors import AppError, LocalError
@@ -59,6 +63,8 @@ def main() -> int:
         if links.config.edges != service.config.edges:
             instance = app.make(links.config, service.robot, seed)
         overlays = equip(instance.robot, service.bus, service.log)
+        if metrics_of(type(instance)):
+            instance.robot.truth = TruthWatch(service.bus, service.robot, app.name, service.config)
         storage = FileStorage(service.runtime)
         claim = AppLock(service.runtime, app.name)
         if not links.kept:
@@ -68,8 +74,10 @@ def main() -> int:
         recorder = None
         if recording is not None:
             recorder = recording.recorder
-            instance.robot.recording = recorder.value
             overlays.asked = recording.watch.asked
+        keep = recorder.value if recorder is not None else None
+        instance.robot.recording = RecordedValues(service.bus, service.robot, app.name, keep)
+        let_speak(instance.robot, service.bus, service.log, *([recorder.said] if recorder is not None else []))
         how = run_options.of(options)
         place = Place.of(number, app.digest, how, links.config, links.epoch, claim.incarnation)
         if isinstance(instance, EventApp):
@@ -80,9 +88,10 @@ def main() -> int:
             overlays.collect()
             parts = [Part("", Runner(instance, app.source, how.tolerance), measurements)]
             host = LockstepHost(runtime, app.name, parts, place, storage, recorder)
-        runtime.entry(host.start)()
-        service.stopping.wait()
-        host.close()
+        with prints_heard(service.log):
+            runtime.entry(host.start)()
+            service.stopping.wait()
+            host.close()
         runtime.close()
         claim.close()
         if recording is not None:
@@ -93,7 +102,7 @@ def main() -> int:
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="services.apps", description="Run one app on this robot.")
     parser.add_argument("app", help=f"{' or '.join(loader.BUILT_IN)}, or the path of a Python file with an app")
-    parser.add_argument("--iterations", type=_iterations, metavar="K", help="the last iteration (without: no last one)")
+    parser.add_argument("--iterations", type=_iterations, metavar="K", help="end after K iterations (default: no end)")
     run_options.add_arguments(parser)
     parser.add_argument(
         "--run",
@@ -105,7 +114,10 @@ def _options() -> argparse.Namespace:
         help="a parameter, above swarm.toml; the same ones on all robots",
     )  # fmt: skip
     parser.add_argument(
-        "--record", action="store_true", help="keep what it does (without: only where SWARM_RECORD names a folder)"
+        "--escaped", dest="settings", action="append", type=_escaped, help="the same, written with %%XX (swarm run)"
+    )
+    parser.add_argument(
+        "--record", action="store_true", help="record the run (default: only if SWARM_RECORD names a folder)"
     )
     options = parser.parse_args()
     text = options.run or os.environ.get("SWARM_RUN")
@@ -125,6 +137,10 @@ def _setting(text: str) -> Setting:
         return parse(text)
     except AppError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def _escaped(text: str) -> Setting:
+    return _setting(unquote(text))
 
 
 def _number(name: str, text: str, base: int) -> int:

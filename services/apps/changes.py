@@ -114,7 +114,14 @@ def in_force(app: BaseApp, now: float) -> AppParameters:
     return AppParameters(
         now,
         {
-            name: AppParameter(value, declared.unit, declared.expected(), bool(declared.live))
+            name: AppParameter(
+                *(value, declared.unit, declared.expected(), bool(declared.live)),
+                kind=declared.kind.__name__,
+                low=declared.low,
+                high=declared.high,
+                choices=declared.choices,
+            )
             for name, (declared, value) in told.items()
         },
+        app.layouts(),
     )

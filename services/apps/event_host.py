@@ -8,18 +8,18 @@ two of them.
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 
 from services.apps.app_status import LOOK_EVERY, AppStatus
 from services.apps.changes import Changes
 from services.apps.device_claims import DeviceClaims
 from services.apps.event_runner import EventRunner, place_of, version
-from services.apps.host import LockstepHost, Part
-from services.apps.lockstep_driver import CLOSE_WITHIN, Place
+from services.apps.host import MOST_KEYS, LockstepHost, Part
+from services.apps.lockstep_driver import CLOSE_WITHIN
 from services.apps.observer import Observer, StepRecord
+from services.apps.persistence.storage import Storage
 from services.apps.runner import Runner
-from services.apps.storage import Storage
-from services.apps.topology import of_edges
+from services.apps.topology import Place, of_edges
 from swarm.app.devices import Devices
 from swarm.app.event_app import ChannelView, channels_of
 from swarm.app.overlays import Message, Overlays
@@ -35,8 +35,6 @@ from swarm.process.runtime import Runtime, listen
 
 REMIND = 0.5
 """s between two looks for requests that have no answer yet."""
-_MOST_KEYS = 1024
-"""Keys of neighbours' states that are remembered, so that each is taken apart once."""
 
 
 class EventHost:
@@ -94,10 +92,12 @@ class EventHost:
         self._changed_at = runtime.now
         """When the last handler returned."""
         self._recorded = -1
+        self._told: tuple[object, ...] = ()
+        """Phase, robots waited for and reason that the observer was told last."""
         self._timer = math.inf
         self._closed = self._over = self._hung = False
         self._edges: tuple[tuple[str, ...], ...] = ()
-        self._senders: dict[str, tuple[str, Channel] | None] = {}
+        self._sender = lru_cache(MOST_KEYS)(self._parse_key)
         record = None if observer is None else partial(observer.parameters, self.robot)
         self._changes = Changes(runtime, name, app, self._change, storage.parameters(name), place.run, record)
         runner.change(self._changes.kept())
@@ -125,6 +125,8 @@ class EventHost:
 
     def start(self) -> None:
         """Let the app begin."""
+        if self._observer is not None:
+            self._tell_observer()  # who reads a recording knows by it that the app begins anew, with k = 0
         self._core.begin(self._runtime.now)
         self._perform()
         self._runtime.every(LOOK_EVERY, self.look, self._status.keys)
@@ -155,8 +157,8 @@ class EventHost:
         if repeated:
             for name, count in {**self._core.counters, "unreadable": self.runner.unreadable}.items():
                 self._runtime.counters[f"latest_{name}"] = count
-        if new and self._observer is not None:
-            self._observer.progressed(self)
+        if new and self._report() != self._told:
+            self._tell_observer()
 
     # What happens
 
@@ -184,16 +186,12 @@ class EventHost:
 
     def _on_latest(self, name: str, payload: bytes) -> None:
         """A neighbour's state: `swarm/<sender>/app/<app>/latest/<channel>`."""
-        if name not in self._senders:
-            if len(self._senders) >= _MOST_KEYS:
-                self._senders.clear()
-            self._senders[name] = self._sender(name)
-        sender = self._senders[name]
+        sender = self._sender(name)
         if sender is not None:
             self._core.receive(*sender, payload, self._runtime.now)
             self._perform()
 
-    def _sender(self, name: str) -> tuple[str, Channel] | None:
+    def _parse_key(self, name: str) -> tuple[str, Channel] | None:
         _, sender, _, _, _, text = name.split("/")
         try:
             return sender, Channel.parse(text)
@@ -238,6 +236,10 @@ class EventHost:
             elif type(action) is HandlerCall:
                 # Not from within a handler: what it does may lead to the next call.
                 self._runtime.soon(self._call, action)
+        # Not only at the next look, which nobody may want: the barrier falls with a neighbour's word.
+        core = self._core
+        if self._recorded >= 0 and core.phase not in ("done", "fault") and (core.phase, core.missing) != self._told[:2]:
+            self._tell_observer()
         self._plan()
 
     def _plan(self) -> None:
@@ -276,7 +278,7 @@ class EventHost:
         if self._observer is None or k == self._recorded:
             return
         if self._recorded < 0:
-            self._observer.progressed(self)
+            self._tell_observer()
         self._recorded = k
         try:
             line = StepRecord(k, self._changed_at, self.runner.state(), self.runner.result())
@@ -284,6 +286,12 @@ class EventHost:
             self._app_failed(error)
             return
         self._observer.advanced(self, line)
+
+    def _tell_observer(self) -> None:
+        """Tell what the app does now, and whom it waits for."""
+        self._told = self._report()
+        if self._observer is not None:
+            self._observer.progressed(self)
 
     def _app_failed(self, error: SwarmError) -> None:
         """Call the app no more, say why, and stay: the reason can be read."""
@@ -297,6 +305,7 @@ class EventHost:
     def _end(self) -> None:
         if not self._over:
             self._over = True
+            self._told = self._report()
             self._claims.look()
             if self._observer is not None:
                 self._observer.ended(self)
@@ -370,6 +379,8 @@ class EventHost:
             reason = f"{' '.join(core.strangers)} runs another version of this app: its state is not used"
         elif self.channels is not None and self.channels.faults:
             reason = "; ".join(f"channel {name}: {why}" for name, why in self.channels.faults.items())
+        elif self.channels is not None and self.channels.obstacles:
+            reason = "; ".join(f"channel {name}: {why}" for name, why in self.channels.obstacles.items())
         elif core.phase == "done":
             reason = self.runner.app.finished or ""
         return core.phase, core.missing, reason

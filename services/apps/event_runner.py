@@ -77,6 +77,7 @@ class EventRunner(AppRunner):
         object.__setattr__(app, "neighbours", tuple(views.values()))
         arguments: Sequence[object] = call.arguments
         if call.handler == "step":
+            app.robot.begin_step(k)
             arguments = (list(views.values()),)
         elif call.handler == "on_neighbour":
             arguments = [views[name] for name in call.arguments if name in views]

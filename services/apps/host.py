@@ -3,18 +3,18 @@
 import hashlib
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 from services.apps.changes import Changes
 from services.apps.core.terms import Terms
 from services.apps.device_claims import DeviceClaims
-from services.apps.lockstep_driver import LockstepDriver, Place
+from services.apps.lockstep_driver import LockstepDriver
 from services.apps.measurements import Measurements
 from services.apps.observer import Observer
+from services.apps.persistence.storage import Storage
 from services.apps.runner import Runner
-from services.apps.storage import Storage
-from services.apps.topology import TopologyWatch
+from services.apps.topology import Place, TopologyWatch
 from swarm.core.epoch_actions import EpochRequest
 from swarm.core.lockstep import Advanced, Channel
 from swarm.core.lockstep_actions import address_of
@@ -24,7 +24,7 @@ from swarm.messages.codec import Value
 from swarm.messages.keys import key
 from swarm.process.runtime import Runtime, listen
 
-_MOST_KEYS = 1024
+MOST_KEYS = 1024
 """Keys of frames that are remembered, so that each is taken apart once."""
 
 
@@ -75,7 +75,7 @@ class LockstepHost:
         self._run = place.run
         self._by_schema: dict[int, LockstepDriver] = {}
         self._by_notes: dict[str, LockstepDriver] = {}
-        self._senders: dict[str, _Sender | None] = {}
+        self._sender = lru_cache(MOST_KEYS)(self._parse_key)
         self._connections: dict[str, int] = {}
         self._orders: deque[str] = deque(maxlen=100)
         self._ready = False
@@ -112,6 +112,11 @@ class LockstepHost:
     def faults(self) -> dict[str, str]:
         """Why locksteps have stopped, by the name of the channel."""
         return {channel: driver.run.reason for channel, driver in self.drivers.items() if driver.failed}
+
+    @property
+    def obstacles(self) -> dict[str, str]:
+        """Why locksteps do not go on, as far as membership is the reason, by the name of the channel."""
+        return {channel: driver.run.obstacle for channel, driver in self.drivers.items() if driver.run.obstacle}
 
     def start(self) -> None:
         """Begin all locksteps."""
@@ -152,7 +157,7 @@ class LockstepHost:
 
     def _changed(self) -> None:
         """A lockstep has begun, has come to another epoch, or has ended."""
-        self._senders.clear()
+        self._sender.cache_clear()
         for driver in self.drivers.values():
             driver.watch.forget()
         if self._claims is not None:
@@ -166,12 +171,7 @@ class LockstepHost:
 
     def _on_sync(self, name: str, payload: bytes) -> None:
         """Give a frame to the lockstep that it is for."""
-        try:
-            sender = self._senders[name]
-        except KeyError:
-            if len(self._senders) >= _MOST_KEYS:
-                self._senders.clear()
-            sender = self._senders[name] = self._sender(name)
+        sender = self._sender(name)
         if sender is None:
             return
         driver, robot, channel, around = sender
@@ -180,7 +180,7 @@ class LockstepHost:
         elif robot != self.robot:
             driver.receive_note(robot, payload)
 
-    def _sender(self, name: str) -> _Sender | None:
+    def _parse_key(self, name: str) -> _Sender | None:
         """What the key of a frame says; None where the frame is for another robot, or not of this run and app."""
         address = address_of(name)
         if address is None:

@@ -6,11 +6,15 @@ Every fault of an app file is one message with file and line: the author reads i
 import hashlib
 import importlib
 import importlib.util
+import inspect
+import linecache
+import re
 import sys
 from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
 
+from services.apps import sources
 from services.apps.runner import describe
 from swarm.app.event_app import EventApp, PeriodicApp, channels_of
 from swarm.app.robot import Robot
@@ -35,7 +39,7 @@ BUILT_IN = (
     "stand_up",
     "unicast_demo",
 )
-"""Modules of `services.apps` that are apps."""
+"""Modules of `services.apps.builtin` that are apps."""
 
 
 @frozen
@@ -45,11 +49,22 @@ class LoadedApp:
     name: str
     """Name on the bus and in swarm.toml: the built-in name, or the file's name without `.py`."""
     source: str
-    """Path of its file."""
+    """Path of its file; of a class out of a notebook what Python calls the cell."""
     algorithms: Mapping[str, type[AnyApp]]
     """By name, the default one first; the only name is empty where there is no choice."""
     digest: bytes
-    """Of the source text."""
+    """Of the source text of all its files."""
+
+    @property
+    def is_built_in(self) -> bool:
+        """Whether it is one of ours: an author's own may have the name of one."""
+        return Path(self.source).is_relative_to(Path(__file__).parent / "builtin")
+
+    @property
+    def text(self) -> bytes:
+        """The source text; empty where nobody has kept it, as of a class that was typed at a prompt."""
+        path = Path(self.source)
+        return path.read_bytes() if path.is_file() else "".join(linecache.getlines(self.source)).encode()
 
     def choose(self, values: Mapping[str, Value]) -> tuple[type[AnyApp], dict[str, Value]]:
         """The class that the parameter `algorithm` asks for, and the other parameters."""
@@ -83,7 +98,7 @@ class LoadedApp:
 def load(name_or_file: str) -> LoadedApp:
     """Find an app: a built-in name, or the path of a Python file that defines one."""
     if name_or_file in BUILT_IN:
-        module = importlib.import_module(f"services.apps.{name_or_file}")
+        module = importlib.import_module(f"services.apps.builtin.{name_or_file}")
         return _app(name_or_file, Path(str(module.__file__)), module)
     path = Path(name_or_file)
     if path.suffix != ".py":
@@ -97,6 +112,23 @@ def load(name_or_file: str) -> LoadedApp:
             "a lower-case letter, then up to 15 letters, digits, _ or -"
         )
     return _app(path.stem, path, _import(path))
+
+
+def of_class(kind: type[AnyApp]) -> LoadedApp:
+    """The app that is one class of a program of its author's: of a script, a test or a notebook's cell.
+
+    Its name is that of the class in small letters with _ between words, at most 16 of them. Raises `AppError` for what
+    is no app's class."""
+    if not (isinstance(kind, type) and issubclass(kind, AnyApp)):
+        raise AppError(f"{kind!r}: expected the name or file of an app, or a class derived from {KINDS}")
+    words = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+", kind.__name__)
+    name = "_".join(word.lower() for word in words)[:16].rstrip("_")
+    functions = [value for value in vars(kind).values() if inspect.isfunction(value)]
+    source = functions[0].__code__.co_filename if functions else str(inspect.getmodule(kind))
+    found = LoadedApp(name if is_name(name) else "app", source, {"": kind}, b"")
+    code = b"".join(function.__code__.co_code for function in functions)
+    digest = hashlib.blake2b(found.text or code, digest_size=16).digest()
+    return LoadedApp(found.name, source, found.algorithms, digest)
 
 
 def _import(path: Path) -> ModuleType:
@@ -115,9 +147,9 @@ def _import(path: Path) -> ModuleType:
 
 
 def _app(name: str, path: Path, module: ModuleType) -> LoadedApp:
-    digest = hashlib.blake2b(digest_size=16)
-    for file in sorted(path.parent.glob("*.py")) if path.name == "__init__.py" else [path]:
-        digest.update(file.read_bytes())
+    # Of one of ours by its folder, since its file imports by whole names; of a user's by what it imports.
+    own = {file.name: file.read_bytes() for file in path.parent.glob("*.py")} if path.name == "__init__.py" else None
+    digest = sources.digest(own if own is not None else sources.of_app(path))
     found = {
         kind.__name__: kind
         for kind in vars(module).values()
@@ -137,5 +169,5 @@ def _app(name: str, path: Path, module: ModuleType) -> LoadedApp:
             'ALGORITHMS = {"name": Class, ...}, the default first'
         )
     else:
-        raise AppError(f"{path} defines no app: expected one class derived from {KINDS} (docs/apps.md)")
-    return LoadedApp(name, str(path), algorithms, digest.digest())
+        raise AppError(f"{path} defines no app: expected one class derived from {KINDS} (docs/reference/apps.md)")
+    return LoadedApp(name, str(path), algorithms, digest)

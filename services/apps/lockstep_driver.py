@@ -3,22 +3,19 @@
 import secrets
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import NamedTuple
 
 from services.apps.app_status import LOOK_EVERY, REPEAT, AppStatus
-from services.apps.ballots import told
 from services.apps.core.lockstep_run import ALONE, LockstepRun, Renew
 from services.apps.core.terms import Terms
 from services.apps.measurements import Measurements
 from services.apps.observer import Observer, StepRecord
+from services.apps.persistence.ballots import told
+from services.apps.persistence.storage import Storage
 from services.apps.runner import Runner
-from services.apps.storage import Storage
-from services.apps.topology import TopologyWatch
-from swarm.app.run_options import RunOptions
-from swarm.config import Config
+from services.apps.topology import Place, TopologyWatch
+from swarm.core.asynchronous import HANG
 from swarm.core.epoch_actions import EpochRequest, SaveEpochs, SendToNeighbours, SwitchEpoch
-from swarm.core.epoch_notes import LOST, Epoch, first
-from swarm.core.graph import Graph
+from swarm.core.epoch_notes import LOST, Epoch
 from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Finished, Save, Send, Waiting
 from swarm.core.lockstep_frames import Snapshot
 from swarm.errors import SwarmError
@@ -29,35 +26,8 @@ from swarm.process.runtime import Runtime
 
 CLOSE_WITHIN = 2.0
 """s that a running step has when the process is to end."""
-STUCK = 10.0
-"""s after which a step that still runs is a fault."""
 
 _NEVER = float("inf")
-
-
-class Place(NamedTuple):
-    """Where an app runs, and in which run. Of thousands of robots in one process all may have the same objects."""
-
-    run: int
-    """The run's number, the same on all robots."""
-    digest: bytes
-    """A digest of the app's source."""
-    options: RunOptions
-    """How long the app runs, and what becomes of robots that are away."""
-    names: frozenset[str]
-    """All robots that there may be."""
-    begin: Epoch
-    """The members and links with which the run began."""
-    graph: Graph
-    """Those links."""
-    incarnation: int
-    """It goes up with every start of the app's process, or of the robot."""
-
-    @classmethod
-    def of(cls, run: int, digest: bytes, options: RunOptions, config: Config, epoch: int, incarnation: int) -> "Place":
-        """The place in a run that begins with the links of a configuration; `epoch` is the number of these links."""
-        begin = first(config.names, config.edges, epoch)
-        return cls(run, digest, options, frozenset(config.names), begin, config.graph, incarnation)
 
 
 class LockstepDriver:
@@ -111,6 +81,8 @@ class LockstepDriver:
         self._measuring_since: float | None = None
         self._worker = runtime.worker(f"steps {part}".strip())
         self._closed = self._muted = False
+        self._told_waiting = False
+        """Whether the observer was last told that the lockstep waits for others."""
         self._performing = False
         """Whether it is planned to do what the frames of this moment call for."""
         self._timer = _NEVER
@@ -196,8 +168,8 @@ class LockstepDriver:
         """Publish state and progress where they are new, or were told a while ago."""
         run, now = self.run, self._runtime.now
         since = self._worker.running_since
-        if since is not None and now - since >= STUCK:
-            self._fail(self.runner.hangs(f"iteration {run.k}", self._worker.thread, STUCK))
+        if since is not None and now - since >= HANG:
+            self._fail(self.runner.hangs(f"iteration {run.k}", self._worker.thread, HANG))
         repeated, _ = self._status.look()
         if repeated:
             for name, count in run.counters.items():
@@ -239,13 +211,6 @@ class LockstepDriver:
             log.warning("this robot has lost its state of the run and waits for the next epoch")
         self._perform()
         self._on_change()
-
-    def _compute(self, todo: Compute) -> None:
-        step = partial(self._step, todo, self.run.channel)
-        if todo.values:
-            self._measure(todo.k, step)
-        else:
-            self._runtime.at(self._runtime.now + ALONE, self._measure, todo.k, step)
 
     def _step(self, todo: Compute, asked: Channel, measurement: Measurement | None) -> None:
         """Run a step that was asked for under the channel `asked`: one of an earlier epoch is void."""
@@ -296,8 +261,11 @@ class LockstepDriver:
             elif type(action) is Advanced:
                 self._advanced(action)
             elif type(action) is Compute:
-                # Not from within: a robot without neighbours would never come back.
-                self._runtime.soon(self._compute, action)
+                step = partial(self._step, action, run.channel)
+                if action.values:
+                    self._runtime.soon(self._measure, action.k, step)
+                else:  # not from within: a robot without neighbours would never come back
+                    self._runtime.at(self._runtime.now + ALONE, self._measure, action.k, step)
             elif type(action) is SaveEpochs:
                 self._keep(self._votes.write, action.kept)
             elif type(action) is SendToNeighbours:
@@ -307,8 +275,7 @@ class LockstepDriver:
             elif type(action) is Renew:
                 self._runtime.soon(self._measure, action.epoch.k, partial(self._renew, action.epoch))
             elif type(action) is Waiting:
-                if self._observer is not None:
-                    self._observer.progressed(self)
+                self._tell_observer()
             elif type(action) is Fault:
                 self._ended(action.reason)
             elif type(action) is Finished:
@@ -334,8 +301,8 @@ class LockstepDriver:
         if not begun:
             self._on_change()  # only now: after a reboot there is no state before the next epoch
         if self._observer is not None:
-            if not begun:
-                self._observer.progressed(self)
+            if not begun or self._told_waiting:
+                self._tell_observer()
             try:
                 line = StepRecord(
                     news.k, self.run.computed_at, self.runner.state(), self.runner.result(), self._measured
@@ -353,7 +320,13 @@ class LockstepDriver:
         self._bus.publish(self._epoch_key, message)
         if self._observer is not None:
             self._observer.switched(self, message)
+            self._told_waiting = self.progress.phase == "waiting"
         self._on_change()
+
+    def _tell_observer(self) -> None:
+        if self._observer is not None:
+            self._told_waiting = self.progress.phase == "waiting"
+            self._observer.progressed(self)
 
     def _keep(self, write: Callable[..., None], what: object) -> None:
         try:

@@ -4,26 +4,37 @@ No IO and no clock. Whatever the author's code raises comes out as one `AppError
 file, line and fault.
 """
 
+import math
+import numbers
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from swarm.app.run_options import TOLERANCE
 from swarm.app.sync_app import BaseApp, SyncApp
+from swarm.core.arrays import is_array
 from swarm.core.graph import Graph
-from swarm.core.state import pack_private, unpack_private
+from swarm.core.snapshot_fields import pack_private, unpack_private
+from swarm.core.state import Field
 from swarm.errors import AppError, LocalError
 from swarm.messages import Measurement
 from swarm.messages.codec import Value, as_value
 
 T = TypeVar("T")
 
+ERROR = "error"
+"""An app's method `error(self, truth)`, and the result of that name. Others are `error_heading` and the like."""
+
+
+BUILT_IN = "services.apps.builtin."
+"""Apps of ours, whose errors the report of a simulation knows."""
+
 
 class AppRunner:
     """What runners of all kinds of apps share: the app's state and result, and its faults in words."""
 
-    __slots__ = ("_columns", "app", "k", "schema", "source")
+    __slots__ = ("_columns", "app", "k", "metrics", "schema", "source")
 
     def __init__(self, app: BaseApp, source: str) -> None:
         """`source`: path of the app's file; a fault is reported with the line in it."""
@@ -32,6 +43,8 @@ class AppRunner:
         self.k = 0
         self.source = source
         self._columns: tuple[str, ...] | None = None
+        self.metrics = metrics_of(type(app))
+        """What the app measures of itself where the truth is known."""
 
     def state(self) -> dict[str, Value]:
         """The shared state by name."""
@@ -44,6 +57,8 @@ class AppRunner:
         if not isinstance(answer, dict | Mapping) or not all(isinstance(name, str) for name in answer):
             raise AppError(f"{self._where(where)}: expected a dict by name, got {answer!r}")
         result = {name: self._value(where, name, value) for name, value in answer.items()}
+        for name in self.metrics:
+            result[name] = self._measured(name, result)
         if self._columns is None:
             self._columns = tuple(result)
         elif self._columns != tuple(result):
@@ -51,6 +66,22 @@ class AppRunner:
                 f"{self._where(where)}: it gave {', '.join(result)}, first it was {', '.join(self._columns)}"
             )
         return result
+
+    def _measured(self, name: str, result: Mapping[str, Value]) -> float:
+        """A metric by what is true now; nan where nobody knows that."""
+        robot = self.app.robot
+        truth = None if robot.truth is None else robot.truth()
+        if truth is None:
+            return math.nan
+        if not hasattr(type(self.app), name):
+            x, y = result.get("x"), result.get("y")
+            found = isinstance(x, float) and isinstance(y, float)
+            return math.dist((x, y), truth.target) if found else math.nan  # type: ignore[arg-type]
+        where = f"{name}() at iteration {self.k}"
+        answer: object = self._call(where, lambda: getattr(self.app, name)(truth))
+        if isinstance(answer, bool) or not isinstance(answer, numbers.Real):  # numpy's numbers are such
+            raise AppError(f"{self._where(where)}: expected a number, got {answer!r}")
+        return float(answer)
 
     def hangs(self, where: str, thread: int | None, limit: float) -> str:
         """What is wrong with code of the author that has run for `limit` s in a thread, with the line it is at."""
@@ -65,8 +96,10 @@ class AppRunner:
         object.__setattr__(self.app, "k", k)
 
     def _set(self, own: bytes) -> None:
+        arrays = type(self.app).spec.arrays
         for name, value in zip(self.schema.names, self.schema.unpack(own), strict=True):
-            object.__setattr__(self.app, name, value)  # declared they are: the app's own test is for authors
+            # Declared they are: the app's own test is for authors. Unpacked arrays are read-only, the own ones are not.
+            object.__setattr__(self.app, name, _own(value) if name in arrays else value)
 
     def _value(self, where: str, name: str, value: object) -> Value:
         try:
@@ -78,12 +111,25 @@ class AppRunner:
         try:
             return function()
         except AppError as error:
-            raise AppError(f"{self._where(where)}: {error}") from None
+            raise AppError(f"{self._where(where)}: {called_from(error, self.source)}{error}") from None
         except (Exception, SystemExit) as error:  # an author's sys.exit() would end this thread alone
-            raise AppError(f"{self._where(where)}: {describe(error, self.source)}") from error
+            hint = mend_of(error, self.schema.fields)
+            raise AppError(f"{self._where(where)}: {describe(error, self.source)}{hint}") from error
 
     def _where(self, where: str) -> str:
         return f"{type(self.app).__name__} on {self.app.robot.name}, {where}"
+
+
+def metrics_of(kind: type[BaseApp]) -> tuple[str, ...]:
+    """The methods `error` and `error_NAME` of an app's class: how far it is from what is true. An author's app that
+    ranges to a target and has none of them has `error` all the same: how far its results x and y are from the target.
+    """
+    names = sorted(name for name in dir(kind) if name == ERROR or name.startswith(f"{ERROR}_"))
+    own = tuple(name for name in names if callable(getattr(kind, name)) and name not in kind.spec.schema.names)
+    if own or not getattr(kind, "measured", False) or kind.__module__.startswith(BUILT_IN):
+        return own
+    told = {f.name for f in kind.spec.schema.fields} if kind.result is BaseApp.result else {"x", "y"}
+    return (ERROR,) if {"x", "y"} <= told and ERROR not in kind.spec.schema.names else ()
 
 
 class Runner(AppRunner):
@@ -138,7 +184,9 @@ class Runner(AppRunner):
                 self.changed()
         view, unpack = type(app).spec.view, self.schema.unpack
         app.robot.prepare(str(k), measurement)
+        app.robot.begin_step(k)
         neighbours = [view(name, *unpack(values[name])) for name in sorted(values)]
+        object.__setattr__(app, "neighbours", neighbours)
         where = f"iteration {k}"
         answer: object = self._call(where, lambda: app.step(neighbours))
         if answer is not None:
@@ -188,8 +236,13 @@ class Runner(AppRunner):
                 raise AppError(
                     f"{self._where(where)}: {name}: {value!r} is beyond diverges_above = {bound:g}: the app diverges"
                 )
-            object.__setattr__(app, name, value)
+            object.__setattr__(app, name, _own(value) if name in spec.arrays else value)
         return own, private
+
+
+def _own(array: Any) -> object:
+    """An unpacked array that may be written to."""
+    return array.copy()
 
 
 def _within(value: object, bound: float) -> bool:
@@ -204,6 +257,26 @@ def _numbers(values: Iterable[object]) -> Iterator[float]:
             yield from _numbers(value)
         elif isinstance(value, int | float):
             yield value
+        elif is_array(value):
+            yield from value.ravel().tolist()  # type: ignore[attr-defined]
+
+
+def called_from(error: BaseException, source: str) -> str:
+    """File and line of the author's call that our own code has refused; empty where the author has raised it."""
+    frames = traceback.extract_tb(error.__traceback__)
+    mine = [frame for frame in frames if frame.filename == source]
+    return f"{source}, line {mine[-1].lineno}: " if mine and mine[-1] is not frames[-1] else ""
+
+
+def mend_of(error: BaseException, fields: Iterable[Field]) -> str:
+    """How to mend arithmetic with vectors that are tuples, or with what is not known yet; empty for other errors."""
+    tuples = [field for field in fields if field.kind in ("vector", "matrix")]
+    if tuples and isinstance(error, TypeError) and any(word in str(error) for word in ("tuple", "sequence")):
+        first = tuples[0]
+        return f" ({first.name} is a tuple, which cannot compute: declare `{first.name}: {first.as_array}`)"
+    if isinstance(error, TypeError | AttributeError) and "NoneType" in str(error):
+        return " (a pose, its heading, a distance and the mesh's time are None as long as they are not known)"
+    return ""
 
 
 def describe(error: BaseException, source: str) -> str:

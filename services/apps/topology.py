@@ -14,7 +14,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from swarm import clock
+from swarm.app.run_options import RunOptions
 from swarm.config import Config
+from swarm.core.epoch_notes import Epoch, first
 from swarm.core.graph import Graph
 from swarm.core.lockstep import Channel
 from swarm.errors import LocalError, PayloadError
@@ -39,6 +41,31 @@ SETTLED = 5.0
 """s for which an automatic topology must have stayed the same: hosts that start together then have the same one."""
 
 _log = logging.getLogger("topology")
+
+
+class Place(NamedTuple):
+    """Where an app runs, and in which run. Of thousands of robots in one process all may have the same objects."""
+
+    run: int
+    """The run's number, the same on all robots."""
+    digest: bytes
+    """A digest of the app's source."""
+    options: RunOptions
+    """How long the app runs, and what becomes of robots that are away."""
+    names: frozenset[str]
+    """All robots that there may be."""
+    begin: Epoch
+    """The members and links with which the run began."""
+    graph: Graph
+    """Those links."""
+    incarnation: int
+    """It goes up with every start of the app's process, or of the robot."""
+
+    @classmethod
+    def of(cls, run: int, digest: bytes, options: RunOptions, config: Config, epoch: int, incarnation: int) -> "Place":
+        """The place in a run that begins with the links of a configuration; `epoch` is the number of these links."""
+        begin = first(config.names, config.edges, epoch)
+        return cls(run, digest, options, frozenset(config.names), begin, config.graph, incarnation)
 
 
 class RunLinks(NamedTuple):

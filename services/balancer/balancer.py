@@ -7,21 +7,25 @@ the slack. The same object balances on the Pi, in the simulation's processes and
 import logging
 from collections import deque
 from collections.abc import Callable, Mapping
+from typing import Protocol
 
-from services.balancer.core import balboa, faults, imu
-from services.balancer.core.battery import EMPTY, LOW, OK, BatteryGuard
-from services.balancer.core.body import BodyModel
-from services.balancer.core.choice import make_controller
-from services.balancer.core.controller import BALANCING, CALIBRATING, FAULT, IDLE, STARTING
-from services.balancer.core.estimator import BodyEstimate, Estimator
+from services.balancer.core import faults
+from services.balancer.core.control.body import BodyModel
+from services.balancer.core.control.choice import make_controller
+from services.balancer.core.control.controller import BALANCING, CALIBRATING, FAULT, IDLE, STARTING
+from services.balancer.core.control.estimator import BodyEstimate, Estimator
+from services.balancer.core.control.gyro import GyroZero, Zero
+from services.balancer.core.control.posture import at_rest, posture
+from services.balancer.core.devices import balboa, imu
+from services.balancer.core.devices.battery import EMPTY, LOW, OK, BatteryGuard
+from services.balancer.core.devices.leds import LedClaim, Shown, shown
 from services.balancer.core.faults import MotorFault
-from services.balancer.core.gyro import GyroZero, Zero
-from services.balancer.core.leds import LedClaim, Shown, shown
-from services.balancer.core.posture import at_rest, posture
+from services.balancer.core.slack.wire_time import WireTime
 from services.balancer.drivers import Balboa, Imu
 from services.balancer.i2c import I2CBus
 from swarm.config.types import Balancing
 from swarm.errors import LocalError, RemoteError
+from swarm.messages import TryMotors
 
 TOLERATED_ERRORS = 5
 """Ticks in a row without data before it is a fault. The motors keep their last command for so long (50 ms)."""
@@ -31,6 +35,16 @@ LEDS_AGAIN_S = 10.0
 """LEDs that did not change are written again after this time: an ATmega that was reset has forgotten them."""
 
 _log = logging.getLogger("balancer")
+
+
+class Passenger(Protocol):
+    """Who may have some bytes of the ATmega read along with the encoders, where a tick has no time for more."""
+
+    def board(self, now: float) -> tuple[int, int]:
+        """What to read along with this control step: the ATmega's index, and how many bytes, 0 for none."""
+
+    def alight(self, data: bytes, now: float) -> None:
+        """What was read. Asked for only where the step's transfers succeeded."""
 
 
 class Balancer:
@@ -52,9 +66,13 @@ class Balancer:
         `sleep` waits for the ATmega, 150 us at most."""
         self.bus = bus
         self.imu = Imu(bus)
-        self.balboa = Balboa(bus, clock, sleep)
+        self.wire = WireTime()
+        """How long transfers take."""
+        self.passenger: Passenger | None = None
+        self._clock = clock
         self._body = body
         settings = Balancing() if settings is None else settings
+        self.balboa = Balboa(bus, clock, sleep, (settings.flip_left_motor, settings.flip_right_motor))
         self._controller = make_controller(body, trim, settings)
         self._guard = BatteryGuard(settings.battery_warning, settings.battery_limit)
         self._zero: GyroZero | None = GyroZero(kept=kept_zero)
@@ -101,7 +119,7 @@ class Balancer:
 
     @property
     def mode(self) -> str:
-        """starting, calibrating, idle, standing_up, balancing, lying_down or fault."""
+        """starting, calibrating, idle, standing_up, balancing, lying_down, testing or fault."""
         if self._unreachable is not None:
             return FAULT
         if self._controller.mode != IDLE or self._zero is None:
@@ -178,6 +196,12 @@ class Balancer:
         if cut:
             self.notices.append(("velocity", cut))
 
+    def test_motors(self, request: TryMotors, now: float) -> None:
+        """Turn the wheels at low power for a time, without balancing; raises `LocalError` where it is not idle."""
+        if not self.ready or self.mode == FAULT:
+            raise LocalError(f"motors: only an idle robot tests them, this one is {self.mode}: swarm balance rest")
+        self._controller.test_motors(request, now)
+
     def change(self, parameters: Mapping[str, float]) -> None:
         """Change parameters, all or none; raises `LocalError` that names the first that cannot be."""
         self._controller.change(parameters)
@@ -204,9 +228,7 @@ class Balancer:
         if not self._connected and not self._connect(now):
             return
         try:
-            self.balboa.select(balboa.ENCODERS)
-            reading = self.imu.read()
-            self.motion = self.balboa.fetch_motion()
+            reading = self._read(now)
             if self._zero is not None:
                 self._seek_zero(self._zero, reading, now)
             if self._estimator is None:
@@ -215,11 +237,35 @@ class Balancer:
                 return
             self.estimate = self._estimator.update(reading, (self.motion.left, self.motion.right), now)
             self.duty = self._controller.step(self.estimate)
-            self.balboa.write_motors(*self.duty)
+            if not self._controller.silent:
+                self.balboa.write_motors(*self.duty)
         except (OSError, RemoteError) as error:
             self._failed(error, now)
         else:
             self._errors_in_row = 0
+
+    def _read(self, now: float) -> imu.ImuReading:
+        """All that is read in a tick; how long it takes tells how fast the bus is."""
+        index, more = (balboa.ENCODERS, 0) if self.passenger is None else self.passenger.board(now)
+        retried = self.imu.retried + self.balboa.retried
+        self.balboa.settle()  # pauses are no part of what is timed
+        begun = self._spent()
+        self.balboa.select(index)
+        selected = self._spent()
+        reading = self.imu.read()
+        sampled = self._spent()
+        self.balboa.settle()
+        settled = self._spent()
+        self.motion, found = self.balboa.fetch_motion(more)
+        if self.imu.retried + self.balboa.retried == retried:
+            self.wire.learn(selected - begun, sampled - selected, balboa.MOTION_SIZE + more, self._spent() - settled)
+        if self.passenger is not None and found:
+            self.passenger.alight(found, now)
+        return reading
+
+    def _spent(self) -> float:
+        """The clock, with what a simulated bus counts instead of taking it."""
+        return self._clock() + self.bus.untimed()
 
     def watch_battery(self, now: float) -> None:
         """Judge the battery by its last reading: warn, or lie down; for the slack, once a second."""
@@ -233,11 +279,8 @@ class Balancer:
             self._wish = "rest"
             self._controller.lie_down(now, MotorFault(faults.BATTERY, f"battery empty: {volts}"))
 
-    def show_leds(self, now: float) -> bool:
-        """Write the LEDs as they shall be at `now`, where they changed, and now and then; for the slack.
-
-        True when they were written.
-        """
+    def leds_wanted(self, now: float) -> Shown | None:
+        """What is to be written to the LEDs at `now`; None where they show it already."""
         wanted = shown(
             self.mode,
             "" if self.fault is None else self.fault.name,
@@ -245,7 +288,15 @@ class Balancer:
             low_battery=self._guard.level != OK,
             now=now,
         )
-        if not self._connected or (wanted == self._leds and now < self._leds_again_at):
+        return None if wanted == self._leds and now < self._leds_again_at else wanted
+
+    def show_leds(self, now: float) -> bool:
+        """Write the LEDs as they shall be at `now`, where they changed, and now and then; for the slack.
+
+        True when they were written.
+        """
+        wanted = self.leds_wanted(now)
+        if not self._connected or wanted is None:
             return False
         try:
             self.balboa.write_leds(*wanted)

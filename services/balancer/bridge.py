@@ -17,8 +17,8 @@ import sys
 import threading
 
 from services.balancer.bus_side import BusSide
+from services.balancer.core.devices.screen import Composer
 from services.balancer.core.inbox import Inbox, WaitingCommand
-from services.balancer.core.screen import Composer
 from services.balancer.link import MAX_DATAGRAM, Command, Message, pack, pack_command, unpack
 from swarm import clock
 from swarm.bus.throttle import THROTTLED

@@ -7,8 +7,8 @@ body without physics (`sim.virtual.balancer`).
 from collections.abc import Callable
 from typing import Protocol
 
-from services.balancer.core.controller import CALIBRATING, COMMANDS, FAULT, STARTING
-from services.balancer.core.requests import check
+from services.balancer.core.control.controller import CALIBRATING, COMMANDS, FAULT, STARTING
+from services.balancer.core.devices.requests import check
 from services.balancer.link import Command, Message
 from swarm.bus.protocol import Clock
 from swarm.bus.throttle import THROTTLED, Throttle
@@ -61,7 +61,7 @@ _TOPICS: dict[type, str] = {
     Display: "display",
     I2CRates: "i2c",
 }
-_COMMANDS = ("mode", "velocity", "parameters", "leds", "module", "imu", "notes", "display", "i2c")
+_COMMANDS = ("mode", "velocity", "parameters", "leds", "module", "imu", "notes", "display", "i2c", "motors")
 
 
 class LoopLink(Protocol):

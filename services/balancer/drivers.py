@@ -10,8 +10,8 @@ transfer, not after a time-out, which has taken the tick's time already.
 import errno
 from collections.abc import Callable
 
-from services.balancer.core import balboa, imu
-from services.balancer.core.transfers import Transfer
+from services.balancer.core.devices import balboa, imu
+from services.balancer.core.slack.wire_time import Transfer
 from services.balancer.i2c import I2CBus
 
 IMU, ATMEGA = "IMU", "ATmega"
@@ -19,7 +19,7 @@ IMU, ATMEGA = "IMU", "ATmega"
 
 
 class Imu:
-    """The LSM6DS33."""
+    """The LSM6DS33 or LSM6DSO."""
 
     def __init__(self, bus: I2CBus) -> None:
         self._bus = bus
@@ -63,8 +63,16 @@ class Imu:
 class Balboa:
     """The ATmega32U4's buffer."""
 
-    def __init__(self, bus: I2CBus, clock: Callable[[], float], sleep: Callable[[float], None]) -> None:
+    def __init__(
+        self,
+        bus: I2CBus,
+        clock: Callable[[], float],
+        sleep: Callable[[float], None],
+        flipped: tuple[bool, bool] = (False, False),
+    ) -> None:
+        """`flipped` names motors, left and right, whose wires are the other way round."""
         self._bus, self._clock, self._sleep = bus, clock, sleep
+        self._signs = tuple(-1.0 if each else 1.0 for each in flipped)
         self._deaf_until = 0.0
         self.retried = 0
         """Failed transfers that were done again."""
@@ -80,16 +88,17 @@ class Balboa:
         """Point at `offset`: from now on reads are of the values at this moment."""
         self._write_surely(bytes((offset,)))
 
-    def fetch_motion(self) -> balboa.MotionBlock:
-        """Encoders, buttons and the watchdog's state, after `select(ENCODERS)`."""
+    def fetch_motion(self, more: int = 0) -> tuple[balboa.MotionBlock, bytes]:
+        """Encoders, buttons and the watchdog's state, after `select(ENCODERS)`; and `more` bytes of what a joined index
+        goes on with, or none where the transfer had to be done a second time."""
         try:
-            data = self._fetch(balboa.MOTION_SIZE)
+            data = self._fetch(balboa.MOTION_SIZE + more)
         except OSError as error:
             _again(self._bus, error)
             self.retried += 1
             self._write(bytes((balboa.ENCODERS,)))  # the index may stand anywhere now
             data = self._fetch(balboa.MOTION_SIZE)
-        return balboa.decode_motion(data)
+        return balboa.decode_motion(data[: balboa.MOTION_SIZE]), data[balboa.MOTION_SIZE :]
 
     def read_housekeeping(self) -> balboa.Housekeeping:
         """Buttons, status, battery and how it fares."""
@@ -97,8 +106,9 @@ class Balboa:
         return balboa.decode_housekeeping(self._fetch(balboa.HOUSEKEEPING_SIZE))
 
     def write_motors(self, left: float, right: float) -> None:
-        """Duties, -1..1."""
-        self._write_surely(bytes((balboa.MOTORS,)) + balboa.encode_motors(left, right))
+        """Duties, -1..1; positive = forward."""
+        duties = balboa.encode_motors(left * self._signs[0], right * self._signs[1])
+        self._write_surely(bytes((balboa.MOTORS,)) + duties)
 
     def write_leds(self, red: bool, yellow: bool, green: bool) -> None:
         """Switch the LEDs."""

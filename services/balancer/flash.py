@@ -18,9 +18,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from services.balancer import usb_port
-from services.balancer.core import avr109, balboa, image
-from services.balancer.core.controller import BALANCING, LYING_DOWN, STANDING_UP
-from services.balancer.core.image import Image
+from services.balancer.core.control.controller import BALANCING, LYING_DOWN, STANDING_UP
+from services.balancer.core.devices import balboa
+from services.balancer.core.flashing import avr109, image
+from services.balancer.core.flashing.image import Image
 from services.balancer.i2c import I2CBus, KernelBus
 from swarm.config import load, who_am_i
 from swarm.errors import LocalError, RemoteError
@@ -44,13 +45,15 @@ _ON_ITS_FEET = (STANDING_UP, BALANCING, LYING_DOWN)
 Say = Callable[[str], None]
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the firmware, and which Balboa gets it."""
-    parser.add_argument("firmware", metavar="FIRMWARE.hex", help="of `make -C firmware`; - is the input")
+def add_arguments(parser: argparse.ArgumentParser, *, optional: bool = False) -> None:
+    """Declare the firmware, and which Balboa gets it; `optional`: the caller makes it where none is named."""
+    made = "; default: made now" if optional else ""
+    text = f"of `make -C firmware`; - is the input{made}"
+    parser.add_argument("firmware", nargs="?" if optional else None, metavar="FIRMWARE.hex", help=text)
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--port", help="of this computer, e.g. /dev/ttyACM0; auto: wait for a bootloader")
-    where.add_argument("--here", action="store_true", help="this robot's own (as root)")
-    parser.add_argument("--force", action="store_true", help="even where the robot stands: it falls")
+    where.add_argument("--port", help="serial port of this computer, e.g. /dev/ttyACM0; auto: wait for a bootloader")
+    where.add_argument("--here", action="store_true", help="flash this robot's own board (as root)")
+    parser.add_argument("--force", action="store_true", help="flash even while the robot stands: it falls")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -104,7 +107,7 @@ def here(
         raise LocalError("on a robot this needs root: sudo swarm flash ... --here")
     if not force and (mode := _mode()) in _ON_ITS_FEET:
         raise LocalError(
-            f"the robot is {mode.replace('_', ' ')}, and would fall: lay it down first (set/mode lie), or --force"
+            f"the robot is {mode.replace('_', ' ')}, and would fall: lay it down first (swarm balance lie), or --force"
         )
     _systemctl("stop")
     try:

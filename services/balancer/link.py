@@ -9,7 +9,7 @@ The loop's ends never block: what does not fit is dropped, so a bridge that hang
 import struct
 from typing import get_args
 
-from services.balancer.core.display import ScreenText
+from services.balancer.core.devices.display import ScreenText
 from swarm.errors import PayloadError
 from swarm.messages import (
     BalancerFault,
@@ -34,6 +34,7 @@ from swarm.messages import (
     SetParameters,
     SetVelocity,
     Stop,
+    TryMotors,
     Uwb,
 )
 from swarm.messages.codec import MAX_PAYLOAD, decode, encode
@@ -66,6 +67,7 @@ Command = (
     | SetNotes
     | ScreenText
     | MeasureI2C
+    | TryMotors
 )
 """By the bridge."""
 Message = Told | Command

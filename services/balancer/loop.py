@@ -13,14 +13,14 @@ import signal
 import time
 from collections.abc import Callable
 
-from services.balancer import realtime, slack_tasks
+from services.balancer import realtime
 from services.balancer.balancer import Balancer
 from services.balancer.child import Bridge
-from services.balancer.core import leds
-from services.balancer.core.body import body_model
-from services.balancer.core.gyro import Zero
+from services.balancer.core.control.body import body_model
+from services.balancer.core.control.gyro import Zero
+from services.balancer.core.control.lqr import PERIOD_S
+from services.balancer.core.devices import leds
 from services.balancer.core.lateness import Lateness
-from services.balancer.core.lqr import PERIOD_S
 from services.balancer.i2c import I2CBus, open_patiently
 from services.balancer.link import TELEMETRY_S
 from services.balancer.orders import halt, moves, obey
@@ -132,7 +132,7 @@ class Loop:
             self._feed(clock.now())
         due = self._balancer.leds_due
         write_at = leds.moment(due, until)
-        for message in self._tasks.run(until if write_at is None else write_at + slack_tasks.MARGIN_S):
+        for message in self._tasks.run(until, write_at):
             self._bridge.send(message)
         if write_at is not None:
             self._show_leds_at(due, write_at, until)
@@ -178,7 +178,7 @@ class Loop:
 
     def _state(self) -> BalancerState:
         errors = self._balancer.bus_errors + self._tasks.errors
-        return self._telemetry.state(self.ticks, self.missed, errors, self._lateness.p99_and_max())
+        return self._telemetry.state(self.ticks, self.missed, errors, self._lateness.p99_and_max(), self._tasks.behind)
 
     def _tell_again(self) -> None:
         """For whoever came to the bus meanwhile."""

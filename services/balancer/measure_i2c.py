@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 
-from services.balancer.core.rates import RateMeter
+from services.balancer.core.devices.rates import RateMeter
 from services.balancer.drivers import Balboa
 from services.balancer.i2c import I2CBus, KernelBus
 from swarm import clock
@@ -22,7 +22,7 @@ from swarm.onboard.arguments import add_json, show, sizes, whole
 from swarm.onboard.ask import Answers, new_ticket, request
 from swarm.process.paths import DEFAULT_RUNTIME
 
-HELP = "read and write rates of a robot's I2C bus"
+HELP = "measure the read and write rates of a robot's I2C bus"
 
 SIZES = (1, 4, 8, 16, 28)
 """Bytes of data in a transfer."""
@@ -38,8 +38,10 @@ Measure = Callable[[MeasureI2C], I2CRates]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """`[ROBOT] [--sizes N,N] [--count N] [--json]`."""
-    parser.add_argument("name", nargs="?", metavar="ROBOT", help="of a simulation; else the own robot")
-    parser.add_argument("--sizes", type=sizes(28), default=SIZES, metavar="N,N,...", help="1 to 28 bytes (1,4,8,16,28)")
+    parser.add_argument("name", nargs="?", metavar="ROBOT", help="a robot of the simulation (default: this robot)")
+    parser.add_argument(
+        "--sizes", type=sizes(28), default=SIZES, metavar="N,N,...", help="sizes of 1 to 28 bytes (1,4,8,16,28)"
+    )
     parser.add_argument("--count", type=whole(1, 1000), default=100, metavar="N", help="transfers of each kind (100)")
     add_json(parser)
     buses.add_arguments(parser)

@@ -4,10 +4,10 @@ import logging
 from collections.abc import Callable, Mapping
 from typing import Protocol
 
-from services.balancer.core.leds import Shown
+from services.balancer.core.devices.leds import Shown
 from services.balancer.link import Message
 from swarm.errors import LocalError
-from swarm.messages import SetLeds, SetMode, SetParameters, SetVelocity, Stop
+from swarm.messages import SetLeds, SetMode, SetParameters, SetVelocity, Stop, TryMotors
 
 
 class Obedient(Protocol):
@@ -18,6 +18,9 @@ class Obedient(Protocol):
 
     def command(self, mode: str, now: float) -> None:
         """Change the mode: `stand`, `rest`, `lie` or `calibrate`."""
+
+    def test_motors(self, request: TryMotors, now: float) -> None:
+        """Turn the wheels at low power for a time, without balancing."""
 
     def change(self, parameters: Mapping[str, float]) -> None:
         """Change parameters, all or none."""
@@ -40,6 +43,8 @@ def obey(balancer: Obedient, message: Message, now: float, log: logging.Logger) 
         case SetMode(mode):
             if _or_refuse(balancer, "mode", lambda: balancer.command(mode, now)):
                 log.info("commanded mode=%s", mode)
+        case TryMotors():
+            _or_refuse(balancer, "motors", lambda: balancer.test_motors(message, now))
         case SetParameters(parameters):
             if _or_refuse(balancer, "parameters", lambda: balancer.change(parameters)):
                 log.info("changed %s", " ".join(f"{name}={value:g}" for name, value in parameters.items()))
@@ -57,7 +62,7 @@ def halt(balancer: Obedient, stop: Stop) -> bool:
 
 def moves(message: Message) -> bool:
     """Whether a command may set a robot in motion, or keep it moving."""
-    return isinstance(message, SetVelocity) or (isinstance(message, SetMode) and message.mode != "rest")
+    return isinstance(message, SetVelocity | TryMotors) or (isinstance(message, SetMode) and message.mode != "rest")
 
 
 def _or_refuse(balancer: Obedient, about: str, action: Callable[[], None]) -> bool:

@@ -1,8 +1,10 @@
 """What the bus does in the slack of the ticks: battery, buttons, UWB reports, requests to the DWM1001, the IMU's rates.
 
-Each task is a core that says which transfer is next. This runs them, in the order of their urgency, as far as the
-rest of the tick allows: a transfer that does not fit waits for the next tick, so that no control step is ever late
-because of one.
+Each task is a core that says which transfer is next. This runs them as far as the rest of the tick allows: by what
+transfers were seen to take on this bus, one that does not fit is made shorter or waits, so that no control step is ever
+late because of one. A task that has waited for longer than its patience goes before more important ones. Where a tick
+has little time left, UWB and battery are read along with the encoders, which costs no transfer of their own. A task for
+which there was no time at all for two seconds is named in `balancer/state`.
 """
 
 import errno
@@ -10,25 +12,34 @@ import logging
 from collections.abc import Callable, Sequence
 
 from services.balancer.balancer import Balancer
-from services.balancer.core import imu
-from services.balancer.core.balboa import PAUSE_S
-from services.balancer.core.buttons import ButtonCounter
-from services.balancer.core.display import ADDRESS, Screen, ScreenText
-from services.balancer.core.health import BoardHealth
-from services.balancer.core.mailbox import Mailbox
-from services.balancer.core.rates import RateMeter
-from services.balancer.core.transfers import SlackTask, Transfer, duration
-from services.balancer.core.tune import Player
-from services.balancer.core.uwb import UwbReader
+from services.balancer.core.control.lqr import PERIOD_S
+from services.balancer.core.devices import balboa, imu
+from services.balancer.core.devices.buttons import ButtonCounter
+from services.balancer.core.devices.display import ADDRESS, Screen, ScreenText
+from services.balancer.core.devices.health import BoardHealth
+from services.balancer.core.devices.mailbox import Mailbox
+from services.balancer.core.devices.rates import RateMeter
+from services.balancer.core.devices.tune import Player
+from services.balancer.core.devices.uwb import UwbReader
+from services.balancer.core.slack.queue import STARVED_S, QueuedTask, by_urgency
+from services.balancer.core.slack.transfers import SlackTask
+from services.balancer.core.slack.wire_time import Room, Transfer, TypicalTime
 from services.balancer.link import Message
 from swarm.errors import RemoteError
 from swarm.messages import Display, ImuRequest, ImuSample, MeasureI2C, ModuleRequest, SetNotes
 
 SLACK_S = 4.4e-3
-"""Of bus time a tick may spend here: the longest slice (32 bytes from the ATmega, 4.2 ms) and no second one. With the
-control step's 3.5 ms the bus is busy for 8 of 10 ms at most."""
-MARGIN_S = 1.0e-3
-"""Left free before the next tick."""
+"""Of bus time a tick may spend here: the longest slice (32 bytes from the ATmega, 4.2 ms at 100 kHz) and no second one.
+With the control step's 3.5 ms the bus is busy for 8 of 10 ms at most."""
+MARGIN_S = 0.6e-3
+"""Left free before the next tick; of it `STARVED_MARGIN_S` for a task that had no time at all for two seconds."""
+STARVED_MARGIN_S = 0.1e-3
+READ_ALONE = 12
+"""Bytes: where a read of so many fits the slack, UWB and battery wait for it, and the motors for nothing."""
+ALONG = 16
+"""Bytes read along with the encoders, at most: 1.8 ms at 100 kHz by which the motors are commanded later."""
+BEHIND_S = 10.0
+"""For so long after a task had no time it is said to be behind: a transfer in between is no end of that."""
 LOG_PERIOD_S = 10.0
 """Of failures: a task that fails again and again is counted, not logged each time."""
 
@@ -46,8 +57,34 @@ class SlackTasks:
         self._health = BoardHealth(now)
         self._player = Player()
         self._screen = Screen(now)
-        self._order: tuple[SlackTask, ...] = (self._player, self._uwb, self._mailbox, self._health, self._screen)
         self._meter = RateMeter()
+        self._along = QueuedTask("uwb", self._uwb, 0.05), QueuedTask("battery", self._health, 0.5)
+        """What can be read along with the encoders."""
+        self._measured = QueuedTask("measure", self._meter, 1.0)
+        self._queue = (
+            QueuedTask("notes", self._player, 0.05),
+            self._along[0],
+            QueuedTask("module", self._mailbox, 0.1),
+            self._along[1],
+            QueuedTask("display", self._screen, 0.3),
+            self._measured,
+        )
+        """The most important task first (docs/reference/robot/i2c-bus.md)."""
+        self._boarded: QueuedTask | None = None
+        """Whose transfer is under way with the control step."""
+        self._before = 0
+        """Bytes of it before those that it wanted."""
+        self._mark = 0
+        """The offset up to which something was read along last; 0 where that is not known."""
+        self._until = now
+        """When the next tick begins."""
+        self._begun: float | None = None
+        """When this one did, by the bus' own count of time."""
+        self._planned = 0.0
+        """What its transfers should take besides those of the control step, s."""
+        self._busy = TypicalTime(PERIOD_S)
+        """All else in a tick: the control step, computation."""
+        self._behind = ""
         self._lines: tuple[str, ...] = ()
         self._shown: tuple[bool, tuple[str, ...]] | None = None
         """What was told of the display."""
@@ -59,6 +96,12 @@ class SlackTasks:
         self._logged = now - LOG_PERIOD_S
         self.errors = 0
         """Transfers that failed here since the start."""
+        balancer.passenger = self
+
+    @property
+    def behind(self) -> str:
+        """Tasks for which the bus has no time, by name; empty where it has time for all."""
+        return self._behind
 
     def obey(self, message: Message, now: float) -> bool:
         """Take a command; False where it is none for a task."""
@@ -78,23 +121,91 @@ class SlackTasks:
                 return False
         return True
 
-    def run(self, until: float) -> Sequence[Message]:
-        """Do what fits before `until`, the next tick's time. Returns what is to be told, in order."""
+    def board(self, now: float) -> tuple[int, int]:
+        """See `Passenger`: where what is left after the control step is too short to be used, UWB or battery."""
+        self._begun, self._planned = self._spent(), 0.0
+        if self._boarded is not None:  # the step before failed
+            self._boarded, self._mark = None, 0
+        wire, nothing = self._balancer.wire, (balboa.ENCODERS, 0)
+        next_tick = self._until + PERIOD_S
+        left = next_tick - MARGIN_S - now - self._busy.seconds
+        if wire.room(left).read >= READ_ALONE or self._leds_change(next_tick):
+            return nothing
+        for queued in sorted(by_urgency(self._queue, now), key=lambda each: not self._goes_on(each, now)):
+            room = left + self._granted(queued, now)
+            if queued not in self._along:
+                if queued.urgency(now) and self._fits(queued, now, room):
+                    return nothing  # it is to have what is left of this tick
+                continue
+            fits = min(ALONG, int(room / wire.byte_s))
+            if (transfer := queued.task.next(now, Room(fits, 0, 0))) is None:
+                queued.idle()
+                continue
+            queued.wants(now)
+            if (boarded := self._board(queued, transfer, fits)) is not None:
+                return boarded
+        return nothing
+
+    def _goes_on(self, queued: QueuedTask, now: float) -> bool:
+        """Whether what a task wants begins where the last read ended: the cheapest there is, and soon done."""
+        if queued not in self._along or self._mark == 0:
+            return False
+        transfer = queued.task.next(now, Room(1, 0, 0))
+        return transfer is not None and transfer.data[0] == self._mark
+
+    def _leds_change(self, until: float) -> bool:
+        """Whether LEDs are to be written in this tick: there is time for no more then."""
+        return self._balancer.leds_due < until or self._balancer.leds_wanted(until) is not None
+
+    def _granted(self, queued: QueuedTask, now: float) -> float:
+        """What a task may take of the margin, s."""
+        return MARGIN_S - STARVED_MARGIN_S if queued.waited(now) >= STARVED_S else 0.0
+
+    def _fits(self, queued: QueuedTask, now: float, seconds: float) -> bool:
+        transfer = queued.task.next(now, self._balancer.wire.room(seconds))
+        return transfer is not None and self._balancer.wire.duration(transfer) <= seconds
+
+    def _board(self, queued: QueuedTask, transfer: Transfer, fits: int) -> tuple[int, int] | None:
+        """Index and bytes for a transfer: on from the last one, or from a multiple of 4 at or before it. None where
+        none of its bytes fits."""
+        offset = transfer.data[0]
+        self._before = 0 if offset == self._mark else offset - min(offset & ~3, balboa.LAST_JOINED)
+        if self._before >= fits:
+            return None
+        count = min(transfer.reads + self._before, fits)
+        index = balboa.ONWARD if offset == self._mark else balboa.joined(offset - self._before)
+        self._boarded, self._planned = queued, count * self._balancer.wire.byte_s
+        self._mark = offset - self._before + count
+        return index, count
+
+    def alight(self, data: bytes, now: float) -> None:
+        """See `Passenger`."""
+        assert self._boarded is not None
+        queued, self._boarded = self._boarded, None
+        self._taken(queued, data[self._before :], now)
+
+    def run(self, until: float, stop: float | None = None) -> Sequence[Message]:
+        """Do what fits before `until`, the next tick's time, and before `stop`. Returns what is to be told."""
         now = self._clock()
         news: list[Message] = []
         balancer = self._balancer
+        self._until = until
         if not balancer.connected:
             self._was_connected = False
+            self._begun = None
             self._mailbox.expire(now)
         else:
             if not self._was_connected:
                 self._was_connected = True
                 self._uwb.restart()
-            self._work(min(SLACK_S, until - MARGIN_S - now))
+            self._uwb.notice(balancer.motion.newest_report)
+            end = until - MARGIN_S if stop is None else min(stop, until - MARGIN_S)
+            self._work(min(SLACK_S, end - now))
             if (buttons := self._buttons.update(balancer.motion.buttons, now)) is not None:
                 news.append(buttons)
             if self._imu_next <= now < self._imu_until:
                 news.append(self._sample(now))
+            self._judge(now)
         if self._health.found is not None:
             balancer.battery = self._health.found.battery
         for remark in self._health.remarks:
@@ -107,25 +218,75 @@ class SlackTasks:
             if task.news is not None:
                 news.append(task.news)
                 task.news = None
+        if self._begun is not None:
+            self._busy.add(max(1e-5, self._spent() - self._begun - self._planned))
+            self._begun = None
         return news
 
     def _work(self, budget: float) -> None:
         """Transfers of `budget` seconds at most."""
-        for task in self._order:
-            while (transfer := task.next(now := self._clock())) is not None:
-                cost = duration(transfer)
-                if cost > budget:
+        wire = self._balancer.wire
+        for queued in by_urgency(self._queue, self._clock()):
+            if queued is self._measured and self._mailbox.active:
+                continue
+            granted = self._granted(queued, self._clock())
+            while (transfer := queued.task.next(now := self._clock(), wire.room(budget + granted))) is not None:
+                queued.wants(now)
+                cost = wire.duration(transfer)
+                if cost > budget + granted:
                     break
                 budget -= cost
-                try:
-                    task.take(self._balancer.balboa.transfer(transfer), now)
-                except OSError as error:
-                    self._failed(task, error, now)
-                except RemoteError as error:
-                    self._failed(task, OSError(errno.EBADMSG, str(error)), now)
-        transfer = None if self._mailbox.active else self._meter.next(now := self._clock())
-        if transfer is not None and duration(transfer) + PAUSE_S <= budget:
+                granted = 0.0
+                self._planned += cost
+                self._transfer(queued, transfer, now)
+                if queued is self._measured:
+                    break
+            else:
+                queued.idle()
+
+    def _transfer(self, queued: QueuedTask, transfer: Transfer, now: float) -> None:
+        if queued is self._measured:
+            queued.served(now)
             self._measure(transfer, now)
+            return
+        try:
+            data = self._balancer.balboa.transfer(transfer)
+        except OSError as error:
+            queued.served(now)
+            self._failed(queued.task, error, now)
+        else:
+            self._taken(queued, data, now)
+
+    def _taken(self, queued: QueuedTask, data: bytes, now: float) -> None:
+        queued.served(now)
+        try:
+            queued.task.take(data, now)
+        except RemoteError as error:
+            self._failed(queued.task, OSError(errno.EBADMSG, str(error)), now)
+
+    def _judge(self, now: float) -> None:
+        """Name the tasks for which there is no time, and tell when that changes."""
+        if self._meter.active and self._measured.waited(now) >= STARVED_S:
+            self._meter.give_up(now, "the bus has no time for so many bytes in a tick: measure fewer (--sizes 1,4)")
+            self._measured.idle()
+        for queued in self._queue:
+            slow = (queued.task is self._uwb and self._uwb.behind) or (
+                queued.task is self._screen and self._screen.behind(now)
+            )
+            if slow or queued.waited(now) >= STARVED_S:
+                queued.starved_at = now
+        behind = ", ".join(each.name for each in self._queue if now < each.starved_at + BEHIND_S)
+        if behind != self._behind:
+            self._behind = behind
+            clock = f"SCL {1e-3 / self._balancer.wire.bit_s:.0f} kHz"
+            see = "see docs/reference/robot/i2c-bus.md"
+            text = f"no time for {behind} ({clock}): {see}" if behind else f"time for all tasks ({clock})"
+            _log.warning("I2C: %s", text)
+            self._balancer.notices.append(("i2c", text))
+
+    def _spent(self) -> float:
+        """The clock, with what a simulated bus counts instead of taking it."""
+        return self._clock() + self._balancer.bus.untimed()
 
     def _measure(self, transfer: Transfer, now: float) -> None:
         """Like any transfer, but timed until the next one may begin."""

@@ -16,8 +16,10 @@ class Telemetry:
         self._fault_told = balancer.fault
         self._parameters_told: dict[str, float] = {}
 
-    def state(self, ticks: int, missed: int, bus_errors: int, lateness: tuple[float, float]) -> BalancerState:
-        """The body; the counters are the loop's."""
+    def state(
+        self, ticks: int, missed: int, bus_errors: int, lateness: tuple[float, float], behind: str
+    ) -> BalancerState:
+        """The body; the counters are the loop's, `behind` that of its slack tasks."""
         balancer, estimate = self._balancer, self._balancer.estimate
         fault = balancer.fault
         demanded_speed, demanded_turn_rate = balancer.demand
@@ -41,6 +43,8 @@ class Telemetry:
             demanded_turn_rate=demanded_turn_rate,
             battery_level=balancer.battery_level,
             battery_left=balancer.battery_time_left,
+            scl=1.0 / balancer.wire.bit_s,
+            behind=behind,
         )
 
     def odometry(self) -> Odometry | None:

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from services.balancer.core.avr109 import BAUD, Conversation
+from services.balancer.core.flashing.avr109 import BAUD, Conversation
 from swarm.errors import LocalError, RemoteError
 
 POLOLU = 0x1FFB

@@ -1,6 +1,5 @@
 """One router for one runtime directory, whoever starts how many at the same moment."""
 
-import fcntl
 import os
 import socket
 from collections.abc import Iterator
@@ -8,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from swarm.errors import BusError
+from swarm.process.locks import take_lock
 from swarm.process.paths import BUS_SOCKET
 
 LOCK = "bus.lock"
@@ -22,12 +22,12 @@ def claim(directory: Path) -> Iterator[None]:
     """
     path = directory / LOCK
     try:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o660)
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o660)
     except OSError as error:
         raise BusError(f"the runtime directory {directory} cannot be used: {error.strerror}") from None
     try:
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            take_lock(descriptor)
         except BlockingIOError:
             holder = os.read(descriptor, 32).decode(errors="replace").strip() or "unknown"
             raise BusError(f"{path}: another bus is running there (pid {holder}); end it first") from None

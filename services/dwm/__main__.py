@@ -1,7 +1,7 @@
 """The dwm process of one robot: `python -m services.dwm`."""
 
-from services.dwm import balancer_block, replay, serial_port
-from services.dwm.source import BalancerSource, Replay, parse_source
+from services.dwm import balancer_block, external, replay, serial_port
+from services.dwm.source import BalancerSource, BusSource, Replay, parse_source
 from swarm.process.service import Service, run
 from swarm.recording.thesis_ranges import read_recording
 
@@ -15,6 +15,8 @@ def main() -> None:
             replay.serve(service, read_recording(source.directory, index))
         elif isinstance(source, BalancerSource):
             balancer_block.serve(service)
+        elif isinstance(source, BusSource):
+            external.serve(service, source.key)
         else:
             serial_port.serve(service, source.path)
 

@@ -2,9 +2,9 @@
 
 import queue
 
-from services.dwm.core.block import Block
-from services.dwm.core.calls import call_of
-from services.dwm.core.poller import ModuleHealth
+from services.dwm.core.module.block import Block
+from services.dwm.core.module.calls import call_of
+from services.dwm.core.module.poller import ModuleHealth
 from services.dwm.localizer import Localizer
 from services.dwm.requests import ModuleRequests
 from swarm import clock

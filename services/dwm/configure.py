@@ -2,9 +2,9 @@
 
 from dataclasses import replace
 
-from services.dwm.core import calls
-from services.dwm.core.calls import UWB_ACTIVE, ModuleStatus, Settings, UpdateRate, Version
-from services.dwm.core.tlv import Position
+from services.dwm.core.module import calls
+from services.dwm.core.module.calls import UWB_ACTIVE, ModuleStatus, Settings, UpdateRate, Version
+from services.dwm.core.module.tlv import Position
 from services.dwm.line import ModuleConnection, restart
 from swarm.config.types import Config
 from swarm.frozen import frozen

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from services.dwm import configure, survey
 from services.dwm.autoposition import Layout, Pair, align, locate
-from services.dwm.core.tlv import LOC_GET
+from services.dwm.core.module.tlv import LOC_GET
 from services.dwm.line import ModuleConnection
 from swarm.config import Config
 from swarm.errors import LocalError

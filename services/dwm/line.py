@@ -10,9 +10,9 @@ import termios
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from services.dwm.core import calls, shell
-from services.dwm.core.exchange import SLOW_TIMEOUT, TIMEOUT, Answer, ModuleExchange, Trouble
-from services.dwm.core.tlv import ModuleCall
+from services.dwm.core.module import calls, shell
+from services.dwm.core.module.exchange import SLOW_TIMEOUT, TIMEOUT, Answer, ModuleExchange, Trouble
+from services.dwm.core.module.tlv import ModuleCall
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError, PayloadError, RemoteError

@@ -5,12 +5,12 @@ from logging import INFO, WARNING, Logger
 from pathlib import Path
 from typing import Protocol
 
-from services.dwm.core import calibration_file
-from services.dwm.core.calibration import Calibration, RangeModel
-from services.dwm.core.diagnosis import DiagnosisWatch
-from services.dwm.core.motion import Increments
-from services.dwm.core.pipeline import Pipeline
-from services.dwm.core.tlv import Location
+from services.dwm.core.calibration import calibration_file
+from services.dwm.core.calibration.models import Calibration, RangeModel
+from services.dwm.core.estimation.motion import Increments
+from services.dwm.core.estimation.pipeline import Pipeline
+from services.dwm.core.module.diagnosis import DiagnosisWatch
+from services.dwm.core.module.tlv import Location
 from swarm.bus.protocol import BusLike
 from swarm.config import Config
 from swarm.errors import ConfigError, PayloadError
@@ -30,23 +30,36 @@ def calibration_path(config: Config, robot: str) -> Path | None:
 
 
 def load_calibration(config: Config, robot: str) -> Calibration:
-    """The models in force for `robot`: of its file, else of swarm.toml. Raises `ConfigError`."""
+    """The models in force for `robot`: of its file, else of swarm.toml. Raises `ConfigError`.
+
+    A file that is not there is no error: a new robot has none, and works less exactly until it has (`uncalibrated`).
+    """
     normal = Calibration(RangeModel.of(config.dwm.distance), config.dwm.position)
     path = calibration_path(config, robot)
     if path is None:
         return normal
     try:
         text = path.read_text("utf-8")
+    except FileNotFoundError:
+        return normal
     except OSError as error:
-        raise ConfigError(
-            f"{path}: the calibration of {robot} cannot be read ({error.strerror}); make it with "
-            f"swarm calibrate distance --robots {robot}, or take `calibration` out of [dwm]"
-        ) from None
+        raise ConfigError(f"{path}: the calibration of {robot} cannot be read ({error.strerror})") from None
     except UnicodeDecodeError:
         raise ConfigError(f"{path}: is no text") from None
     file = calibration_file.parse(text, str(path))
     calibration_file.check(file, str(path), robot, config.anchors)
     return file.over(normal)
+
+
+def uncalibrated(config: Config, robot: str) -> str | None:
+    """What to say where the config names a calibration that `robot` does not have; None where all is well."""
+    path = calibration_path(config, robot)
+    if path is None or path.exists():
+        return None
+    return (
+        f"there is no calibration {path}: ranges and places are corrected as [dwm] says only; make one by "
+        f"swarm calibrate distance --robots {robot}, and bring it by swarm deploy"
+    )
 
 
 def known_modules(config: Config) -> dict[str, str]:
@@ -77,6 +90,8 @@ class Localizer:
         """Raises `ConfigError` where the robot's calibration does not fit."""
         config, robot = service.config, service.robot
         self._service = service
+        if problem := uncalibrated(config, robot):
+            service.log.warning("%s", problem)
         kind = config.dwm.filter_of(robot)
         self._pipeline = Pipeline(
             config.dwm,

@@ -9,7 +9,7 @@ import termios
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from services.dwm.core.poller import Answered, ModuleHealth, Poller
+from services.dwm.core.module.poller import Answered, ModuleHealth, Poller
 from services.dwm.localizer import Localizer
 from services.dwm.requests import ModuleRequests
 from swarm import clock

@@ -26,7 +26,14 @@ class BalancerSource:
     """`balancer`: the DWM1001 is wired to the ATmega32U4, which polls it; its reports come from the balancer."""
 
 
-def parse_source(config: Config, robot: str) -> Serial | Replay | BalancerSource:
+@frozen
+class BusSource:
+    """`bus:KEY`: another process on the robot's bus gives poses or ranges, as a motion capture system."""
+
+    key: str
+
+
+def parse_source(config: Config, robot: str) -> Serial | Replay | BalancerSource | BusSource:
     """The source of `robot`; `{robot}` stands for its name; a relative path starts at the config's folder."""
     text = config.dwm.source
     if text == "balancer":
@@ -37,4 +44,8 @@ def parse_source(config: Config, robot: str) -> Serial | Replay | BalancerSource
         return Serial(path)
     if rest and kind == "replay":
         return Replay(path)
-    raise ConfigError(f"{config.path}: [dwm] source: expected serial:PATH, balancer or replay:DIR, got {text!r}")
+    if rest and kind == "bus":
+        return BusSource(rest.replace("{robot}", robot))
+    raise ConfigError(
+        f"{config.path}: [dwm] source: expected serial:PATH, balancer, bus:KEY or replay:DIR, got {text!r}"
+    )

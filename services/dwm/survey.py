@@ -11,8 +11,8 @@ from statistics import median
 
 from services.dwm.configure import DesiredModule as _Wish
 from services.dwm.configure import ModuleInfo, inspect, wanted
-from services.dwm.core import calls
-from services.dwm.core.tlv import LOC_GET, AnchorRange, Location
+from services.dwm.core.module import calls
+from services.dwm.core.module.tlv import LOC_GET, AnchorRange, Location
 from services.dwm.line import ModuleConnection, restart
 from swarm import clock
 from swarm.errors import LocalError

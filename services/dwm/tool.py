@@ -14,16 +14,16 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from services.dwm import configure, survey
+from services.dwm import configure, survey, truth
 from services.dwm.configure import DesiredModule, ModuleInfo
-from services.dwm.core import calls, diagnosis
-from services.dwm.core.calibration import RangeModel
-from services.dwm.core.diagnosis import ModuleFinding
-from services.dwm.core.tlv import Location, Position
+from services.dwm.core.calibration.models import RangeModel
+from services.dwm.core.module import calls, diagnosis
+from services.dwm.core.module.diagnosis import ModuleFinding
+from services.dwm.core.module.tlv import Location, Position
 from services.dwm.line import BusLine, ModuleConnection, NoAnswerError, PortLine
-from services.dwm.localizer import known_modules, load_calibration
+from services.dwm.localizer import known_modules, load_calibration, uncalibrated
 from swarm.config import Config, load
-from swarm.config.load import DEFAULT_PATH
+from swarm.config.find import find
 from swarm.errors import ConfigError, LocalError
 from swarm.onboard import buses
 from swarm.onboard.arguments import add_json, show
@@ -44,15 +44,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         verb.add_argument("--config", type=Path, metavar="FILE", help="swarm.toml (the simulation's, or the usual one)")
         if name == "configure":
             role = verb.add_mutually_exclusive_group()
-            role.add_argument("--tag", action="store_true", help="make it a tag (else: as swarm.toml says)")
+            role.add_argument("--tag", action="store_true", help="make it a tag (default: as swarm.toml says)")
             role.add_argument("--anchor", action="store_true", help="make it an anchor")
-            verb.add_argument("--initiator", action="store_true", help="an anchor that starts the network; one must")
+            verb.add_argument(
+                "--initiator", action="store_true", help="make the anchor start the network; exactly one anchor must"
+            )
             verb.add_argument("--at", nargs=3, type=float, metavar=("X", "Y", "Z"), help="where the anchor is, m")
         if name == "anchors":
             verb.add_argument("--auto", action="store_true", help="find the anchors' places from their distances")
             verb.add_argument("--ranges", type=Path, metavar="FILE", help="with --auto: lines `D001 D002 1.94` (m)")
         if name in ("anchors", "check"):
-            verb.add_argument("--seconds", type=float, metavar="S", help="s of listening (3; with --auto 5 at a place)")
+            verb.add_argument(
+                "--seconds", type=float, metavar="S", help="time of listening (3; --auto: 5 at each place; --truth: 10)"
+            )
+        if name == "check":
+            against = "compare with the places on this key (motion capture); sim/truth: those of a simulation"
+            verb.add_argument("--truth", metavar="KEY", help=against)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -76,12 +83,8 @@ def _config(args: argparse.Namespace) -> Config | None:
         path = simulated if simulated.is_file() and "SWARM_CONFIG" not in os.environ else None
     if path is not None:
         return load(path)
-    try:
-        return load()
-    except ConfigError:
-        if Path(os.environ.get("SWARM_CONFIG", DEFAULT_PATH)).is_file():
-            raise  # there is one, and it is wrong
-        return None
+    path = find()
+    return None if path is None else load(path)
 
 
 def _lines(args: argparse.Namespace, stack: contextlib.ExitStack) -> Iterator[ModuleConnection]:
@@ -187,6 +190,8 @@ def _wish(args: argparse.Namespace, config: Config | None, line: ModuleConnectio
 
 
 def _check(args: argparse.Namespace, config: Config | None, lines: Sequence[ModuleConnection]) -> int:
+    if args.truth:
+        return _against_truth(args, config, lines)
     told = {line.name: findings_of(line, config, args.seconds or SECONDS) for line in lines}
     text: list[str] = []
     for name, found in told.items():
@@ -196,6 +201,17 @@ def _check(args: argparse.Namespace, config: Config | None, lines: Sequence[Modu
             text += [f"  {mark:<5}  {finding.code}: {finding.text}", f"         {finding.remedy}"]
     show(args, {name: [asdict(finding) for finding in found] for name, found in told.items()}, text)
     return 1 if any(finding.fatal for found in told.values() for finding in found) else 0
+
+
+def _against_truth(args: argparse.Namespace, config: Config | None, lines: Sequence[ModuleConnection]) -> int:
+    robots = [line for line in lines if isinstance(line, BusLine)]
+    if config is None or len(robots) < len(lines):
+        raise LocalError("--truth compares what robots say on their buses: give --robots, not --port")
+    seconds = args.seconds or truth.SECONDS
+    told = {line.name: truth.compare(line, config, args.truth, seconds, _wait) for line in robots}
+    text = [words for name, found in told.items() for words in truth.lines_of(name, args.truth, found)]
+    show(args, told, text)
+    return 0 if all(found["pose"] for found in told.values()) else 1
 
 
 def findings_of(line: ModuleConnection, config: Config | None, seconds: float) -> list[ModuleFinding]:
@@ -243,6 +259,8 @@ def _of_calibration(config: Config | None, robot: str | None) -> list[ModuleFind
         return [
             ModuleFinding("calibration", str(error), f"calibrate anew: `swarm calibrate distance --robots {robot}`")
         ]
+    if problem := uncalibrated(config, robot):
+        return [ModuleFinding("calibration", problem, f"`swarm calibrate distance --robots {robot}`", fatal=False)]
     return []
 
 
@@ -320,8 +338,8 @@ def _wait(seconds: float) -> None:
 Verb = Callable[[argparse.Namespace, Config | None, Sequence[ModuleConnection]], int]
 
 VERBS: dict[str, tuple[str, Verb]] = {
-    "info": ("what a module tells of itself: address, firmware, role, rates, place", _info),
-    "configure": ("set a module up as swarm.toml says: tag or anchor, 10 Hz also when it stands still", _configure),
-    "anchors": ("the modules that are ranged to, and --auto: where they are", _anchors),
-    "check": ("what is wrong, and what to do", _check),
+    "info": ("show a module's address, firmware, role, rates and place", _info),
+    "configure": ("configure a module as swarm.toml says: tag or anchor, 10 Hz also at rest", _configure),
+    "anchors": ("show the modules to which there are ranges; --auto: compute their places", _anchors),
+    "check": ("show what is wrong, and what to do", _check),
 }

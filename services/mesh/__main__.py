@@ -8,18 +8,17 @@ from functools import partial
 from services.mesh import topology_file
 from services.mesh.bus_interface import BusInterface
 from services.mesh.core.link.calls import Local
-from services.mesh.core.routing.topology import Ground
 from services.mesh.core.routing.wanted_links import InitialLinks
 from services.mesh.core.wire.frames import NONCE_SIZE
 from services.mesh.links.pipe import describe
-from services.mesh.locked_runtime import LockedRuntime
-from services.mesh.mesh import Chance, Mesh, dials_of, local_of
+from services.mesh.mesh import Chance, Mesh, calls_of, dials_of, ground_of, local_of
 from services.mesh.network import Network
 from services.mesh.sockets import Sockets
 from services.mesh.view_sender import ViewSender
 from swarm.config import Config
 from swarm.config.keyfile import read_keys
 from swarm.process import service
+from swarm.process.locked_runtime import LockedRuntime
 from swarm.process.paths import state_dir
 from swarm.process.service import Service
 
@@ -36,7 +35,7 @@ def local_by_file(config: Config, me: str) -> Local:
         config,
         me,
         frozenset(config.names),
-        dials_of(config.robot(me), config.robots),
+        dials_of(config.robot(me), config.robots, calls_of(config)),
         incarnation=int.from_bytes(os.urandom(8), "little"),
         insecure=settings.insecure,
         keys=read_keys(settings.key_file) if settings.key_file is not None and len(config.robots) > 1 else {},
@@ -59,7 +58,7 @@ def main() -> None:
     """Run until SIGTERM."""
     with Service("mesh", direct=True) as this:
         local = local_by_file(this.config, this.robot)
-        ground = Ground(this.config.names, this.config.edges, auto=this.config.auto)
+        ground = ground_of(this.config)
         start = InitialLinks(ground, local.dials, topology_file.load(state_dir(), ground))
         network = Network(this.config, local, this.runtime)
         runtime = LockedRuntime(this.bus, this.counters, this.log)

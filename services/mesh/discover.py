@@ -16,9 +16,13 @@ from swarm.process.terminal import guard, write_lines
 def main() -> None:
     """Print what answers an inquiry."""
     parser = argparse.ArgumentParser(prog="swarm discover", description="Bluetooth devices in range, by PyBluez.")
-    parser.add_argument("--seconds", type=float, default=8 * pybluez.INQUIRY_UNIT, metavar="S", help="(10.24)")
-    parser.add_argument("--adapter", default="", metavar="NAME", help="hci1, or its address (the first one)")
-    parser.add_argument("--services", action="store_true", help="ask each of them for a mesh: slow")
+    parser.add_argument(
+        "--seconds", type=float, default=8 * pybluez.INQUIRY_UNIT, metavar="S", help="length of the search (10.24)"
+    )
+    parser.add_argument(
+        "--adapter", default="", metavar="NAME", help="adapter that searches: hci1, or its address (default: the first)"
+    )
+    parser.add_argument("--services", action="store_true", help="ask each device whether it has a mesh (slow)")
     parser.add_argument("--json", action="store_true", help="one JSON object a line")
     arguments = parser.parse_args()
     guard()

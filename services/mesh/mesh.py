@@ -5,10 +5,10 @@ The same code runs in a process, over sockets (`services.mesh.sockets`), and und
 
 import logging
 import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any, NamedTuple, TypeVar
 
-from services.mesh.core.actions import Close, Dial, LinksChanged, LogLine, Write
+from services.mesh.core.actions import Close, Dial, LinksChanged, LogLine, Supervise, Write
 from services.mesh.core.events import Received
 from services.mesh.core.link.calls import UNKNOWN, Caller, Local, can_link, dials
 from services.mesh.core.link.clock import ClockState
@@ -16,11 +16,14 @@ from services.mesh.core.link.session import Session
 from services.mesh.core.node import MeshNode
 from services.mesh.core.overlays.robot_overlays import RobotOverlays
 from services.mesh.core.relay import KeyRelay
+from services.mesh.core.routing.physical_links import calls
+from services.mesh.core.routing.roles import callers
+from services.mesh.core.routing.topology import Ground
 from services.mesh.core.routing.wanted_links import InitialLinks
 from services.mesh.core.wire.frames import BULK
 from services.mesh.surroundings import Surroundings, Transport
 from swarm.config import Config
-from swarm.config.types import RobotConfig
+from swarm.config.types import AUTO_LINKS, GRAPH, TREE, RobotConfig
 from swarm.messages import Clock, EchoRequest, HoldLink, Links
 from swarm.messages.keys import key
 
@@ -42,9 +45,47 @@ class Chance(NamedTuple):
     """Gives 16 bytes that nobody can foresee."""
 
 
-def dials_of(own: RobotConfig, peers: Iterable[RobotConfig]) -> dict[str, bool]:
-    """Return those of `peers` that a robot may be linked with, and whether it dials them."""
-    return {peer.name: dials(own, peer) for peer in peers if peer is not own and can_link(own, peer)}
+def dials_of(
+    own: RobotConfig, peers: Iterable[RobotConfig], calls: Collection[tuple[str, str]] = ()
+) -> dict[str, bool]:
+    """Return those of `peers` that a robot may be linked with, and whether it dials them: as `calls` has it, whose
+    pairs begin with who does, and by `dials` where a pair is not there."""
+    found = {peer.name: dials(own, peer) for peer in peers if peer is not own and can_link(own, peer)}
+    for caller, called in calls:
+        if own.name == caller and called in found:
+            found[called] = True
+        elif own.name == called and caller in found:
+            found[caller] = False
+    return found
+
+
+def links_of(config: Config, *, bluetooth: bool = False) -> str:
+    """Return which links carry the topology: `graph`, or what asks for others; `bluetooth` as in `calls_of`."""
+    if config.mesh.links != AUTO_LINKS:
+        return config.mesh.links
+    others = len(config.robots) - 1
+    one_hub = len(config.edges) == others and any(len(config.neighbours(name)) == others for name in config.names)
+    return TREE if is_bluetooth(config, bluetooth=bluetooth) and not one_hub else GRAPH
+
+
+def is_bluetooth(config: Config, *, bluetooth: bool) -> bool:
+    """Return whether all links are of Bluetooth."""
+    return bluetooth or all(each.bluetooth and each.link is None for each in config.robots)
+
+
+def ground_of(config: Config, *, bluetooth: bool = False) -> Ground:
+    """Return what all topologies of a configuration have in common; `bluetooth` as in `calls_of`."""
+    return Ground(config.names, config.edges, auto=config.auto, links=links_of(config, bluetooth=bluetooth))
+
+
+def calls_of(config: Config, *, bluetooth: bool = False) -> Collection[tuple[str, str]]:
+    """Return who calls whom, where the configuration says it: of a fixed topology whose links are of Bluetooth, and of
+    links that are not the topology's own. `bluetooth`: as a simulation says."""
+    if links_of(config, bluetooth=bluetooth) != GRAPH:
+        return calls(config.names)
+    if config.auto or not is_bluetooth(config, bluetooth=bluetooth):
+        return ()
+    return callers(config.names, config.edges)
 
 
 def local_of(
@@ -69,6 +110,8 @@ def local_of(
         heartbeat=settings.heartbeat,
         suspect=settings.suspect,
         dead=settings.dead,
+        handshake=settings.handshake,
+        patience=settings.patience,
         keys=keys,
     )
 
@@ -129,7 +172,9 @@ class Mesh:
         """Whether a report is planned."""
         self._reporting, self._keeping = threading.Lock(), threading.Lock()
         """Around what is done outside, so that the newest state is the last one."""
-        relay = KeyRelay(robot, (), config.relay, local.robots)
+        # Who is reached over links of others is reached over whatever ways there are: around leads nowhere else.
+        rules = [rule for rule in config.relay if rule.overlay != "around" or not start.ground.carried]
+        relay = KeyRelay(robot, (), rules, local.robots)
         self.subscriptions = relay.subscriptions
         """The key expressions of the own bus that relay rules name; `publish` gets the index in here."""
         overlays = RobotOverlays(
@@ -143,6 +188,8 @@ class Mesh:
             start=start,
             admits_flood=relay.admits_flood,
             admits_unicast=relay.admits_unicast,
+            admits_neighbour=relay.admits_neighbour,
+            carries=relay.carries,
             wanted=wanted,
         )
         self._node = MeshNode(local, relay, overlays, random=chance.random, nonce=chance.nonce, counters=counters)
@@ -254,6 +301,8 @@ class Mesh:
                     transport.dial(action.peer)
                 elif type(action) is Close:
                     transport.close(action.session)
+                elif type(action) is Supervise:
+                    transport.supervise(action.session, action.seconds)
                 elif kind is Write:
                     outside(self._keep_topology)  # before the bus hears of it
         deadline = node.next_deadline()

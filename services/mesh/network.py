@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from services.mesh import link_address
@@ -31,7 +32,6 @@ class Network:
         supervise: Callable[[str, str, float], None] = supervision.try_limit,
     ) -> None:
         self._supervise = supervise
-        self._dead = config.mesh.dead
         robots = {name: config.robot(name) for name in local.dials}
         self._addresses = {
             peer: link_address.of_robot(robots[peer]) for peer, we_dial in local.dials.items() if we_dial
@@ -89,7 +89,7 @@ class Network:
                 pipe = rfcomm.dial(self._radio, address.address, open_socket=self._open_bluetooth)
             except LocalError as error:  # no Bluetooth here, and no configured neighbour that needs it
                 raise ConnectionError(str(error)) from None
-            self._supervise(self._radio.adapter, address.address, self._dead)
+            pipe.limit = partial(self._supervise, self._radio.adapter, address.address)
             return pipe
         assert self._air is not None
         return sim.dial(address.path, self._air, peer)

@@ -6,6 +6,7 @@ full graph of six robots over 30 ms took 34.9 ms an iteration instead of 37.1 (t
 """
 
 import contextlib
+import errno
 import os
 import select
 import threading
@@ -14,9 +15,9 @@ from typing import Protocol
 
 from services.mesh.core.link.session import Session
 from services.mesh.links.pipe import Pipe, describe
-from services.mesh.locked_runtime import LockedRuntime
 from services.mesh.mesh import CLOSED, Mesh
 from swarm import clock
+from swarm.process.locked_runtime import LockedRuntime
 
 _CHUNK = 4096
 """Bytes taken from a session at a time; what is taken can no longer be overtaken."""
@@ -26,6 +27,12 @@ _NEVER = float("inf")
 _JOIN_TIMEOUT = 2.0
 """s to wait for each thread at the end; one may hang in a dial."""
 
+_EXHAUSTED = frozenset((errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM))
+"""Errors of accept() after which the caller still stands in the queue, so that the listener stays readable."""
+
+_PAUSE_EXHAUSTED = 0.5
+"""s without listening after such an error: waiting for the listener would return at once and use all CPU time."""
+
 
 class Listener(Protocol):
     """Where neighbours reach this robot."""
@@ -34,7 +41,7 @@ class Listener(Protocol):
         """For select."""
 
     def accept(self) -> Pipe:
-        """The next caller; raises OSError where it has gone already."""
+        """The next caller; raises OSError where it has gone already, or where the process has no descriptor left."""
 
     def close(self) -> None:
         """Stop listening."""
@@ -56,7 +63,10 @@ class Watched:
         """The kernel keeps the list of the descriptors where only bytes are waited for: handing it over each time is a
         sixth of what a wake costs. Its time-outs are whole ms."""
         if not self.restless and not self._blocked:
-            self._calm = select.epoll()
+            # It needs a descriptor of its own; where none is free, select has to do.
+            with contextlib.suppress(OSError):
+                self._calm = select.epoll()
+        if self._calm is not None:
             for fd in self._readers:
                 self._calm.register(fd, select.EPOLLIN)
 
@@ -107,6 +117,7 @@ class Sockets:
         entry = runtime.entry
         self._dialled = entry(self._on_dialled)
         self._accepted = entry(self._on_accepted)
+        self._exhausted = entry(self._on_exhausted)
         self._received = entry(self._on_received)
         self._look = entry(self._on_look)
 
@@ -155,6 +166,11 @@ class Sockets:
             pipe.shutdown()
             self._ended.append(pipe)
             self._look_again()
+
+    def supervise(self, session: Session, seconds: float) -> None:
+        """Tell the radio, on a thread of its own, how long a silent connection is kept."""
+        if (pipe := self._pipes.get(session)) is not None and pipe.limit is not None:
+            threading.Thread(target=pipe.limit, args=(seconds,), name="limit", daemon=True).start()
 
     def wake(self, deadline: float) -> None:
         """Have the reading thread wait no longer than this."""
@@ -213,6 +229,21 @@ class Sockets:
             self._pipes[session] = pipe
             self._other_pipes = True
         self._mesh.carry_out()
+
+    def _on_exhausted(self, reason: str) -> None:
+        """Accept nobody for a while. Links, timers and dials go on."""
+        self._runtime.counters["calls_not_accepted"] += 1
+        if self._runtime.counters["calls_not_accepted"] == 1:
+            self._runtime.log.warning(
+                "robots that call cannot be accepted: %s; trying every %g s", reason, _PAUSE_EXHAUSTED
+            )
+        self._always = [self._wake]
+        self._other_pipes = True
+        self._runtime.at(self._runtime.now + _PAUSE_EXHAUSTED, self._listen_again)
+
+    def _listen_again(self) -> None:
+        self._always = [self._wake, *self._listeners]
+        self._other_pipes = True
 
     def _on_received(self, arrivals: list[tuple[Session, bytes | str]], writable: list[tuple[Session, Pipe]]) -> None:
         for session, pipe in writable:
@@ -287,6 +318,8 @@ class Sockets:
     def _accept(self, listener: Listener) -> None:
         try:
             pipe = listener.accept()
-        except OSError:
+        except OSError as error:
+            if error.errno in _EXHAUSTED:
+                self._exhausted(describe(error))
             return
         self._accepted(pipe)

@@ -1,7 +1,20 @@
 """What a person's acts do to the simulated robot."""
 
-from services.balancer.core import balboa, display, imu
-from sim.core.actions import BUTTONS, BodyPlace, Lay, Press, Push, SimulationAction, Unplug
+from services.balancer.core.devices import balboa, display, imu
+from sim.core.actions import (
+    BUTTONS,
+    BodyPlace,
+    Carry,
+    Knock,
+    Lay,
+    Lift,
+    Miswire,
+    Press,
+    Push,
+    Roll,
+    SimulationAction,
+    Unplug,
+)
 from sim.core.devices import Device, SimulatedRobot
 
 ADDRESSES = {"imu": imu.ADDRESS, "atmega": balboa.ADDRESS, "display": display.ADDRESS}
@@ -24,8 +37,21 @@ class ActionEffects:
                 self.handle_timer(now)
             case Push(impulse):
                 body.push(impulse)
+            case Knock(impulse, dx, dy):
+                body.knock(impulse, dx, dy)
             case Lay(side):
                 body.lay(1 if side == "front" else -1)
+            case Carry(x, y, heading):
+                body.carry(x, y, heading)
+            case Lift(tilt, turn, down):
+                if down:
+                    body.stand()
+                else:
+                    body.lift(tilt, turn)
+            case Roll(wheel, angle):
+                body.roll(angle if wheel == "left" else 0.0, angle if wheel == "right" else 0.0)
+            case Miswire(part, back):
+                self._robot.miswire(part, back=back)
             case Unplug(device, back):
                 self._plug(ADDRESSES[device], back=back)
             case BodyPlace(x, y, heading, tilt, held):

@@ -3,6 +3,8 @@
 The world uses the same way to say where a body that is started again had been.
 """
 
+import math
+
 from swarm.errors import LocalError
 from swarm.frozen import frozen
 from swarm.messages.codec import decode, encode
@@ -15,6 +17,16 @@ DEVICES = ("imu", "atmega", "display")
 MAX_IMPULSE = 2.0
 """N s, either way: five times what throws the robot over."""
 MAX_HOLD_S = 60.0
+MAX_SLIDE_M = 1.0
+"""By how much a robot that hits another moves it aside at most."""
+WHEELS = ("left", "right")
+MAX_ANGLE = 4 * math.tau
+"""rad that a hand turns a robot or a wheel at most."""
+MISWIRINGS = (
+    "left-motor", "right-motor", "left-encoder", "right-encoder", "imu-upside-down", "imu-backward", "imu-mirrored",
+)  # fmt: skip
+"""What can be mounted the wrong way: a motor or encoder reversed, the IMU turned about an axis of the body, or its gyro
+with the opposite sense of rotation."""
 
 
 @frozen
@@ -35,11 +47,64 @@ class Push:
 
 
 @frozen
+class Knock:
+    """Be hit by another robot's body."""
+
+    impulse: float
+    """Forward, N s."""
+    dx: float
+    """By how much it slides aside, m."""
+    dy: float
+
+
+@frozen
 class Lay:
     """Take the body and lay it down."""
 
     side: str
     """back or front."""
+
+
+@frozen
+class Carry:
+    """Take the robot to another place and lay it on its back there."""
+
+    x: float
+    """m."""
+    y: float
+    heading: float
+    """rad."""
+
+
+@frozen
+class Lift:
+    """Take the robot in the hand, its wheels in the air, and hold it at a tilt; or stand it upright on the floor."""
+
+    tilt: float
+    """From upright, rad, forward positive."""
+    turn: float = 0.0
+    """By how much it is turned to the left meanwhile, rad."""
+    down: bool = False
+    """Put it down upright, where the hand holds it until its motors run; `tilt` and `turn` do not count then."""
+
+
+@frozen
+class Roll:
+    """Turn a wheel by hand, of a robot that is in the hand."""
+
+    wheel: str
+    """left or right."""
+    angle: float
+    """rad, forward positive."""
+
+
+@frozen
+class Miswire:
+    """Mount a part the wrong way; or put it right."""
+
+    part: str
+    """One of `MISWIRINGS`."""
+    back: bool = False
 
 
 @frozen
@@ -65,11 +130,16 @@ class BodyPlace:
     """Still in the hand that held it at the start."""
 
 
-SimulationAction = Press | Push | Lay | Unplug | BodyPlace
+SimulationAction = Press | Push | Knock | Lay | Carry | Lift | Roll | Miswire | Unplug | BodyPlace
 _NAMES: dict[str, type[SimulationAction]] = {
     "press": Press,
     "push": Push,
+    "knock": Knock,
     "lay": Lay,
+    "carry": Carry,
+    "lift": Lift,
+    "roll": Roll,
+    "miswire": Miswire,
     "unplug": Unplug,
     "place": BodyPlace,
 }
@@ -101,9 +171,26 @@ def check(act: SimulationAction) -> SimulationAction:
         case Push(impulse):
             if not 0.0 < abs(impulse) <= MAX_IMPULSE:
                 raise LocalError(f"impulse: expected at most {MAX_IMPULSE:g} N s either way, not 0, got {impulse:g}")
+        case Knock(impulse, dx, dy):
+            if not (abs(impulse) <= MAX_IMPULSE and abs(dx) <= MAX_SLIDE_M and abs(dy) <= MAX_SLIDE_M):
+                raise LocalError(
+                    f"knock: expected at most {MAX_IMPULSE:g} N s and {MAX_SLIDE_M:g} m either way, "
+                    f"got {impulse:g}, {dx:g}, {dy:g}"
+                )
         case Lay(side):
             if side not in SIDES:
                 raise LocalError(f"no side {side!r}, there are {' and '.join(SIDES)}")
+        case Lift(tilt, turn):
+            if not (abs(tilt) <= math.pi and abs(turn) <= MAX_ANGLE):
+                raise LocalError(f"tilt {tilt:g}, turn {turn:g}: expected at most pi, {MAX_ANGLE:.4g} rad either way")
+        case Roll(wheel, angle):
+            if wheel not in WHEELS:
+                raise LocalError(f"no wheel {wheel!r}, there are {' and '.join(WHEELS)}")
+            if not abs(angle) <= MAX_ANGLE:
+                raise LocalError(f"angle: expected at most {MAX_ANGLE:.4g} rad either way, got {angle:g}")
+        case Miswire(part):
+            if part not in MISWIRINGS:
+                raise LocalError(f"no part {part!r}, there are {', '.join(MISWIRINGS)}")
         case Unplug(device):
             if device not in DEVICES:
                 raise LocalError(f"no device {device!r}, there are {', '.join(DEVICES)}")

@@ -10,8 +10,8 @@ import os
 import struct
 from collections import deque
 
-from services.balancer.core import balboa
-from services.balancer.core.mailbox import MailboxState as Mail
+from services.balancer.core.devices import balboa
+from services.balancer.core.devices.mailbox import MailboxState as Mail
 from sim.core.balboa import BalboaBody
 from sim.core.module_line import PAGES, ModuleLine
 
@@ -26,6 +26,11 @@ _STOPPED = bytes(4)
 _MOTION = struct.Struct("<2HB")
 _BATTERY = struct.Struct("<H")
 _PROGRESS = struct.Struct("<BBBBBBH")
+
+
+def _no_report() -> bytes:
+    """The UWB block before any was asked for."""
+    return bytes(balboa.UWB_SIZE)
 
 
 class AtmegaDevice:
@@ -43,6 +48,7 @@ class AtmegaDevice:
         """When the LEDs' registers changed, and to what; for the world, which takes them out."""
         self._lit = (False, False, False)
         self._buttons = 0
+        self._motor_signs, self._encoder_signs = [1, 1], [1, 1]
         self.reset(0)
 
     def reset(self, cause: int) -> None:
@@ -51,16 +57,17 @@ class AtmegaDevice:
         self._buffer = bytearray(balboa.SIZE)
         self._buffer[balboa.VERSION] = balboa.LAYOUT_VERSION
         self._buffer[balboa.RESET_CAUSE] = cause
-        self._buffer[balboa.REVISION] = 1
+        self._buffer[balboa.REVISION] = 2
         struct.pack_into("<H", self._buffer, balboa.FREE_STACK, _FREE_STACK)
         self._origin = self._counts()
         self._motors_until = -math.inf
         self._notes_until = -math.inf
-        self._index = 0
+        self._index = self._onward = self._mark = 0
+        self._marking = False
         self._page = 0
         self.line = ModuleLine(self._now)
         self._see_leds(self._now)
-        self._front, self._report = bytes(self._buffer), self.line.reporting(self._now)
+        self._front, self._report = bytes(self._buffer), _no_report
 
     @property
     def leds(self) -> tuple[bool, bool, bool]:
@@ -77,6 +84,19 @@ class AtmegaDevice:
         """Hold buttons down: bit 0 A, bit 1 B, bit 2 C."""
         self._buttons = buttons & 7
 
+    def reverse(self, what: str, side: int, *, reversed_: bool) -> None:
+        """Swap the wires of a motor or encoder (`what`), of the left (0) or right (1) side; or put them right."""
+        sign = -1 if reversed_ else 1
+        if what == "motor":
+            self._motor_signs[side] = sign
+        elif self._encoder_signs[side] != sign:
+            # The count goes on from where it is, as the firmware's does.
+            before = self._counts()[side]
+            self._encoder_signs[side] = sign
+            origin = list(self._origin)
+            origin[side] += self._counts()[side] - before
+            self._origin = (origin[0], origin[1])
+
     def advance(self, now: float) -> None:
         """Move the body on; the motors stop on the way when their time is over."""
         if now > self._motors_until and self._buffer[balboa.MOTORS : balboa.ENCODERS] != _STOPPED:
@@ -90,8 +110,13 @@ class AtmegaDevice:
 
     def write(self, data: bytes, now: float) -> None:
         """Take an index, at which the values are frozen, and data. What does not fit is not acknowledged."""
-        self._index = data[0]
+        self._index, self._onward, self._marking = data[0], 0, False
+        if data[0] >= balboa.JOINED:
+            self._index = balboa.ENCODERS
+            self._onward = self._mark if data[0] == balboa.ONWARD else 4 * (data[0] - balboa.JOINED)
         self._freeze(now)
+        if balboa.UWB in (data[0], self._onward):
+            self._report = self.line.reporting(now)
         values = data[1:]
         if not values:
             return
@@ -104,7 +129,20 @@ class AtmegaDevice:
     def read(self, count: int, now: float) -> bytes:
         """Bytes from the index on; zeros beyond the last field."""
         del now
+        joint = balboa.STATUS + 1
+        if self._onward and self._index <= joint < self._index + count:
+            first, onward = joint - self._index, self._onward
+            self._onward = 0
+            before = self._run(first)
+            self._index, self._marking = onward, True
+            return before + self._run(count - first)
+        return self._run(count)
+
+    def _run(self, count: int) -> bytes:
+        """Bytes from the index on, one after the other."""
         start, self._index = self._index, min(0xFF, self._index + count)
+        if self._marking:
+            self._mark = self._index
         if start + count <= balboa.SIZE:
             return self._front[start : start + count]
         report = self._report()
@@ -113,7 +151,8 @@ class AtmegaDevice:
     def _counts(self) -> tuple[int, int]:
         per_radian = self._body.model.counts_per_turn / math.tau
         left, right = self._body.wheel_angles()
-        return math.floor(left * per_radian), math.floor(right * per_radian)
+        signs = self._encoder_signs
+        return math.floor(left * per_radian) * signs[0], math.floor(right * per_radian) * signs[1]
 
     def _freeze(self, now: float) -> None:
         left, right = self._counts()
@@ -134,8 +173,8 @@ class AtmegaDevice:
             line.echo,
             line.answer_length,
         )
+        buffer[balboa.STATUS] = buffer[balboa.STATUS] & 0x0F | line.newest % 16 << 4
         self._front = bytes(buffer)
-        self._report = line.reporting(now)
 
     def _notes_left(self, now: float) -> int:
         end, left = self._notes_until, 0
@@ -188,7 +227,7 @@ class AtmegaDevice:
             if first + len(values) > balboa.MOTORS:
                 duties = self.motors
                 self._buffer[balboa.MOTORS : balboa.ENCODERS] = balboa.encode_motors(*duties)
-                self._body.drive(*duties)
+                self._body.drive(duties[0] * self._motor_signs[0], duties[1] * self._motor_signs[1])
                 self._motors_until = now + balboa.MOTOR_TIMEOUT_S
                 self._buffer[balboa.STATUS] &= ~balboa.STOPPED_BY_WATCHDOG
             return True

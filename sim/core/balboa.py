@@ -1,6 +1,6 @@
 """A Balboa's body as physics: planar pendulum on two wheels, turning by their difference, resting on the floor.
 
-Equations of motion, th from upright and x the axle's way (both of `services.balancer.core.body.BodyModel`):
+Equations of motion, th from upright and x the axle's way (both of `services.balancer.core.control.body.BodyModel`):
 
     m11 x'' + (m l cos th - J/r) th'' = tau/r + m l sin(th) th'^2
     (m l cos th - J/r) x'' + m22 th''  = m g l sin th - tau
@@ -13,7 +13,8 @@ floor.
 
 import math
 
-from services.balancer.core.body import GRAVITY, BodyModel
+from services.balancer.core.control.body import GRAVITY, BodyModel
+from services.balancer.core.control.regulator import limited
 
 STEP_S = 0.001
 """Integration step: semi-implicit Euler; the fastest pole is near -56 per second."""
@@ -21,6 +22,10 @@ LONGEST_S = 2.0
 """What is integrated at most in one go. A body left alone for longer lies on the floor."""
 LAYING_RATE = math.radians(180)
 """rad/s with which a hand lays the robot down."""
+LIFTED_RATE = math.radians(90)
+"""rad/s with which a hand that holds the robot tips and turns it."""
+WHEEL_BY_HAND = 6.0
+"""rad/s with which a hand turns a wheel."""
 REST_TILT = math.radians(110)
 """Where the body touches the floor, to the front and to the back."""
 
@@ -48,6 +53,12 @@ class BalboaBody:
         self.now = now
         self._left = self._right = 0.0
         self._hand = 0
+        self._lifted: tuple[float, float] | None = None
+        """In the hand, wheels in the air: the tilt it is brought to, and how much it is still to be turned; rad."""
+        self._by_hand = [0.0, 0.0]
+        """By how much a hand still turns each wheel, rad."""
+        self._spin = [0.0, 0.0]
+        """rad/s of each wheel in the air, against the body."""
         self._prepare()
 
     def _prepare(self) -> None:
@@ -65,20 +76,51 @@ class BalboaBody:
         if left or right:
             self.held = False
 
+    def lift(self, tilt: float, turn: float) -> None:
+        """Take the body in the hand, wheels in the air: bring it to this tilt, and turn it left by `turn`, rad."""
+        self.held, self._hand = False, 0
+        self.speed = self.acceleration = self.tilt_acceleration = 0.0
+        self._lifted = tilt, turn
+
+    def roll(self, left: float, right: float) -> None:
+        """Turn wheels by hand, rad, forward positive; on a body in the hand."""
+        self._by_hand = [left, right]
+
+    def stand(self) -> None:
+        """Put the body down upright, held by a hand until the motors run."""
+        self._lifted, self._hand = None, 0
+        self.tilt = self.tilt_rate = self.speed = self.turn_rate = 0.0
+        self.acceleration = self.tilt_acceleration = 0.0
+        self.held = True
+
     def lay(self, side: int) -> None:
         """Take the body and turn it, wheels on their place, until it lies: on its front (1) or back (-1)."""
-        self.held = False
+        self.held, self._lifted = False, None
         self._hand = side
+
+    def carry(self, x: float, y: float, heading: float) -> None:
+        """Take the body to another place (m, rad) and lay it on its back there.
+
+        The hand turns it as `lay` does: the gyro feels it, so the balancer knows that it lies and its motors are off
+        when the hand lets go. A body that merely appeared there would drive away upright in its estimate.
+        """
+        self.x, self.y, self.heading = x, y, heading
+        self.lay(-1)
 
     def put_down(self, x: float, y: float, heading: float, tilt: float) -> None:
         """Lie where it fell over: at this place (m), to the side it leaned to."""
-        self.held = False
+        self.held, self._lifted = False, None
         self.x, self.y, self.heading = x, y, heading
         self.tilt = tilt
         self._lie_down()
 
     def push(self, momentum: float) -> None:
-        """Hit the body at the height of its centre of mass, forward positive, N s. A hand that held it lets go."""
+        """Hit the body at the height of its centre of mass, forward positive, N s. A hand that held it lets go.
+
+        A body in the hand is not hit.
+        """
+        if self._lifted is not None:
+            return
         self.held = False
         # The impulse acts on both coordinates: its generalized momenta are P and P l cos(th).
         m12 = self._ml * math.cos(self.tilt) - self._rotor_coupling
@@ -86,6 +128,13 @@ class BalboaBody:
         turning = momentum * self.model.lever * math.cos(self.tilt)
         self.speed += (momentum * self._m22 - turning * m12) / determinant
         self.tilt_rate += (turning * self._m11 - momentum * m12) / determinant
+
+    def knock(self, momentum: float, dx: float, dy: float) -> None:
+        """Be hit by another robot: slide aside (m, the wheels do not turn), and take the momentum forward, N s."""
+        if self._lifted is None and not self.held:
+            self.x += dx
+            self.y += dy
+            self.push(momentum)
 
     def wheel_angles(self) -> tuple[float, float]:
         """Left and right wheel against the body since the start, rad: what the encoders count."""
@@ -101,6 +150,11 @@ class BalboaBody:
         if self.held:
             self.now += steps * STEP_S
             return
+        if self._lifted is not None:
+            for _ in range(min(steps, int(LONGEST_S / STEP_S))):
+                self._in_the_hand(STEP_S)
+            self.now += steps * STEP_S
+            return
         if self._hand:
             self._turn_by_hand(steps * STEP_S)
             self.now += steps * STEP_S
@@ -110,6 +164,36 @@ class BalboaBody:
         if steps > limit and not (self._left or self._right):
             self._lie_down()
         self.now += steps * STEP_S
+
+    def _in_the_hand(self, dt: float) -> None:
+        """Tip and turn the body as the hand does, and turn each wheel by its motor or by the hand."""
+        assert self._lifted is not None
+        target, turn = self._lifted
+        tip = limited(target - self.tilt, LIFTED_RATE * dt)
+        turned = limited(turn, LIFTED_RATE * dt)
+        self._lifted = target, turn - turned
+        self.tilt, self.tilt_rate = self.tilt + tip, tip / dt
+        self.heading, self.turn_rate = self.heading + turned, turned / dt
+        angles = [self._wheel_in_the_air(side, duty, dt) for side, duty in enumerate((self._left, self._right))]
+        # Of the sums behind the encoders: the body's own turning moves no wheel against it.
+        radius = self.model.wheel_radius
+        self.travel += radius * (tip + (angles[0] + angles[1]) / 2)
+        self.turn += radius * (angles[1] - angles[0]) / self.model.track
+
+    def _wheel_in_the_air(self, side: int, duty: float, dt: float) -> float:
+        """Return by how much a wheel turns against the body, rad: half of the torques and inertias each."""
+        model = self.model
+        if self._by_hand[side]:
+            angle = limited(self._by_hand[side], WHEEL_BY_HAND * dt)
+            self._by_hand[side] -= angle
+            self._spin[side] = 0.0
+            return angle
+        inertia = (model.wheel_inertia + model.rotor_inertia) / 2
+        spin = self._spin[side] + dt * model.stall_torque / 2 * duty / inertia
+        spin /= 1 + dt * self._damping / 2 / inertia
+        friction = dt * model.friction / 2 / inertia
+        self._spin[side] = spin = 0.0 if abs(spin) <= friction else spin - math.copysign(friction, spin)
+        return spin * dt
 
     def _turn_by_hand(self, seconds: float) -> None:
         """The motors may run meanwhile: the wheels are held, too."""

@@ -1,6 +1,6 @@
 """The I2C devices of a Balboa at the level of their registers, with a simulated body behind them.
 
-LSM6DS33 (services/balancer/core/imu.py) and ATmega32U4 (sim/core/atmega.py) as a master meets them: an IMU
+LSM6DS33 (services/balancer/core/devices/imu.py) and ATmega32U4 (sim/core/atmega.py) as a master meets them: an IMU
 that was not set up gives zeros, the ATmega stops the motors when nobody commands them. Every transfer first moves the
 body on to `now`, the time of the caller's clock.
 """
@@ -12,8 +12,8 @@ import os
 import struct
 from typing import NamedTuple, Protocol
 
-from services.balancer.core import balboa, display, imu
-from services.balancer.core.transfers import BIT_S, BITS_PER_BYTE, BITS_PER_TRANSFER, HOLD_S
+from services.balancer.core.devices import balboa, display, imu
+from services.balancer.core.slack.wire_time import BITS_PER_BYTE, BITS_PER_TRANSFER, HOLD_S, SCL_HZ
 from sim.core.atmega import AtmegaDevice
 from sim.core.balboa import BalboaBody
 from sim.core.display import DisplayDevice
@@ -24,6 +24,9 @@ NOBODY = 0x7F
 _WORD_LIMIT = 0x7FFF
 _IF_INC = 0x04
 """Of CTRL3_C: each byte of a transfer is of the next register."""
+_BDU = 0x40
+"""Of CTRL3_C: no word changes while it is read."""
+_SAMPLES_HZ = 208.0
 _SAMPLE = struct.Struct("<6h")
 
 
@@ -81,12 +84,19 @@ NO_ERRORS = ImuErrors(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class ImuDevice:
-    """An LSM6DS33, 3 cm above the axle [estimate], tilted by `trim` against the body's centre of mass."""
+    """An LSM6DS33, or an LSM6DSO by its `identity`, 3 cm above the axle [estimate], tilted by `trim` against the body's
+    centre of mass."""
 
     _HEIGHT = 0.03
 
     def __init__(self, body: BalboaBody, noise: NoiseSource, errors: ImuErrors, trim: float) -> None:
         self._body, self._noise, self._errors, self._trim = body, noise, errors, trim
+        self.reversed: set[str] = set()
+        """In which ways it is mounted wrong: upside-down, backward or mirrored."""
+        self.identity = imu.IDENTITY
+        """WHO_AM_I, from the next reset on."""
+        self.byte_s = BITS_PER_BYTE / SCL_HZ
+        """What a byte takes on the wire: a sample that is ready within a read replaces the rest of the one before."""
         self._registers = bytearray(0x80)
         self._index = 0
         self.reset()
@@ -94,7 +104,7 @@ class ImuDevice:
     def reset(self) -> None:
         """As after power came on: the sensors are off."""
         self._registers[:] = bytes(len(self._registers))
-        self._registers[imu.WHO_AM_I] = imu.IDENTITY
+        self._registers[imu.WHO_AM_I] = self.identity
         self._registers[imu.CTRL3_C] = _IF_INC
 
     def write(self, data: bytes, now: float) -> None:
@@ -107,10 +117,15 @@ class ImuDevice:
             self._step()
 
     def read(self, count: int, now: float) -> bytes:
-        """Registers from the index on; with IF_INC cleared, the same one again and again."""
-        del now
+        """Registers from the index on; with IF_INC cleared, the same one again and again.
+
+        Without block data update (BDU) a sample that is ready while the block is read replaces what is left of it, in
+        the middle of a word, too. With it, words are of one sample each; that a block may be of two is left out.
+        """
         if self._index < imu.OUTX_L_G + imu.BLOCK and self._index + count > imu.OUTX_L_G:
             self._sample()
+            if not self._registers[imu.CTRL3_C] & _BDU:
+                self._tear(count, now)
         first, end = self._index, self._index + count
         if end <= len(self._registers) and self._registers[imu.CTRL3_C] & _IF_INC:
             self._index = end & 0x7F
@@ -124,6 +139,15 @@ class ImuDevice:
     def _step(self) -> None:
         if self._registers[imu.CTRL3_C] & _IF_INC:
             self._index = (self._index + 1) & 0x7F
+
+    def _tear(self, count: int, now: float) -> None:
+        """Put the next sample in place of the bytes that are read after it was ready."""
+        ready = int(((math.floor(now * _SAMPLES_HZ) + 1) / _SAMPLES_HZ - now) / self.byte_s) + 1
+        if ready < count:
+            end = self._index + ready
+            before = bytes(self._registers[self._index : end])
+            self._sample()
+            self._registers[self._index : end] = before
 
     def _sample(self) -> None:
         """Put what the sensors feel now into the output registers, in the ranges that were set."""
@@ -150,7 +174,26 @@ class ImuDevice:
                 _word(gauss(0.0, errors.acceleration_noise) / scale),
                 _word((back + errors.back_offset + gauss(0.0, errors.acceleration_noise)) / scale),
             )
+        if self.reversed:
+            signs = self._signs()
+            gyro = (gyro[0] * signs[0], gyro[1] * signs[1], gyro[2] * signs[2])
+            acceleration = (acceleration[0] * signs[3], acceleration[1] * signs[4], acceleration[2] * signs[5])
         _SAMPLE.pack_into(self._registers, imu.OUTX_L_G, *gyro, *acceleration)
+
+    def _signs(self) -> tuple[int, ...]:
+        """Sign of each word of a sample by how the sensor is mounted: gyro X Y Z, then acceleration X Y Z."""
+        signs = [1] * 6
+        for way in self.reversed:
+            signs = [sign * factor for sign, factor in zip(signs, _MOUNTED[way], strict=True)]
+        return tuple(signs)
+
+
+_MOUNTED = {
+    "upside-down": (-1, 1, -1, -1, 1, -1),
+    "backward": (1, -1, -1, 1, -1, -1),
+    "mirrored": (-1, -1, -1, 1, 1, 1),
+}
+"""Half a turn about the axle, half a turn about the body's long axis, and a gyro of the opposite sense of rotation."""
 
 
 _GYRO_SCALES = tuple(math.radians(dps) for dps in (0.00875, 0.0175, 0.035, 0.070))
@@ -172,6 +215,8 @@ class SimulatedRobot:
     ) -> None:
         """`trim` as in the config's [body]; `battery` in V."""
         self.body = body
+        self.scl = SCL_HZ
+        """Hz; a Pi whose core clock drops has less than it was told (docs/reference/robot/i2c-bus.md)."""
         self.imu = ImuDevice(body, noise, errors, trim)
         self.atmega = AtmegaDevice(body, battery)
         self.display = DisplayDevice()
@@ -187,8 +232,7 @@ class SimulatedRobot:
         """Error numbers with which the next transfers fail, 0 = this one does not."""
         self.bits = 0
         """Clock periods of SCL so far: at 100 kHz, 10 us each."""
-        self.bytes_held = 0
-        """Bytes with which the ATmega held SCL."""
+        self._wire_s = 0.0
 
     def write(self, address: int, data: bytes, now: float) -> None:
         """A write transaction; OSError as the kernel raises it."""
@@ -198,23 +242,36 @@ class SimulatedRobot:
         """A read transaction; OSError as the kernel raises it."""
         return self._reach(address, count, now).read(count, now)
 
+    def miswire(self, part: str, *, back: bool) -> None:
+        """Mount a part the wrong way (`sim.core.actions.MISWIRINGS`), or put it right."""
+        side, _, what = part.partition("-")
+        if side == "imu":
+            (self.imu.reversed.discard if back else self.imu.reversed.add)(what)
+        else:
+            self.atmega.reverse(what, 0 if side == "left" else 1, reversed_=not back)
+
     def recover(self, now: float) -> None:
         """A byte read from nobody: its clock pulses free SDA."""
         self.sda_held = False
         with contextlib.suppress(OSError):
             self.read(NOBODY, 1, now)
 
+    def transfer_s(self, address: int, count: int) -> float:
+        """What a transfer of `count` bytes takes on the wire, s: SCL's periods, and the ATmega's holds."""
+        held = (1 + count) * HOLD_S if address == balboa.ADDRESS else 0.0
+        return (BITS_PER_TRANSFER + BITS_PER_BYTE * (1 + count)) / self.scl + held
+
     def wire_s(self) -> float:
         """Time on the wire so far, s."""
-        return self.bits * BIT_S + self.bytes_held * HOLD_S
+        return self._wire_s
 
     def _reach(self, address: int, count: int, now: float) -> Device:
         self.atmega.advance(now)
         self.bits += BITS_PER_TRANSFER + BITS_PER_BYTE * (1 + count)
+        self._wire_s += self.transfer_s(address, count)
         error = errno.ETIMEDOUT if self.sda_held else self.failures.pop(0) if self.failures else 0
         device = self.devices.get(address)
-        if device is self.atmega:
-            self.bytes_held += 1 + count
+        self.imu.byte_s = BITS_PER_BYTE / self.scl
         if device is None or (device is self.atmega and self.atmega.in_bootloader):
             error = error or errno.EREMOTEIO
         if error or device is None:

@@ -9,9 +9,9 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from services.dwm.core import calls, shell
-from services.dwm.core.calls import UWB_ACTIVE, Settings, UpdateRate, Version
-from services.dwm.core.tlv import (
+from services.dwm.core.module import calls, shell
+from services.dwm.core.module.calls import UWB_ACTIVE, Settings, UpdateRate, Version
+from services.dwm.core.module.tlv import (
     LOC_GET,
     NOWHERE,
     OK,

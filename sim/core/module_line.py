@@ -6,10 +6,10 @@ Pure: whoever has the line sends `to_send()`, feeds `receive()` and calls `handl
 import struct
 from collections.abc import Callable
 
-from services.balancer.core import balboa
-from services.balancer.core.mailbox import MailboxState as Mail
-from services.balancer.core.uwb import UwbState
-from services.dwm.core.tlv import LOC_GET, Location, TlvDecoder, encode_location
+from services.balancer.core.devices import balboa
+from services.balancer.core.devices.mailbox import MailboxState as Mail
+from services.balancer.core.devices.uwb import UwbState
+from services.dwm.core.module.tlv import LOC_GET, Location, TlvDecoder, encode_location
 from swarm.errors import FrameError
 
 SOURCE = "balancer"
@@ -29,6 +29,11 @@ MAILBOX_SIZE = PAGES * balboa.WINDOW_SIZE
 _REPORT_HEAD = struct.Struct("<HH")
 _HEAD, _PLACE, _RECORD = 21, slice(5, 18), 20
 """Where the answer to loc_get has its ranges and its place, and the bytes of a range."""
+
+
+def module_address(index: int) -> str:
+    """Short address of the module of the robot of this number, where the config gives none."""
+    return f"{0xDE00 + index:04X}"
 
 
 class ModuleLine:
@@ -58,6 +63,11 @@ class ModuleLine:
     def post(self, token: int, length: int) -> None:
         """Send the first `length` bytes of the mailbox as soon as the line is free."""
         self.mail, self.echo, self.answer_length, self._request_length = Mail.BUSY, token, 0, length
+
+    @property
+    def newest(self) -> int:
+        """The sequence number of the newest report; 0 before there is one."""
+        return self._sequence
 
     def reporting(self, now: float) -> Callable[[], bytes]:
         """Tells the UWB block as it is now, to who asks for it later: few do."""
@@ -127,8 +137,15 @@ class ModuleLine:
         self._came = now
         data = encode_location(location)
         count = data[_HEAD - 1]
-        ranges = data[_HEAD : _HEAD + _RECORD * min(count, balboa.UWB_RANGES)].ljust(_RECORD * balboa.UWB_RANGES, b"\0")
-        self._report = bytes(4) + bytes((count,)) + data[_PLACE] + ranges + struct.pack("<H", self._sequence)
+        records = [data[_HEAD + _RECORD * n :][:_RECORD] for n in range(min(count, balboa.UWB_RANGES))]
+        ranges = b"".join(each[: balboa.UWB_RANGE_SIZE] for each in records)
+        places = b"".join(each[balboa.UWB_RANGE_SIZE :] for each in records)
+        self._report = b"".join((
+            bytes(4), bytes((count,)), data[_PLACE],
+            ranges.ljust(balboa.UWB_RANGE_SIZE * balboa.UWB_RANGES, b"\0"),
+            places.ljust(balboa.UWB_PLACE_SIZE * balboa.UWB_RANGES, b"\0"),
+            struct.pack("<H", self._sequence),
+        ))  # fmt: skip
 
     def _wait_for_answer(self, now: float) -> None:
         if self._answer and now - self._last_byte >= SILENCE:

@@ -1,4 +1,4 @@
-"""What is seen of the simulated robots from outside: LEDs as they shine, who stands when, who comes near whom.
+"""What is seen of the simulated robots from outside: LEDs as they shine, where they are, who stands when.
 
 Fed with true poses and changes of the LEDs' registers; no app and no robot knows of it.
 """
@@ -9,7 +9,7 @@ from bisect import bisect_left
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
-from services.balancer.core.posture import UPRIGHT
+from services.balancer.core.control.posture import UPRIGHT
 from sim.core.track import Point, Track
 
 MOST_FLASHES = 20_000
@@ -17,16 +17,6 @@ MOST_FLASHES = 20_000
 counted."""
 STANDS_S = 0.5
 """Upright for so long is standing, not swinging through."""
-
-
-class Closest(NamedTuple):
-    """How near two robots have come to each other."""
-
-    distance: float
-    """m, between axles."""
-    t: float
-    a: str
-    b: str
 
 
 class Phases(NamedTuple):
@@ -56,17 +46,11 @@ class SceneRecord:
         """How often it did."""
         self.stood_at: dict[str, float] = {}
         """Since when each has stood; missing where it does not."""
-        self.closest: Closest | None = None
         self._upright: dict[str, float] = {}
         self._yellow = dict.fromkeys(self.names, False)
-        self._places: dict[str, Point] = {}
 
     def pose(self, robot: str, t: float, place: Point, tilt: float) -> None:
         """Where a robot truly is (m), and how it leans (rad)."""
-        self._places[robot] = place
-        for other, there in self._places.items():
-            if other != robot and (self.closest is None or math.dist(place, there) < self.closest.distance):
-                self.closest = Closest(math.dist(place, there), t, *sorted((robot, other)))
         self.tracks[robot].add(t, place)
         if abs(tilt) > UPRIGHT:
             self._upright.pop(robot, None)

@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Protocol
 
-from services.dwm.core.tlv import AnchorRange, Location, Position
+from services.dwm.core.module.tlv import AnchorRange, Location, Position
 from swarm.frozen import frozen
 
 MAX_RANGES = 4
@@ -60,6 +60,11 @@ class ErrorModel:
     """What the module's location engine adds to a range before it positions itself. Fitted: from ranges as
     reported, positions would be off by 19 cm, and still by 13 cm after eq. 2.10; the recordings have 7.4 and
     5.4 cm, noise included. With this, eq. 2.10 leaves 2 to 3 cm of bias at the recorded places."""
+
+
+def error_model(range_noise: float | None) -> ErrorModel:
+    """Return the model with this noise in line of sight, m; None: its own."""
+    return ErrorModel() if range_noise is None else ErrorModel(noise=range_noise)
 
 
 @frozen

@@ -76,7 +76,7 @@ def judge(one: list[Json], other: list[Json]) -> Json:
     # The quicker of two: what the machine did besides is no cost of the app.
     steps = [min(entry["step_mean"], again.get(entry["graph"], entry)["step_mean"]) for entry in graphs]
     mean = max(steps, default=0.0)
-    warnings = sorted({warning for entry in graphs for warning in entry["warnings"]})
+    warnings = sorted({warning for entry in (app, *graphs) for warning in entry.get("warnings", ())})
     if mean * PI_FACTOR > STEP_BUDGET:
         warnings.append(
             f"a step takes about {1e3 * PI_FACTOR * mean:.1f} ms on a Pi Zero 2 W, more than {1e3 * STEP_BUDGET:g} ms"
@@ -116,12 +116,23 @@ def text(found: Mapping[str, Any]) -> str:
             word = "diverges" if trend.get("grows") else "-" if settles is None else str(settles)
             told = "-" if spread is None else f"{spread:.3g}"
             lines.append(f"{entry['graph']:<10} {entry['iterations']:>10} {word:>10} {told:>18}")
-        lines.append("")
+        lines += ["", f"ran         {_ran(found)}"]
     lines += [f"warning     {warning}" for warning in found["warnings"]]
     lines += [f"problem     {problem}" for problem in found["problems"]]
     if found["ok"]:
         lines.append("ok          same step, same result; in two processes too")
     return "\n".join(lines) + "\n"
+
+
+def _ran(found: Mapping[str, Any]) -> str:
+    """What the rehearsal has given the app, on each graph at least."""
+    graphs = found["graphs"]
+    if not graphs:
+        return "nothing"
+    steps = {"sync": "iterations", "periodic": "steps", "event": "events"}[found["kind"]]
+    seconds, count = (min(entry[name] for entry in graphs) for name in ("seconds", "iterations"))
+    had = [f"{what}: {min(entry[what] for entry in graphs)}" for what in ("poses", "ranges")]  # no comes before yes
+    return ", ".join((f"{seconds:.4g} s", f"{count} {steps}", *had))
 
 
 def _rehearse(options: argparse.Namespace, seed: str) -> list[Json]:

@@ -1,8 +1,6 @@
-"""The swarm's common time and the ranges to other robots in a rehearsal: perfect, and none."""
+"""The swarm's common time in a rehearsal: a perfect one."""
 
 from collections.abc import Callable
-
-from swarm.messages import Range
 
 
 class CommonClock:
@@ -18,13 +16,3 @@ class CommonClock:
     def monotonic(self, mesh: float) -> float:
         """When it will be that time by the robot's own clock."""
         return mesh
-
-
-class NoRanges:
-    """In place of `swarm.app.ranging.Ranging`: no module measures anything."""
-
-    ranges: tuple[Range, ...] = ()
-
-    def distance(self, robot: str) -> float | None:
-        """See `Ranging`."""
-        return None

@@ -47,7 +47,7 @@ class RehearsedRobot:
 
     def press(self, button: str) -> None:
         """Somebody presses "a", "b" or "c"."""
-        self._world.act(self.name, self._world.time.now, actions.Press(button.upper(), PRESS_S))
+        self._world.act(self.name, actions.Press(button.upper(), PRESS_S))
 
     def result(self) -> Mapping[str, Value]:
         """What the robot reports now."""
@@ -67,6 +67,11 @@ class EventRehearsal:
         launch = Launch(app, 1, RunOptions(), None, None, runner)
         for name in config.names:
             self.world.start_app(name, launch)
+
+    @property
+    def now(self) -> float:
+        """s since the start."""
+        return self.world.time.now
 
     def run(self, until: float) -> None:
         """Let time pass, s since the start."""

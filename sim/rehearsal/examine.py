@@ -14,16 +14,17 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import FrameType
-from typing import Any, TypeVar
+from typing import Any
 
 from services.apps import loader
 from services.apps.event_runner import EventRunner
 from services.apps.runner import Runner
-from sim.rehearsal import tracing, trends
+from sim import imports
+from sim.rehearsal import limits, tracing, trends
 from sim.rehearsal.events import EventRehearsal
+from sim.rehearsal.limits import ALARMS, Hang, alarm, limited, may_go_on
 from sim.rehearsal.scene import scene
-from sim.rehearsal.sync import SyncRehearsal
+from sim.rehearsal.sync import ITERATION_S, SyncRehearsal
 from swarm.app import settings
 from swarm.app.event_app import PeriodicApp, channels_of
 from swarm.app.settings import Setting
@@ -35,38 +36,20 @@ from swarm.errors import AppError, LocalError
 from swarm.frozen import frozen
 from swarm.messages.codec import Value
 
-T = TypeVar("T")
-
 GRAPHS = ("line", "loop", "thesis-d", "full", "random:1")
 """Standard graphs; thesis-d is one of six robots."""
 
-STEP_LIMIT = 2.0
-"""s of computing after which a step hangs. The longest of ours takes some ms. Of CPU time, since what else the machine
-does is no fault of the app."""
-
-TIME_LIMIT = 8.0
-"""s of CPU time that one graph may take; what has been done by then is judged."""
-
-WAIT_LIMIT = 20.0
-"""s by the clock after which a step hangs, and a graph ends, that waits for something instead of computing."""
-
 SECONDS = 20.0
-"""Virtual time of an event-driven or periodic app."""
+"""Virtual time of an event-driven or periodic app, from when all robots have begun."""
+
+START_LIMIT = 10.0
+"""s of virtual time within which all robots must have begun."""
+
+YES, NO, UNASKED = "yes", "no", "not asked for"
+"""Whether the app has had poses, or ranges, in the rehearsal."""
 
 FRAME = 18
-"""Bytes that mesh and lockstep add to a state on an authenticated link (docs/frames.md)."""
-
-
-ALARMS = (signal.SIGPROF, signal.SIGALRM)
-"""What ends a step: it has computed, or waited, for too long."""
-
-
-class Hang(BaseException):
-    """A step took too long. No `Exception`: an author's own `except` must not swallow it."""
-
-    def __init__(self, line: int, why: str) -> None:
-        super().__init__(line, why)
-        self.line, self.why = line, why
+"""Bytes that mesh and lockstep add to a state on an authenticated link (docs/reference/network/frames.md)."""
 
 
 @frozen
@@ -102,7 +85,12 @@ class _Finding:
     fault: str = ""
     line: int | None = None
     warnings: list[str] = field(default_factory=list)
+    seconds: float = 0.0
+    """Virtual time that it was given."""
     iterations: int = 0
+    """Steps of the robot that has done the fewest; events, where the app has no steps."""
+    poses: str = UNASKED
+    ranges: str = UNASKED
     step_mean: float = 0.0
     """s of CPU time on this machine."""
     step_worst: float = 0.0
@@ -121,9 +109,9 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--set", action="append", default=[], metavar="[ROBOT.]NAME=VALUE")
     chosen = parser.parse_args(arguments)
     for number in ALARMS:
-        signal.signal(number, _alarm)
+        signal.signal(number, alarm)
     try:
-        app = _limited(str(Path(chosen.file).resolve()), lambda: loader.load(chosen.file))
+        app = limited(str(Path(chosen.file).resolve()), lambda: loader.load(chosen.file))
         task = Task(app, chosen.robots, chosen.iterations, [settings.parse(one) for one in chosen.set])
         _tell(describe(task))
         for finding in examine(task):
@@ -156,6 +144,7 @@ def describe(task: Task) -> dict[str, object]:
         "bytes": schema.size,
         "bytes_on_air": schema.size + FRAME if schema.fields else 0,
         "channels": sorted(channels_of(kind)),
+        "warnings": [] if app.name in loader.BUILT_IN else imports.lacking(app.source, imports.own_packages()),
     }
 
 
@@ -182,19 +171,22 @@ def _sync(task: Task, finding: _Finding) -> None:
     times: list[float] = []
     orders: set[str] = set()
     sums: set[tuple[str, int]] = set()
-    may_go_on = _limit()
+    go_on = may_go_on()
 
     def step(swarm: SyncRehearsal, name: str) -> tuple[bytes, bytes]:
         return _one_step(task.app, swarm, name, finding, times, orders, sums)
 
     try:
-        while swarm.k < task.iterations and may_go_on():
+        while swarm.k < task.iterations and go_on():
             finding.digests.append(_digest([swarm.states[name][swarm.k] for name in swarm.names]))
             swarm.run(1, step)
     finally:
-        finding.iterations = swarm.k
+        finding.seconds, finding.iterations = ITERATION_S * swarm.k, swarm.k
+        finding.poses, finding.ranges = _had([runner.app for runner in swarm.runners.values()])
         if times:
             finding.step_mean, finding.step_worst = sum(times) / len(times), max(times)
+    if swarm.k < task.iterations:
+        finding.warnings.append(_cut_short(finding, f"{swarm.k} of {task.iterations} iterations"))
     finding.trend = trends.judge({name: swarm.results[name] for name in swarm.names})
     if orders:
         finding.warnings.append(
@@ -224,7 +216,7 @@ def _one_step(
 
     begin = time.process_time()
     try:
-        done = _limited(app.source, act)
+        done = limited(app.source, act)
     except AppError as error:
         finding.fault = str(error)
         if f"{app.source}, line" not in finding.fault:
@@ -235,7 +227,7 @@ def _one_step(
     if swarm.messages[name].used:  # messages come once: a second call sees none, and that is no fault of the step
         return done
     with tracing.float_sums() as found:
-        again = _limited(app.source, act)
+        again = limited(app.source, act)
     sums |= found
     if again != done:
         finding.fault = f"{_where(runner, k)}: the same step gave two results: it is not a function of its inputs"
@@ -275,71 +267,91 @@ def _events(task: Task, finding: _Finding) -> None:
     app = task.app
     times: list[float] = []
     histories: dict[str, list[Any]] = {}
+    began: dict[str, float] = {}
+    first = "step" if issubclass(task.kind, PeriodicApp) else "start"
 
     class Examined(EventRunner):
         def call(self, call: HandlerCall, k: int, known: Sequence[NeighbourState]) -> bytes:
             begin = time.process_time()
             try:
-                own = _limited(app.source, lambda: EventRunner.call(self, call, k, known))
+                own = limited(app.source, lambda: EventRunner.call(self, call, k, known))
             except AppError as error:
                 if f"{app.source}, line" not in str(error):
                     finding.line = tracing.line_of(type(self.app), call.handler)
                 raise
             times.append(time.process_time() - begin)
             name = self.app.robot.name
+            if call.handler == first:
+                began.setdefault(name, self.app.robot.now)
             histories.setdefault(name, []).append(self.result())
             finding.digests.append(_digest([name.encode(), own]))
             return own
 
     swarm = EventRehearsal(app, task.scene(finding.graph), Examined)
-    may_go_on = _limit()
-    presses = [(1.0 + index, name, "abc"[index % 3]) for index, name in enumerate(swarm.units)]
-    for second in range(1, int(SECONDS) + 1):
-        if not may_go_on():
-            break
-        for at, name, button in presses:
-            if at == second:
-                swarm.units[name].press(button)
-        swarm.run(float(second))
-        for unit in swarm.units.values():
-            if unit.fault:
-                raise AppError(unit.fault)
-    finding.iterations = max(unit.host.progress.k for unit in swarm.units.values())
+    go_on = may_go_on()
+    while len(began) < len(swarm.units) and swarm.now < START_LIMIT:
+        _pass(swarm, swarm.now + 0.1)
+    # Of a grid that begins now the step at the very end is the first one of the time after it.
+    begin, periods = max(began.values(), default=swarm.now), _periods(swarm)
+    end = begin + SECONDS - 1e-6
+    presses = {1 + index: (name, "abc"[index % 3]) for index, name in enumerate(swarm.units)}
+    second = 0
+    while swarm.now < end and go_on():
+        second += 1
+        if second in presses:
+            name, button = presses[second]
+            swarm.units[name].press(button)
+        _pass(swarm, min(begin + second, end))
+    finding.seconds = round(swarm.now - begin, 3)
+    finding.iterations = min(unit.host.progress.k for unit in swarm.units.values())
+    finding.poses, finding.ranges = _had([unit.app for unit in swarm.units.values()])
     if times:
         finding.step_mean, finding.step_worst = sum(times) / len(times), max(times)
     finding.trend = trends.judge(histories)
+    if swarm.now < end:
+        finding.warnings.append(_cut_short(finding, f"{finding.seconds:g} of {SECONDS:g} s"))
+        return
+    for name, unit in swarm.units.items():
+        period, progress = periods[name], unit.host.progress
+        promised = 0 if period is None or unit.host.runner.period != period else round(SECONDS / period)
+        if progress.k < promised and progress.phase != "done":
+            waits = f"; it waits for {', '.join(progress.waiting_for)}" if progress.waiting_for else ""
+            raise AppError(f"{name} did {progress.k} of the {promised} steps that {SECONDS:g} s have{waits}")
+
+
+def _pass(swarm: EventRehearsal, until: float) -> None:
+    """Let time pass; `AppError` where an app has failed."""
+    swarm.run(until)
+    for unit in swarm.units.values():
+        if unit.fault:
+            raise AppError(unit.fault)
+
+
+def _periods(swarm: EventRehearsal) -> dict[str, float | None]:
+    return {name: unit.host.runner.period for name, unit in swarm.units.items()}
 
 
 # What both need
 
 
-def _limited(source: str, act: Callable[[], T]) -> T:
-    """Do it, but not for ever: `Hang` names the line of `source` that it was at."""
-    _alarm.source = source  # type: ignore[attr-defined]
-    signal.setitimer(signal.ITIMER_PROF, STEP_LIMIT)
-    signal.setitimer(signal.ITIMER_REAL, WAIT_LIMIT)
-    try:
-        return act()
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, 0.0)
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
+def _had(apps: Sequence[AnyApp]) -> tuple[str, str]:
+    """Whether robots that asked for poses, and for ranges, have some."""
+    poses, ranges = [], []
+    for app in apps:
+        devices, ranging = app.robot.devices, app.robot.ranging
+        if devices is not None and devices.asked("pose"):
+            poses.append(devices.pose is not None)
+        if ranging is not None and ranging.listening:
+            ranges.append(bool(ranging.ranges))
+    return _said(poses), _said(ranges)
 
 
-def _limit() -> Callable[[], bool]:
-    """Tells whether a graph that begins now may go on."""
-    computed, waited = time.process_time() + TIME_LIMIT, time.monotonic() + WAIT_LIMIT
-    return lambda: time.process_time() < computed and time.monotonic() < waited
+def _said(there: Sequence[bool]) -> str:
+    return UNASKED if not there else YES if all(there) else NO
 
 
-def _alarm(number: int, frame: FrameType | None) -> None:
-    line = 1
-    while frame is not None:
-        if frame.f_code.co_filename == _alarm.source:  # type: ignore[attr-defined]
-            line = frame.f_lineno
-            break
-        frame = frame.f_back
-    computed = f"computed for more than {STEP_LIMIT:g} s"
-    raise Hang(line, computed if number == signal.SIGPROF else f"took more than {WAIT_LIMIT:g} s")
+def _cut_short(finding: _Finding, done: str) -> str:
+    return f"graph {finding.graph}: broken off after {limits.TIME_LIMIT:g} s of computing: {done}"
 
 
 def _where(runner: Runner, k: int) -> str:

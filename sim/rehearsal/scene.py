@@ -5,18 +5,19 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from services.apps.loader import LoadedApp
+from sim.core.module_line import module_address
+from sim.scenario import ANCHORS, DISTANCE, PLACES, POSITION, WINDOW
+from sim.scenario import TARGET as TARGET_MODULE
 from swarm import config as configuration
 from swarm.app.sync_app import BaseApp as AnyApp
-from swarm.config import Anchor, Config, MeshConfig, RobotConfig
+from swarm.config import Config, Dwm, MeshConfig, RobotConfig, SimulationConfig
 from swarm.core.graph import Graph
 from swarm.errors import AppError
 from swarm.messages import Measurement
 from swarm.messages.codec import Value
 
 TARGET = (0.5, 1.0)
-PLACES = ((0.5, 1.5), (1.0, 0.5), (1.5, 1.5), (1.5, 0.5), (0.35, 0.4), (1.0, 1.75))
-ANCHORS = (Anchor("D001", 0.0, 0.0), Anchor("D002", 1.94, 0.0), Anchor("D003", 1.0, 1.94))
-"""Thesis figure 4.8, m; three more places."""
+"""Thesis figure 4.8, m."""
 
 STARTS = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
 """The thesis' starting values of consensus (figure 4.4), for shared floats whose class gives none."""
@@ -44,11 +45,17 @@ def scene(
     return Config(
         path=Path("swarm.toml"),
         network="rehearsal",
-        robots=tuple(RobotConfig(name, link=f"sim:{name}") for name in names),
+        robots=tuple(
+            RobotConfig(name, link=f"sim:{name}", uwb=module_address(index)) for index, name in enumerate(names)
+        ),
         edges=Graph.of_shape(topology, names).edges,
         relay=configuration.types.DEFAULT_RELAY,
         anchors=ANCHORS,
         mesh=MeshConfig(insecure=True),
+        dwm=Dwm(target=TARGET_MODULE, window=WINDOW, distance=DISTANCE, position=POSITION),
+        simulation=SimulationConfig(
+            target=TARGET, places={name: (*place(index), 0.0) for index, name in enumerate(names)}
+        ),
         apps={app.name: configuration.AppConfig(common, own)},
     )
 

@@ -1,12 +1,21 @@
-"""A swarm of one synchronous app, all robots in this process, step by step: no time, no thread, no link."""
+"""A swarm of one synchronous app, all robots in this process, step by step: no thread, no link.
 
+What a robot has besides, its body, LEDs, poses and ranges, is that of virtual time, in which an iteration takes 0.1 s.
+"""
+
+import logging
 from collections.abc import Callable, Mapping
 
 from services.apps import loader
+from services.apps.equipment import equip
 from services.apps.runner import Runner
-from sim.rehearsal.clock import CommonClock, NoRanges
+from services.mesh.core.radio_model import AirModel
+from sim.options import DELAY
+from sim.rehearsal.clock import CommonClock
 from sim.rehearsal.messages import RehearsalOverlays
 from sim.rehearsal.scene import measurement
+from sim.virtual.bus import VirtualBus
+from sim.virtual.world import VirtualWorld
 from swarm.app.sync_app import SyncApp
 from swarm.config import Config
 from swarm.core.graph import Graph
@@ -15,6 +24,14 @@ from swarm.messages import Measurement
 from swarm.messages.codec import Value
 
 Measure = Callable[[str, int], Measurement]
+
+ITERATION_S = 0.1
+"""s of virtual time that an iteration takes."""
+
+_SILENT = logging.getLogger("rehearsal")
+"""What an app logs is for its robot."""
+_SILENT.addHandler(logging.NullHandler())
+_SILENT.propagate = False
 
 
 class SyncRehearsal:
@@ -29,6 +46,7 @@ class SyncRehearsal:
         self._looks = 0
         self.runners: dict[str, Runner] = {}
         self.messages: dict[str, RehearsalOverlays] = {}
+        self._world = VirtualWorld(config, AirModel(0.0, 0.0, None, seed), seed, mesh=DELAY)
         for name in self.names:
             instance = app.make(config, name, seed)
             if not isinstance(instance, SyncApp):
@@ -36,10 +54,10 @@ class SyncRehearsal:
             self.messages[name] = RehearsalOverlays(
                 name, self.names, lambda to, message: self.messages[to].receive(message)
             )
+            equip(instance.robot, VirtualBus(self._world.robots[name].router), _SILENT, self._now)
             instance.robot.overlays = self.messages[name]  # type: ignore[assignment]
-            instance.robot.time = self._now
             instance.robot.mesh_clock = CommonClock(self.names[0], self._now)  # type: ignore[assignment]
-            instance.robot.ranging = NoRanges()  # type: ignore[assignment]
+            instance.robot.truth = self._world.truth(name, app.name)
             self.runners[name] = Runner(instance, app.source)
         self.private: dict[str, bytes] = {}
         self.states: dict[str, list[bytes]] = {}
@@ -64,6 +82,7 @@ class SyncRehearsal:
         for _ in range(iterations):
             done = {name: (step or SyncRehearsal.step)(self, name) for name in self.names}
             self.k += 1
+            self._pass()
             for name, (own, private) in done.items():
                 self.states[name].append(own)
                 self.private[name] = private
@@ -82,10 +101,18 @@ class SyncRehearsal:
         """One robot's step: its next state, shared and private."""
         return self.runners[name].step(self.k, self.states[name][self.k], self.around(name), self.measured(name))
 
+    def _pass(self) -> None:
+        """Let the bodies do what they were told, until the next iteration."""
+        self._world.time.run(ITERATION_S * self.k)
+        for runner in self.runners.values():
+            devices = runner.app.robot.devices
+            if devices is not None and devices.next_deadline() is not None:
+                devices.handle_timer()
+
     def _now(self) -> float:
-        """An iteration takes 0.1 s here. No two looks at the clock are the same, as on a robot."""
+        """No two looks at the clock are the same, as on a robot."""
         self._looks += 1
-        return 0.1 * self.k + 1e-6 * self._looks
+        return ITERATION_S * self.k + 1e-6 * self._looks
 
     def result(self, name: str) -> Mapping[str, Value]:
         """What a robot reports now."""

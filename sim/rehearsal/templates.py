@@ -10,7 +10,7 @@ from swarm import SyncApp, parameter
 class @CLASS@(SyncApp):
     """Every robot ends on the mean of the first values."""
 
-    # Shared state: sent to the neighbours after each step. Types: float, float32, int, bool, Annotated[Vector, n].
+    # Shared state: sent to the neighbours after each step. Types: float, float32, int, bool, Array[n] of numpy.
     # Without a value here it starts at zero; `--set r2.value=3` or swarm.toml give another one.
     value: float
 
@@ -44,7 +44,7 @@ from pathlib import Path
 
 import pytest
 
-from sim.rehearsal import rehearse
+from swarm import rehearse
 
 APP = Path(__file__).with_name("@FILE@")
 
@@ -88,7 +88,7 @@ class @CLASS@(PeriodicApp):
         self.robot.leds(green=self.lit)
 
     def on_button(self, button):
-        """Button "a", "b" or "c" of this robot was pressed. There are more handlers: docs/apps.md."""
+        """Button "a", "b" or "c" of this robot was pressed. There are more handlers: docs/reference/apps.md."""
         self.lit = True
 '''
 
@@ -96,7 +96,7 @@ PERIODIC_TEST = '''"""Test of @FILE@: all robots in one process, in virtual time
 
 from pathlib import Path
 
-from sim.rehearsal import rehearse
+from swarm import rehearse
 
 APP = Path(__file__).with_name("@FILE@")
 
@@ -130,7 +130,7 @@ class @CLASS@(EventApp):
     # Shared state: goes to the neighbours whenever it has changed; `result` reports it. May be left out.
     presses: int
 
-    # Handlers run one at a time, and none waits for anything. More of them: docs/apps.md.
+    # Handlers run one at a time, and none waits for anything. More of them: docs/reference/apps.md.
 
     def on_button(self, button):
         """Button "a", "b" or "c" of this robot was pressed: tell the whole swarm."""
@@ -147,7 +147,7 @@ EVENT_TEST = '''"""Test of @FILE@: all robots in one process, in virtual time. R
 
 from pathlib import Path
 
-from sim.rehearsal import rehearse
+from swarm import rehearse
 
 APP = Path(__file__).with_name("@FILE@")
 

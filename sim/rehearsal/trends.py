@@ -3,6 +3,8 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from swarm.core.arrays import is_array
+
 SETTLED = 0.01
 """Of the way from the first results to the last ones: within this, they have settled."""
 
@@ -61,4 +63,6 @@ def numbers(values: Iterable[object]) -> list[float]:
             found.append(float(value))
         elif isinstance(value, tuple | list):
             found += numbers(value)
+        elif is_array(value):
+            found += value.ravel().tolist()  # type: ignore[attr-defined]
     return found

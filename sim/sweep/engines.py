@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from typing import Any, Protocol
 
+from services.apps.loader import LoadedApp
 from sim.sweep.measure import SweptRun, measure
 from sim.sweep.plan import Job
 from swarm.errors import LocalError
@@ -19,6 +20,20 @@ class Engine(Protocol):
 
     def __call__(self, jobs: Sequence[Job], done: Callable[[], None]) -> list[SweptRun]:
         """All of them, in the order of the jobs; `done()` is called after each."""
+
+
+@contextlib.contextmanager
+def here(app: LoadedApp) -> Iterator[Engine]:
+    """This process, one run after the other: an app that is a class of the program cannot go to another process."""
+
+    def run(jobs: Sequence[Job], done: Callable[[], None]) -> list[SweptRun]:
+        found = []
+        for job in jobs:
+            found.append(measure(job, app))
+            done()
+        return found
+
+    yield run
 
 
 @contextlib.contextmanager

@@ -5,6 +5,8 @@ import math
 import statistics
 from collections.abc import Sequence
 
+from services.apps.loader import LoadedApp
+from sim.report import is_metric
 from sim.sweep.plan import Job
 from sim.virtual.run import simulate
 from swarm.errors import SwarmError
@@ -25,21 +27,25 @@ class SweptRun:
     settled: int | None
     """Iterations after which all results stay near their last values; None where they do not."""
     error: float | None
-    """Of the results, where the app's report knows the truth: from the mean (consensus), or cm (localization)."""
+    """Of the results, where the truth is known: from the mean (consensus), in cm (localization), else what the app's
+    `error` says, the mean over the robots."""
     seconds: float
     """Virtual."""
     iteration_s: float | None
     computed_s: float
     problem: str
     """Why it failed; empty where it did not."""
+    contacts: int = 0
+    """How often two robots touched."""
 
 
-def measure(job: Job) -> SweptRun:
-    """Run it. What is wrong with a run is a result like any other."""
+def measure(job: Job, app: LoadedApp | None = None) -> SweptRun:
+    """Run it; `app` is what the job names, where it is there already. What is wrong with a run is a result like any
+    other."""
     before = logging.root.manager.disable
     logging.disable(logging.WARNING)  # twenty runs at once would tell the same twenty times
     try:
-        report, outcome = simulate(*job.arguments, rows=True)
+        report, outcome = simulate(*job.arguments, rows=True, app=app)
     except SwarmError as error:
         return SweptRun(job.point, job.seed, 0, None, None, 0.0, None, 0.0, str(error))
     finally:
@@ -56,6 +62,7 @@ def measure(job: Job) -> SweptRun:
         iteration_s=iteration if isinstance(iteration, float) else None,
         computed_s=outcome.computed_s or 0.0,
         problem="; ".join(outcome.problems),
+        contacts=contacts if isinstance(contacts := outcome.scene.get("contacts"), int) else 0,
     )
 
 
@@ -67,7 +74,7 @@ def settled(paths: Sequence[Trajectory], within: float) -> int | None:
         return None
     found = 0
     for path in paths:
-        columns = [column for column in path.columns if column.startswith("result.")]
+        columns = [name for name in path.columns if name.startswith("result.") and not is_metric(name)]
         for column in columns:
             last = path.value(path.last, column)
             for k in range(path.last, found - 1, -1):
@@ -97,6 +104,8 @@ class Summary:
     iteration_s: float | None
     problem: str
     """The first."""
+    contacts: int
+    """Of all runs together: how often two robots touched."""
 
 
 def summarize(runs: Sequence[SweptRun]) -> Summary:
@@ -115,4 +124,5 @@ def summarize(runs: Sequence[SweptRun]) -> Summary:
         error_most=max(errors, default=None),
         iteration_s=statistics.median(times) if times else None,
         problem=next((run.problem for run in runs if run.problem), ""),
+        contacts=sum(run.contacts for run in runs),
     )

@@ -3,6 +3,7 @@ them of Unix sockets, with the same delays from the same generators."""
 
 import random
 from collections import deque
+from typing import Any, Protocol
 
 from services.mesh.core.link.session import Session
 from services.mesh.core.radio_model import AirModel, DelayLine
@@ -21,6 +22,34 @@ _NEVER = float("inf")
 
 Due = dict[float, list["ConnectionEnd"]]
 """What is on the way to a robot: for each moment at which something arrives the ends it comes to, one a chunk."""
+
+
+class Medium(Protocol):
+    """What carries the links of a swarm. Its ends are its own: they have a `session`, and stations hand them back."""
+
+    cuts: dict[frozenset[str], float]
+    """Until when nothing passes between two robots."""
+
+    def add(self, station: "Station") -> None:
+        """A robot that can be dialled."""
+
+    def remove(self, station: "Station") -> None:
+        """It can no more."""
+
+    def cut(self, a: str, b: str, seconds: float) -> None:
+        """Nothing passes between two robots for a while; what is under way arrives afterwards."""
+
+    def dial(self, caller: "Station", peer: str) -> None:
+        """Make a connection, and tell both ends of it; or tell the caller that there is none."""
+
+    def flush(self, end: Any) -> None:
+        """Put what the session of an end has to send on the air, as far as it takes it."""
+
+    def close(self, end: Any) -> None:
+        """Close an end: the other one hears of it as of everything else."""
+
+    def supervise(self, end: Any, seconds: float) -> None:
+        """See `services.mesh.surroundings.Transport`."""
 
 
 class ConnectionEnd:
@@ -52,13 +81,14 @@ class Station:
 
     __slots__ = ("_air", "_ends", "_mesh", "_timer", "robot", "time")
 
-    def __init__(self, robot: str, time: Time, air: "Air") -> None:
+    def __init__(self, robot: str, time: Time, air: Medium) -> None:
         self.robot = robot
         self.time = time
         """The robot's clock."""
         self._air = air
         self._mesh: Mesh
-        self._ends: dict[Session, ConnectionEnd] = {}
+        self._ends: dict[Session, Any] = {}
+        """The medium's ends of connections."""
         self._timer = _NEVER
 
     def start(self, mesh: Mesh) -> None:
@@ -91,6 +121,11 @@ class Station:
             self._air.flush(end)
             self._air.close(end)
 
+    def supervise(self, session: Session, seconds: float) -> None:
+        """Let go of a connection when it has been silent for that long."""
+        if (end := self._ends.get(session)) is not None:
+            self._air.supervise(end, seconds)
+
     def wake(self, deadline: float) -> None:
         """Call the mesh then, or earlier: a call that is planned already stays."""
         if deadline < self._timer:
@@ -104,13 +139,13 @@ class Station:
         """False after the mesh's end."""
         return self._mesh.running
 
-    def dialled(self, peer: str, end: ConnectionEnd) -> None:
+    def dialled(self, peer: str, end: Any) -> None:
         """The connection asked for is there."""
         end.session = self._mesh.dialled(peer)
         self._ends[end.session] = end
         self._mesh.carry_out()
 
-    def accepted(self, end: ConnectionEnd) -> None:
+    def accepted(self, end: Any) -> None:
         """Somebody has called."""
         end.session = self._mesh.accepted()
         if end.session is None:
@@ -134,7 +169,7 @@ class Station:
 
 
 class Air:
-    """All links of a swarm."""
+    """All links of a swarm, each with the same delays; see `Medium`."""
 
     def __init__(self, time: EventQueue, model: AirModel) -> None:
         self._time = time
@@ -183,6 +218,9 @@ class Air:
         while end.socket:
             self._push(end, end.socket.popleft())
         self._push(end, b"")
+
+    def supervise(self, end: ConnectionEnd, seconds: float) -> None:
+        """A pipe knows no silence."""
 
     def _dialled(self, caller: Station, peer: str) -> None:
         if not caller.running:

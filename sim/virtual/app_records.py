@@ -1,17 +1,18 @@
 """What a run under virtual time keeps of one app: its last states or all, and a recording where one is wanted."""
 
+from collections.abc import Collection, Mapping
 from functools import partial
 from pathlib import Path
 
 from services.apps import loader
 from services.apps.observer import Source, StepRecord
-from services.apps.recorder import Recorder
+from services.apps.persistence.recorder import Recorder
 from sim.virtual.bus import VirtualBus
 from sim.virtual.trajectory_builder import TrajectoryBuilder
 from sim.virtual.world import VirtualWorld
 from swarm.messages import AppEpoch, AppParameters
 from swarm.recording import folder
-from swarm.recording.reader import SUFFIX
+from swarm.recording.reader import OUTCOME, PLOTTED, SHAPES, SUFFIX
 from swarm.recording.recorded_topics import TopicRecorder
 from swarm.recording.trajectory import Trajectory
 from swarm.recording.virtual_file import DirectRecording
@@ -29,8 +30,9 @@ class AppRecords:
         self._files: list[DirectRecording] = []
         self._recorders: dict[str, Recorder] = {}
 
-    def record(self, place: Path, app: loader.LoadedApp, number: int) -> None:
-        """Begin a recording: one file for all robots, or one for each where each has a clock of its own."""
+    def record(self, place: Path, app: loader.LoadedApp, number: int, topics: Collection[str]) -> None:
+        """Begin a recording: one file for all robots, or one for each where each has a clock of its own. `topics`: see
+        `TopicRecorder`."""
         world, run = self._world, folder.describe(app.name, number, self._world.seed, app.digest)
         if self._skewed:
             files = {name: DirectRecording(place / f"{name}.{app.name}{SUFFIX}", run, name) for name in world.robots}
@@ -38,11 +40,21 @@ class AppRecords:
         else:
             self._files = [DirectRecording(place / f"{app.name}{SUFFIX}", run)]
             files = dict.fromkeys(world.robots, self._files[0])
+        kind, _ = app.choose(world.config.app(app.name).of(world.config.names[0]))
+        if shapes := kind.spec.schema.shapes:
+            for file in self._files:
+                file.metadata(SHAPES, shapes)
+        if kind.plotted:
+            for file in self._files:
+                file.metadata(PLOTTED, {app.name: " ".join(kind.plotted)})
         self._recorders = {name: Recorder(files[name], name, app.name) for name in world.robots}
+        for name, recorder in self._recorders.items():
+            world.hearers.setdefault((name, app.name), []).append(recorder.said)
         world.records |= {(name, app.name): recorder.value for name, recorder in self._recorders.items()}
         for name, robot in world.robots.items():
             bus = VirtualBus(robot.router)
-            watch = TopicRecorder(bus, name, app.name, files[name], partial(getattr, robot.time, "now"), copies=False)
+            now = partial(getattr, robot.time, "now")
+            watch = TopicRecorder(bus, name, app.name, files[name], now, copies=False, topics=topics)
             watch.on_sample = watch.drain
             watch.hear_requests(bus, name)
 
@@ -55,6 +67,8 @@ class AppRecords:
 
     def progressed(self, source: Source) -> None:
         """A robot has begun, waits for others, or goes on."""
+        if not source.part and source.progress.phase == "starting":
+            self._builders[source.robot].begin_anew()
         if self._recorders:
             self._recorders[source.robot].progressed(source)
 
@@ -70,9 +84,10 @@ class AppRecords:
         if self._recorders:
             self._recorders[robot].parameters(robot, parameters)
 
-    def close(self) -> None:
-        """End the recording."""
+    def close(self, found: Mapping[str, str]) -> None:
+        """End the recording; `found` is what came out of the run."""
         for file in self._files:
+            file.metadata(OUTCOME, found)
             file.close()
 
     def trajectories(self) -> dict[str, Trajectory]:

@@ -5,15 +5,15 @@ What nobody hears is not made. Buttons are pressed, and robots laid down, by the
 
 import math
 import random
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from services.balancer.bus_side import BusSide
-from services.balancer.core.buttons import REPEAT_S, ButtonCounter
-from services.balancer.core.faults import STOPPED, MotorFault
-from services.balancer.core.leds import LedClaim, Shown, shown
+from services.balancer.core.devices.buttons import REPEAT_S, ButtonCounter
+from services.balancer.core.devices.leds import LedClaim, Shown, shown
+from services.balancer.core.faults import FELL, STOPPED, MotorFault
 from services.balancer.link import TELEMETRY_S, Command
 from services.balancer.orders import halt, obey
-from sim.core.actions import BUTTONS, BodyPlace, Lay, Press, Push, SimulationAction
+from sim.core.actions import BUTTONS, Knock, Lay, Press, Push, SimulationAction
 from sim.core.scene_record import SceneRecord
 from sim.virtual.body import BALANCING, VirtualBody
 from sim.virtual.bus import VirtualBus
@@ -34,6 +34,7 @@ from swarm.messages import (
     SetDisplay,
     Stop,
     Truth,
+    TryMotors,
 )
 from swarm.messages.keys import key
 
@@ -63,6 +64,10 @@ class VirtualBalancer:
         self.body = VirtualBody(model, config.body_of(robot), config.balancing_of(robot), place, numbers.gauss)
         self.shown: Shown | None = None
         """What the LEDs show."""
+        self.powered = True
+        """Whether the robot is switched on."""
+        self.begins_to_move: Callable[[str], object] = str
+        """Called with its name whenever it may begin to move."""
         self._time = time
         self.bus = bus
         self._scene_record = scene_record
@@ -98,12 +103,39 @@ class VirtualBalancer:
             case Lay(side):
                 self.body.lay(side, now)
                 self._show_leds()
-            case Push() | BodyPlace():
-                raise LocalError("under virtual time a body has no physics: it can be laid down, not pushed")
+            case Push(impulse):
+                self.body.push(impulse, now)
+                self._changed()
+            case Knock(impulse, dx, dy):
+                mode = self.body.mode
+                self.body.knock(impulse, dx, dy, now)
+                if self.body.mode != mode:
+                    self._changed()
+                return  # whoever looks at contacts knows where it is
+            case _:
+                raise LocalError("under virtual time a body stands where it has driven to: it cannot be put elsewhere")
+        self.begins_to_move(self.robot)
+
+    def switch_off(self, *, falls: bool) -> None:
+        """Say nothing any more; the motors are off."""
+        if falls:
+            self.body.command("rest", self._time.now)
+            self._show_leds()
+            self.begins_to_move(self.robot)
+        self.powered = False
+
+    def switch_on(self) -> None:
+        """Begin again, and stand up."""
+        self.powered = True
+        self.body.command("stand", self._time.now)
+        self._changed()
+        self.begins_to_move(self.robot)
 
     # -- the process -------------------------------------------------------------------------------------------
 
     def _put(self, name: str, payload: bytes) -> None:
+        if not self.powered:
+            return
         self._side.command(name, payload, self._time.now)
 
     # -- the loop ----------------------------------------------------------------------------------------------
@@ -127,12 +159,18 @@ class VirtualBalancer:
         """Drive for a time."""
         if cut := self.body.drive(speed, turn_rate, seconds, now):
             self.notice("velocity", cut)
+        self.begins_to_move(self.robot)
 
     def command(self, mode: str, now: float) -> None:
         """Change the mode."""
         self.body.command(mode, now)
         self._claim.clear()
         self._changed()
+        self.begins_to_move(self.robot)
+
+    def test_motors(self, request: TryMotors, now: float) -> None:
+        """Refuse."""
+        raise LocalError("motors: under virtual time a body has no motors that could be tested")
 
     def change(self, parameters: Mapping[str, float]) -> None:
         """Refuse."""
@@ -161,7 +199,7 @@ class VirtualBalancer:
     def _show_leds(self) -> None:
         now, body = self._time.now, self.body
         body.advance(now)
-        lamps = shown(body.mode, STOPPED if body.fault else "", self._claim.leds(now), low_battery=False, now=now)
+        lamps = shown(body.mode, _name(body.fault), self._claim.leds(now), low_battery=False, now=now)
         if self.shown == lamps:
             return
         self.shown = lamps
@@ -178,11 +216,13 @@ class VirtualBalancer:
             self._time.at(then, self._changed)
         if self._wanted(BalancerFault):
             reason = self.body.fault
-            fault = MotorFault(STOPPED, reason) if reason else None
+            fault = MotorFault(_name(reason), reason) if reason else None
             told = ("", "", "") if fault is None else (fault.name, fault.reason, fault.recovery)
             self._side.publish(BalancerFault(self._time.now, *told))
 
     def _tell(self) -> None:
+        if not self.powered:
+            return
         if self._wanted(Odometry):
             self._side.publish(self.body.odometry(self._time.now))
         self._tell_state()
@@ -226,6 +266,8 @@ class VirtualBalancer:
     def _tell_slowly(self) -> None:
         """What is told once a second."""
         self._time.at(self._time.now + REPEAT_S, self._tell_slowly)
+        if not self.powered:
+            return
         if self._wanted(Battery):
             self._side.publish(Battery(self._time.now, BATTERY))
         if self._wanted(Leds) and self.shown is not None:
@@ -240,3 +282,8 @@ class VirtualBalancer:
 
     def _wanted(self, kind: type) -> bool:
         return self.bus.wanted(self._side.key(kind))
+
+
+def _name(fault: str) -> str:
+    """The name of a fault of the body, by what it says; a body without physics has these two."""
+    return "" if not fault else FELL if fault == FELL else STOPPED

@@ -8,8 +8,9 @@ lag behind the set-point, is left out. Times and ways of getting up are those of
 import math
 from collections.abc import Callable
 
-from services.balancer.core.body import body_model
-from services.balancer.core.drive import Drive, DriveLimits, check_command
+from services.balancer.core.control.body import body_model
+from services.balancer.core.control.drive import Drive, DriveLimits, check_command
+from services.balancer.core.faults import FELL
 from swarm.config.types import Balancing, Body
 from swarm.errors import LocalError
 from swarm.messages import Odometry
@@ -26,6 +27,14 @@ RISE_WAY = 0.36
 """m that getting up takes: backward from the front, forward from the back (0.33 to 0.41)."""
 FALL_WAY = 0.15
 """m forward that lying down takes."""
+TOPPLES = 0.45
+"""N s of a push that it bears no more, with physics 0.40 to 0.50 (tests/services/balancer/test_body_physics.py)."""
+RECOVERS_S = 0.3
+"""s in which a robot rolls back what it bore: what pushes it meanwhile adds up, with weights that fall as
+exp(-t / RECOVERS_S). So two that drive into each other fall from 0.15 m/s each on; with physics they bear 0.1 and
+fall at 0.3."""
+TOPPLE_WAY = 0.5
+"""m from where it stood to where it lies then, with physics 0.52."""
 LYING = math.radians(110)
 """Tilt of a robot that lies."""
 
@@ -80,7 +89,8 @@ class VirtualBody:
         self._way = self._gyro = self._turned = 0.0
         self._own = (0.0, 0.0)
         self._sequence = 0
-        self._told_at = 0.0
+        self._borne, self._borne_at = 0.0, 0.0
+        """Of the last pushes, N s, and when that was."""
 
     @property
     def posture(self) -> str:
@@ -96,6 +106,12 @@ class VirtualBody:
     def next_change(self) -> float:
         """When its mode changes by itself, s; infinity where it does not."""
         return self._until if self.mode in (STANDING, FALLING) else math.inf
+
+    @property
+    def moves(self) -> bool:
+        """Whether it drives, stands up or lies down, or may still do so by its last command."""
+        drives = self._drive.speed != 0.0 or self._drive.turn_rate != 0.0 or self._now < self._until
+        return self.mode in (STANDING, FALLING) or (self.mode == BALANCING and drives)
 
     # -- what is done to it ------------------------------------------------------------------------------------
 
@@ -141,6 +157,31 @@ class VirtualBody:
         self.advance(now)
         self._fall(IDLE if self.mode != FAULT else FAULT)
         self.tilt = -LYING if side == "back" else LYING
+
+    def push(self, impulse: float, now: float) -> None:
+        """Somebody pushes it, N s forward. What it bears it has rolled back from a few seconds later; more than that
+        throws it over, and it slides on as it falls."""
+        self.advance(now)
+        if self.mode not in (BALANCING, STANDING):
+            return
+        impulse += self._borne * math.exp((self._borne_at - now) / RECOVERS_S)
+        self._borne, self._borne_at = impulse, now
+        if abs(impulse) < TOPPLES:
+            return
+        self._borne = 0.0
+        way = math.copysign(TOPPLE_WAY, impulse)
+        self.x += way * math.cos(self.heading)
+        self.y += way * math.sin(self.heading)
+        self._fall(FAULT)
+        self.tilt = math.copysign(LYING, impulse)
+        self.fault = FELL
+
+    def knock(self, impulse: float, dx: float, dy: float, now: float) -> None:
+        """Another robot hits it: it slides aside (m, the wheels do not turn), and is pushed forward, N s."""
+        self.advance(now)
+        self.x += dx
+        self.y += dy
+        self.push(impulse, now)
 
     # -- motion ------------------------------------------------------------------------------------------------
 

@@ -1,6 +1,6 @@
 """An app's code that does not return, under virtual time: one process runs all robots, so it would stop them all.
 
-A thread looks once a second which call of an author's code runs. One that it sees for `LIMIT_S` is broken off by an
+A thread looks once a second which call of an author's code runs. One that it sees for `HANG` s is broken off by an
 exception in the thread that runs it; the app's runner makes of it a fault like any other, with robot, iteration and
 line. The run itself is not slowed down: nothing is noted where steps begin and end.
 """
@@ -14,11 +14,10 @@ from collections.abc import Iterator
 from types import FrameType
 
 from services.apps.runner import AppRunner
+from swarm.core.asynchronous import HANG
 
 LOOK_S = 1.0
 """Real s between two looks."""
-LIMIT_S = 10.0
-"""Real s that a step or handler may take: as long as in a process."""
 
 SIGNAL = signal.SIGURG
 """Breaks off the main thread, even where it sleeps; nobody else uses it, and it is ignored where nobody waits for
@@ -29,11 +28,11 @@ class Hangs(SystemExit):
     """Raised in the author's code. No `Exception`, so that theirs do not catch it by the way."""
 
     def __init__(self) -> None:
-        super().__init__(f"it has not ended within {LIMIT_S:g} s")
+        super().__init__(f"it has not ended within {HANG:g} s")
 
 
 @contextlib.contextmanager
-def broken_off(look_s: float = LOOK_S, limit_s: float = LIMIT_S) -> Iterator[None]:
+def broken_off(look_s: float = LOOK_S, limit_s: float = HANG) -> Iterator[None]:
     """Within this, an author's code in this thread that takes longer than `limit_s` is broken off."""
     mine = threading.get_ident()
     # Only the main thread can be interrupted where Python waits; others (a Dask worker's) where it computes.

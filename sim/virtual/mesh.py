@@ -4,11 +4,10 @@ import random
 from functools import partial
 
 from services.mesh.bus_interface import BusInterface
-from services.mesh.core.routing.topology import Ground
 from services.mesh.core.routing.wanted_links import InitialLinks
 from services.mesh.core.wire.frames import NONCE_SIZE
-from services.mesh.mesh import Chance, Mesh, dials_of, local_of
-from sim.virtual.air import Air, Station
+from services.mesh.mesh import Chance, Mesh, calls_of, dials_of, ground_of, local_of
+from sim.virtual.air import Medium, Station
 from sim.virtual.bus import VirtualBus
 from sim.virtual.events import Time
 from sim.virtual.runtime import VirtualRuntime
@@ -21,11 +20,13 @@ FIRST_INCARNATION = 1
 class Common:
     """What the meshes of all robots have in common; made once, since it grows with the swarm."""
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, *, bluetooth: bool = False) -> None:
+        """`bluetooth`: links are of such a radio, on which it matters who calls."""
         self.config = config
+        self._calls = calls_of(config, bluetooth=bluetooth)
         self.robots = {robot.name: robot for robot in config.robots}
         self.names = frozenset(self.robots)
-        self.ground = Ground(config.names, config.edges, auto=config.auto)
+        self.ground = ground_of(config, bluetooth=bluetooth)
         near: dict[str, set[str]] = {name: set() for name in config.names}
         for a, b in config.edges:
             near[a].add(b)
@@ -36,9 +37,10 @@ class Common:
         """Whom a robot may be linked with, and whether it calls them: of a fixed topology its neighbours alone, or the
         tables of a thousand robots would hold a million entries that nobody uses."""
         own = self.robots[robot]
-        others = self.names - {robot} if self.config.auto else self.near[robot]
+        anybody = self.config.auto or self.ground.carried
+        others = self.names - {robot} if anybody else self.near[robot]
         peers = (self.robots[name] for name in sorted(others))
-        return dials_of(own, peers)
+        return dials_of(own, peers, self._calls)
 
 
 class VirtualMesh(Mesh):
@@ -51,7 +53,7 @@ class VirtualMesh(Mesh):
         common: Common,
         robot: str,
         time: Time,
-        air: Air,
+        air: Medium,
         bus: VirtualBus,
         seed: object,
         incarnation: int = FIRST_INCARNATION,

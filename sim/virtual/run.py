@@ -2,20 +2,24 @@
 
 import contextlib
 import gc
+import json
 import math
 import os
 import random
 import time as real_time
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator
+from functools import partial
 from pathlib import Path
 
 from services.apps import loader
 from services.apps.event_host import EventHost
 from services.apps.observer import Observer, Source, StepRecord
+from services.apps.speaker import prints_heard
 from services.mesh.core.radio_model import AirModel
 from sim import scene
 from sim.core import actions
 from sim.core.scene_record import SceneRecord
+from sim.disturbances import Cut, Disturbance, Kill, Off, ScheduledPress, ScheduledPush, never
 from sim.options import DELAY, FROM_START, PRESS_S, SETTLED, Options
 from sim.options import parse as arguments_of
 from sim.report import Json, RunOutcome, summary
@@ -25,9 +29,11 @@ from sim.virtual.hang import broken_off
 from sim.virtual.world import Launch, VirtualWorld
 from swarm.app.run_options import RunOptions
 from swarm.config.dump import dump
+from swarm.config.types import GRAPH
 from swarm.errors import ConfigError, LocalError
-from swarm.messages import AppEpoch, AppParameters
+from swarm.messages import AppEpoch, AppLog, AppParameters
 from swarm.recording import folder
+from swarm.recording.recorded_topics import TOPICS
 
 STALLED = 60.0
 """s of virtual time without any iteration after which a run is given up: it costs no patience to wait so long."""
@@ -62,15 +68,32 @@ class VirtualRun:
     """Runs a scenario until its end."""
 
     @_without_looking_for_garbage()
-    def __init__(self, options: Options, scenario: Scenario, *, rows: bool = False) -> None:
-        """`rows`: keep the states of all iterations for the outcome, not only the last."""
+    def __init__(
+        self,
+        options: Options,
+        scenario: Scenario,
+        *,
+        rows: bool = False,
+        topics: Collection[str] = tuple(TOPICS),
+        look: Callable[[float], None] | None = None,
+        said: Callable[[str, AppLog], None] | None = None,
+    ) -> None:
+        """`rows`: keep the states of all iterations for the outcome, not only the last. `topics`: what a recording
+        holds beside what the app says, of those of `swarm.recording.recorded_topics`. `look(share)` is called at each
+        second of virtual time with the share of the run that is done, 0 to 1; `said(robot, line)` with what
+        apps print and log."""
         self._options = options
         self._scenario = scenario
         self._rows = rows or bool(scenario.recordings)
+        self._topics = topics
+        self._look = look
         names = scenario.config.names
         mesh = options.mesh or (FROM_START if len(names) <= MAX_FROM_START or scenario.config.auto else SETTLED)
         if mesh == DELAY and scenario.config.auto:
             raise ConfigError("--mesh delay: an automatic topology is found by meshes, name another --topology")
+        if mesh != FROM_START and scenario.config.mesh.links != GRAPH:
+            links = scenario.config.mesh.links
+            raise ConfigError(f"--mesh {mesh}: links = {links!r} are made by meshes from their start")
         model = AirModel(options.latency, options.jitter, options.bandwidth, options.seed, loss=options.loss)
         self._scene_record = SceneRecord(names) if scenario.app in scene.WATCHED else None
         self.world = VirtualWorld(
@@ -82,10 +105,16 @@ class VirtualRun:
             lying=scenario.lying,
             skew=options.clock_skew,
             scene_record=self._scene_record,
+            slots=options.slots,
+            processes_end=any(isinstance(each, Kill) for each in scenario.disturbances),
         )
+        apps = [each.app for each in scenario.beside] + ([scenario.app] if scenario.app else [])
+        if said is not None:
+            self.world.hearers = {(name, app): [partial(said, name)] for name in names for app in apps}
         self._records = self._records_of(scenario.app or "")
         self._beside = {each.app: self._records_of(each.app) for each in scenario.beside}
-        self._late = {off.robot: off.seconds for off in options.offs if off.at is None}
+        self._late = scenario.late
+        self._happened: list[Disturbance] = []
         self._running = set(names)
         self._missing_first = set(names) - self._late.keys()
         self._epoch = (0, 0)
@@ -94,6 +123,8 @@ class VirtualRun:
         """Of the newest epoch."""
         self._started: float | None = None
         self._last_progress = 0.0
+        self._newest = 0
+        """The iteration that a robot did last."""
         self._problems: list[str] = []
         self.computed = 0.0
         """s of real time that it took."""
@@ -101,24 +132,20 @@ class VirtualRun:
     @_without_looking_for_garbage()
     def go(self) -> RunOutcome:
         """The whole run."""
-        with broken_off():
+        with broken_off(), prints_heard():
             return self._go()
 
     def _go(self) -> RunOutcome:
         scenario, world = self._scenario, self.world
         began = real_time.perf_counter()
-        if scenario.program is not None:
-            launches = [self._launch(loader.load(scenario.program), "", scenario.run_options, self._records, self)]
+        if scenario.loaded is not None:
+            launches = [self._launch(scenario.loaded, "", scenario.run_options, self._records, self)]
             for each in scenario.beside:
                 records = self._beside[each.app]
                 beside = _Beside(records, self._problems)
-                launches.append(
-                    self._launch(
-                        loader.load(each.program), f" {each.app}", scenario.run_options_beside, records, beside
-                    )
-                )
+                launches.append(self._launch(each.loaded, f" {each.app}", scenario.run_options_beside, records, beside))
             for name, seconds in self._late.items():
-                world.switch_off(name, seconds)
+                world.switch_off(name, seconds, falls=False)
             for launch in launches:
                 for name in scenario.config.names:
                     mine = launch._replace(recording=scenario.recordings.get(name))
@@ -126,9 +153,10 @@ class VirtualRun:
         else:
             self._first_done()
         self._watch()
+        self._problems += self._lost()
         ended_at = world.time.now
         for records in (self._records, *self._beside.values()):
-            records.close()
+            records.close(self._notes(ended_at))
         self.computed = real_time.perf_counter() - began
         return self._outcome(ended_at)
 
@@ -144,10 +172,10 @@ class VirtualRun:
         number = random.Random(f"{self._options.seed} run{which}").getrandbits(64)
         if place is not None:
             files = {folder.CONFIG_FILE: dump(scenario.config).encode()}
-            if app.name not in loader.BUILT_IN:
-                files[f"{app.name}.py"] = Path(app.source).read_bytes()
+            if not app.is_built_in and app.text:
+                files[f"{app.name}.py"] = app.text
             folder.begin(place, folder.describe(app.name, number, self._options.seed, app.digest), files)
-            records.record(place, app, number)
+            records.record(place, app, number, self._topics)
         return Launch(app, number, run_options, None, observer)
 
     def _watch(self) -> None:
@@ -155,11 +183,14 @@ class VirtualRun:
         time, seconds = self.world.time, self._options.seconds
         lasts = seconds
         if seconds is None and self._scenario.app is not None and not self._scenario.steps:
-            lasts = ENDLESS + max((press.at for press in self._options.presses), default=0.0)
+            lasts = ENDLESS + max((each.at for each in self._scenario.disturbances if each.at is not None), default=0.0)
         while True:
             end = _NEVER if lasts is None or self._started is None else self._started + lasts
             if not time.run(min(time.now + LOOK_EVERY, end)) or time.now >= end:
                 return
+            if self._look is not None and self._started is not None:
+                last, past = self._scenario.iterations, time.now - self._started
+                self._look(min(1.0, past / lasts if lasts is not None else self._newest / last if last else 0.0))
             if seconds is None and self._scenario.app is not None and time.now > self._last_progress + STALLED:
                 self._stalled()
                 return
@@ -181,9 +212,22 @@ class VirtualRun:
         ]
         self._problems.append(f"no iteration for {STALLED:g} s: {'; '.join(stuck) or 'the apps say nothing'}")
 
+    def _lost(self) -> list[str]:
+        """Apps that react to events and whose locksteps have lost their state: they would wait for ever. Of an app of
+        iterations `_stalled` tells."""
+        app = self._scenario.app or ""
+        hosts = [(name, robot.apps.get(app)) for name, robot in self.world.robots.items()]
+        return [
+            f"{name} app channel {channel}: {reason}"
+            for name, host in hosts
+            if isinstance(host, EventHost) and host.channels is not None
+            for channel, reason in host.channels.obstacles.items()
+        ]
+
     def advanced(self, source: Source, line: StepRecord) -> None:
         """See `Observer`: a robot has done an iteration."""
         self._last_progress = self.world.time.now
+        self._newest = line.k
         self._records.advanced(source, line)
         if not source.part and self._started is None and (line.k >= 1 or _has_no_steps(source)):
             self._missing_first.discard(source.robot)
@@ -201,13 +245,26 @@ class VirtualRun:
     def _first_done(self) -> None:
         """All robots have done their first iteration: the times of cuts and acts count from here."""
         self._started = self.world.modules.moves_from = now = self.world.time.now
-        for press in self._options.presses:
-            self.world.act(press.robot, now + press.at, actions.Press(press.button, PRESS_S))
-        for cut in self._options.cuts:
-            self.world.cut(cut.a, cut.b, now + cut.at, cut.seconds)
-        for off in self._options.offs:
-            if off.at is not None:
-                self.world.time.at(now + off.at, self.world.switch_off, off.robot, off.seconds)
+        for each in self._scenario.disturbances:
+            if each.at is not None:
+                self.world.time.at(now + each.at, self._let_happen, each)
+
+    def _let_happen(self, what: Disturbance) -> None:
+        self._happened.append(what)
+        self._last_progress = self.world.time.now  # what follows of it may take as long again
+        match what:
+            case ScheduledPress(robot, button):
+                self.world.act(robot, actions.Press(button, PRESS_S))
+            case ScheduledPush(robot, _, impulse):
+                self.world.act(robot, actions.Push(impulse))
+            case Cut(a, b, _, seconds):
+                self.world.air.cut(a, b, seconds)
+            case Off(robot, _, seconds):
+                self.world.switch_off(robot, seconds)
+            case Kill(robot, "mesh"):
+                self.world.kill_mesh(robot)
+            case Kill(robot):
+                self.world.kill_app(robot, self._scenario.app or "")
 
     def ended(self, source: Source) -> None:
         """See `Observer`: a robot is at its last iteration, or its app has failed. That ends the run."""
@@ -245,10 +302,29 @@ class VirtualRun:
         if self._options.seconds is None and self._running.isdisjoint(self._members):
             self.world.time.stop()
 
+    def _messages(self) -> int:
+        """App frames that all meshes have sent."""
+        return sum(robot.sent for robot in self.world.robots.values())
+
+    def _notes(self, ended_at: float) -> dict[str, str]:
+        """What a recording keeps of the outcome."""
+        return {
+            "messages": str(self._messages()),
+            "problems": json.dumps(self._problems),
+            "never": json.dumps(self._never(ended_at)),
+            "scene": json.dumps(self._seen()),
+        }
+
+    def _never(self, ended_at: float) -> tuple[str, ...]:
+        started = ended_at if self._started is None else self._started
+        return never(self._scenario.disturbances, self._happened, ended_at - started)
+
+    def _seen(self) -> Json:
+        return scene.seen(self._scenario, self._scene_record, self.world.contacts, 0.0)
+
     def _outcome(self, ended_at: float) -> RunOutcome:
         names = self._scenario.config.names
         started = self._started
-        frames = sum(robot.sent for robot in self.world.robots.values())
         return RunOutcome(
             scenario=self._scenario,
             seed=self._options.seed,
@@ -257,15 +333,16 @@ class VirtualRun:
             trajectories=self._records.trajectories() if self._scenario.app else {},
             beside={name: records.trajectories() for name, records in self._beside.items()},
             bodies=dict.fromkeys(names),
-            messages=frames,
+            messages=self._messages(),
             rss_mib={},
-            restarts=dict.fromkeys(names, 0),
+            restarts={name: self.world.robots[name].starts - (2 if name in self._late else 1) for name in names},
             problems=tuple(self._problems),
             missing=tuple(name for name in names if name not in self._members),
             computed_s=self.computed,
             scene_record=self._scene_record,
             moves_from=math.inf if started is None else started,
-            scene={} if self._scene_record is None else scene.seen(self._scenario, self._scene_record, 0.0),
+            never=self._never(ended_at),
+            scene=self._seen(),
         )
 
 
@@ -291,12 +368,13 @@ def _has_no_steps(source: Source) -> bool:
     return isinstance(source, EventHost) and source.runner.period is None
 
 
-def simulate(*arguments: str, rows: bool = False) -> tuple[Json, RunOutcome]:
-    """Run `swarm sim ARGUMENTS --virtual` in this process: the report of `--json`, and what it was made from."""
+def simulate(*arguments: str, rows: bool = False, app: loader.LoadedApp | None = None) -> tuple[Json, RunOutcome]:
+    """Run `swarm sim ARGUMENTS --virtual` in this process: the report of `--json`, and what it was made from. `app`:
+    see `build`."""
     options = arguments_of([*arguments, "--virtual"])
     if options.record is not None:
         make_records(options.record)
-    outcome = VirtualRun(options, build(options, PLACE), rows=rows).go()
+    outcome = VirtualRun(options, build(options, PLACE, app), rows=rows).go()
     return summary(outcome), outcome
 
 

@@ -1,11 +1,13 @@
-"""What the apps of a virtual robot keep through a reboot: votes."""
+"""What the apps of a virtual robot keep: votes through a reboot, snapshots through the end of a process."""
+
+from collections import deque
 
 from swarm.core.epoch_notes import SavedEpochs
 from swarm.core.lockstep_frames import Snapshot
 
 
 class NoSnapshots:
-    """In place of snapshots that nobody would read: robots that are switched off lose theirs."""
+    """In place of snapshots that nobody would read: no process ends, and robots that are switched off lose theirs."""
 
     @staticmethod
     def read() -> list[bytes]:
@@ -21,8 +23,28 @@ class NoSnapshots:
         """See `Snapshots`."""
 
 
+class MemorySnapshots:
+    """See `services.apps.persistence.storage.Snapshots`."""
+
+    __slots__ = ("_kept",)
+
+    def __init__(self, count: int) -> None:
+        self._kept: deque[bytes] = deque(maxlen=count)
+
+    def read(self) -> list[bytes]:
+        """See `Snapshots`."""
+        return list(self._kept)
+
+    def keep(self, snapshot: Snapshot) -> None:
+        """See `Snapshots`."""
+        self._kept.append(snapshot.encode())
+
+    def close(self) -> None:
+        """See `Snapshots`."""
+
+
 class MemoryVotes:
-    """See `services.apps.storage.Votes`."""
+    """See `services.apps.persistence.storage.Votes`."""
 
     __slots__ = ("_kept",)
 
@@ -44,17 +66,25 @@ class MemoryVotes:
 
 
 class MemoryStorage:
-    """See `services.apps.storage.Storage`. Of one robot."""
+    """See `services.apps.persistence.storage.Storage`. Of one robot."""
 
-    __slots__ = ("_votes",)
+    __slots__ = ("_snapshots", "_votes")
 
-    def __init__(self) -> None:
+    def __init__(self, *, snapshots: bool = False) -> None:
+        """`snapshots`: whether a process may end, so that the next one wants them."""
         self._votes: dict[str, MemoryVotes] = {}
+        self._snapshots: dict[str, MemorySnapshots] | None = {} if snapshots else None
 
-    @staticmethod
-    def snapshots(name: str, count: int) -> NoSnapshots:
+    def snapshots(self, name: str, count: int) -> MemorySnapshots | NoSnapshots:
         """See `Storage`."""
-        return NoSnapshots()
+        if self._snapshots is None:
+            return NoSnapshots()
+        return self._snapshots.setdefault(name, MemorySnapshots(count))
+
+    def forget(self) -> None:
+        """The robot is switched off: snapshots are gone."""
+        if self._snapshots is not None:
+            self._snapshots.clear()
 
     def votes(self, name: str) -> MemoryVotes:
         """See `Storage`."""

@@ -15,7 +15,7 @@ class TrajectoryBuilder:
     two in eight and so on, so that iterations can still be measured over a window.
     """
 
-    __slots__ = ("_every", "_keep", "_ks", "_last", "_lines", "_source", "_times")
+    __slots__ = ("_breaks", "_every", "_keep", "_ks", "_last", "_lines", "_source", "_times")
 
     def __init__(self, *, keep: bool) -> None:
         self._keep = keep
@@ -27,10 +27,13 @@ class TrajectoryBuilder:
         """All, where they are kept."""
         self._last: StepRecord | None = None
         self._source: Source | None = None
+        self._breaks: list[int] = []
 
     def write(self, source: Source, line: StepRecord) -> None:
         """One iteration."""
         self._source = source
+        if self._breaks:
+            line = line._replace(k=line.k + self._breaks[-1])
         self._last = line
         if self._keep:
             self._lines[line.k] = line
@@ -51,6 +54,11 @@ class TrajectoryBuilder:
             del self._lines[later]
         if self._last is not None and self._last.k >= k:
             self._last = None
+
+    def begin_anew(self) -> None:
+        """The app has begun anew, and counts from 0: here k goes on."""
+        if self._last is not None:
+            self._breaks.append(self._last.k + 1)
 
     def _forget(self, k: int) -> None:
         """Forget the times from iteration k on."""
@@ -75,7 +83,7 @@ class TrajectoryBuilder:
         if self._last is not None and not self._keep:
             times = dict(zip(self._ks, self._times, strict=True))
             times[self._last.k] = self._last.t
-        return Trajectory((*shared, *results), times, rows)
+        return Trajectory((*shared, *results), times, rows, tuple(self._breaks))
 
 
 def _cells(values: Mapping[str, Value]) -> list[str]:

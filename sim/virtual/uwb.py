@@ -10,10 +10,10 @@ import random
 from collections import Counter
 from typing import NamedTuple
 
-from services.dwm.core.tlv import NOWHERE, Location, Position
+from services.dwm.core.module.tlv import NOWHERE, Location, Position
 from services.dwm.localizer import Localizer
-from sim.core.uwb import PERIOD, Module, Tag
-from sim.module import module_address
+from sim.core.module_line import module_address
+from sim.core.uwb import PERIOD, Module, Tag, error_model
 from sim.virtual.balancer import VirtualBalancer
 from sim.virtual.bus import VirtualBus
 from sim.virtual.events import Time
@@ -100,7 +100,7 @@ class VirtualDwm:
             field.carry(robot, known.uwb or module_address(config.names.index(robot)), balancer)
         self._is_tag = known.uwb_role == "tag"
         # The generator of the real simulation's module: a robot that stands gets the very same errors.
-        self._tag = Tag(random.Random(f"{seed} {robot} uwb"))
+        self._tag = Tag(random.Random(f"{seed} {robot} uwb"), error_model(config.simulation.range_noise))
         self._latency = config.dwm.latency
         self._keys = key(robot, "dwm", "ranges"), key(robot, "dwm", "pose")
         self._localizer: Localizer | None = None
@@ -109,6 +109,8 @@ class VirtualDwm:
 
     def _measure(self) -> None:
         now = self._time.now
+        if not self._balancer.powered:
+            return
         if self._localizer is None:
             self._localizer = Localizer(self, now)
         body = self._balancer.look()

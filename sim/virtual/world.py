@@ -12,10 +12,11 @@ from services.apps.equipment import equip
 from services.apps.event_host import EventHost
 from services.apps.event_runner import EventRunner
 from services.apps.host import LockstepHost, Part
-from services.apps.lockstep_driver import Place
 from services.apps.measurements import Measurements, Replayed, source_of
 from services.apps.observer import Observer
-from services.apps.runner import Runner
+from services.apps.runner import Runner, metrics_of
+from services.apps.speaker import Sink, let_speak
+from services.apps.topology import Place
 from services.dwm.replay import row_of
 from services.mesh.core.radio_model import AirModel
 from services.mesh.core.routing.link_state import AdvertisedLinks
@@ -23,19 +24,24 @@ from services.mesh.core.routing.topology import Advertisement
 from sim.core.actions import SimulationAction
 from sim.core.scene_record import SceneRecord
 from sim.options import DELAY, FROM_START, SETTLED
-from sim.virtual.air import Air
+from sim.scene import contacts_of
+from sim.slots.parameters import Parameters
+from sim.virtual.air import Air, Medium
 from sim.virtual.balancer import VirtualBalancer
 from sim.virtual.body import DIFFERENTIAL
 from sim.virtual.bus import VirtualBus, VirtualRouter
+from sim.virtual.contacts import ContactWatch
 from sim.virtual.delays import DelayMesh
 from sim.virtual.events import EventQueue, LocalTime, Time
 from sim.virtual.mesh import FIRST_INCARNATION, Common, VirtualMesh
 from sim.virtual.runtime import VirtualRuntime
+from sim.virtual.slot_air import SlotAir
 from sim.virtual.storage import MemoryStorage
 from sim.virtual.uwb import ModuleField, VirtualDwm
 from swarm.app.event_app import EventApp
 from swarm.app.run_options import RunOptions
 from swarm.app.sync_app import SyncApp
+from swarm.app.truth import Truth, told
 from swarm.config import Config
 from swarm.messages import Target
 from swarm.messages.codec import Value
@@ -44,6 +50,9 @@ from swarm.recording.thesis_ranges import ThesisRecording
 
 TARGET_PERIOD_S = 0.1
 """s between two messages of where a target that moves is, as the real simulation has it."""
+
+RESTART_DELAY_S = 0.2
+"""s after which a process that has ended is started again, as RestartSec in the units of deploy/systemd."""
 
 LONGEST_UP = 3600.0
 """How long ago, s, a robot may have been switched on where each has a clock of its own: the clocks' zeros differ by so
@@ -63,13 +72,13 @@ class VirtualRobot:
     dwm: VirtualDwm
     time: Time
     """Its clock."""
-    storage: MemoryStorage = field(default_factory=MemoryStorage)
+    storage: MemoryStorage
     """What its apps have kept."""
     apps: dict[str, LockstepHost | EventHost] = field(default_factory=dict)
     buses: dict[str, VirtualBus] = field(default_factory=dict)
     """The session of each app."""
     starts: int = 1
-    """How often it was switched on."""
+    """How often it was switched on, or a process of it started again."""
     sent_before: int = 0
     """Messages of meshes that have ended."""
 
@@ -109,28 +118,39 @@ class VirtualWorld:
         lying: str | None = None,
         skew: float = 0.0,
         scene_record: SceneRecord | None = None,
+        slots: Parameters | None = None,
+        processes_end: bool = False,
     ) -> None:
         """`body`: which model of `sim.virtual.body`; `mesh`: one of `options.MESHES`; `lying`: the side on
         which robots begin, if they do not stand; `skew`: how far the rates of their clocks err at most, 1e-6 = 1 ppm
-        (then their zeros differ, too); `scene_record`: who is told what is to be seen."""
+        (then their zeros differ, too); `scene_record`: who is told what is to be seen;
+        `slots`: links are those of such a radio, not of `air`; `processes_end`: apps keep what a process that is
+        killed leaves to the next."""
         self.config = config
         self.seed = seed
         self.time = EventQueue()
-        self.air = Air(self.time, air)
+        self.air: Medium = Air(self.time, air)
+        if slots is not None:
+            self.air = SlotAir(self.time, config.names, slots, seed)
         self.modules = ModuleField(config)
         self._model = air
         self._mesh = mesh
         self.records: dict[tuple[str, str], Callable[[str, float, Value], None]] = {}
         """By robot and app, what `robot.record` calls, where the run is recorded."""
+        self.hearers: dict[tuple[str, str], list[Sink]] = {}
+        """By robot and app, who gets what it prints and logs."""
         self._body = body
         self._lying = lying
         self._skew = skew
         self._scene_record = scene_record
         self._names = frozenset(config.names)
+        self._processes_end = processes_end
         self._launched: dict[tuple[str, str], Launch] = {}
         self._begin_with: dict[tuple[str, int, int], Place] = {}
-        self._common = Common(config)
+        self._common = Common(config, bluetooth=slots is not None)
         self.robots = {name: self._robot(name) for name in config.names}
+        self.contacts = contacts_of(config)
+        ContactWatch(self.time, self.contacts, {name: robot.balancer for name, robot in self.robots.items()})
         if mesh == SETTLED:
             self._settle(air.latency)
         meshes = {name: robot.mesh for name, robot in self.robots.items() if isinstance(robot.mesh, DelayMesh)}
@@ -139,20 +159,18 @@ class VirtualWorld:
         if config.simulation.moving:
             self.time.soon(self._tell_target)
 
-    def cut(self, a: str, b: str, at: float, seconds: float) -> None:
-        """Let nothing pass between two robots from `at` on."""
-        self.time.at(at, self.air.cut, a, b, seconds)
-
-    def switch_off(self, robot: str, seconds: float) -> None:
+    def switch_off(self, robot: str, seconds: float, *, falls: bool = True) -> None:
         """Switch a robot off: its mesh and its apps end at once, and with them what they knew, but for its votes. After
-        `seconds` they start anew. The body stays as it is."""
+        `seconds` they start anew. Its body falls (or where it does not `falls`, as one that is still held, stays as it
+        is) and stands up when it is on again."""
         there = self.robots[robot]
-        begun = [self._launched[robot, app] for app in there.apps]
-        for host in there.apps.values():
-            # Nothing is said any more: that is the end by kill -9.
-            there.buses.pop(host.app).close()
-            host.close()
-        there.apps.clear()
+        if not there.balancer.powered:
+            return
+        begun = [launch for (name, _), launch in self._launched.items() if name == robot]
+        for app in tuple(there.apps):
+            self._end(there, app)
+        there.storage.forget()
+        there.balancer.switch_off(falls=falls)
         if isinstance(there.mesh, VirtualMesh):
             there.sent_before += there.mesh.sent
             there.mesh.kill()
@@ -161,20 +179,57 @@ class VirtualWorld:
                 self.air.cut(robot, peer, seconds)
         self.time.at(self.time.now + seconds, self._switch_on, robot, begun)
 
-    def _switch_on(self, robot: str, begun: list[Launch]) -> None:
+    def kill_app(self, robot: str, app: str) -> None:
+        """End an app's process at once; it is started again, and goes on from its snapshots."""
         there = self.robots[robot]
-        there.starts += 1
+        if app in there.apps:
+            self._end(there, app)
+            begun = [self._launched[robot, app]]
+            self.time.at(self.time.now + RESTART_DELAY_S, self._start_again, there, begun)
+
+    def kill_mesh(self, robot: str) -> None:
+        """End a robot's mesh at once; it is started again. Where there are the delays of a mesh alone, messages stay
+        away meanwhile."""
+        there = self.robots[robot]
         if isinstance(there.mesh, VirtualMesh):
+            if not there.mesh.running:
+                return  # switched off already
+            there.sent_before += there.mesh.sent
+            there.mesh.kill()
+        else:
+            for peer in self._common.near[robot]:
+                self.air.cut(robot, peer, RESTART_DELAY_S)
+        self.time.at(self.time.now + RESTART_DELAY_S, self._start_again, there, [])
+
+    @staticmethod
+    def _end(there: VirtualRobot, app: str) -> None:
+        """The end of an app by kill -9: nothing is said any more."""
+        host = there.apps.pop(app)
+        there.buses.pop(app).close()
+        host.close()
+
+    def _start_again(self, there: VirtualRobot, begun: list[Launch]) -> None:
+        """Start what was killed, unless the robot was switched off meanwhile."""
+        if not there.balancer.powered:
+            return
+        there.starts += 1
+        if isinstance(there.mesh, VirtualMesh) and not there.mesh.running:
             there.meshes_bus = VirtualBus(there.router)
             there.mesh = VirtualMesh(
-                self._common, robot, there.time, self.air, there.meshes_bus, self.seed, incarnation=there.starts
+                *(self._common, there.name, there.time, self.air, there.meshes_bus, self.seed), incarnation=there.starts
             )
         for launch in begun:
-            self._begin(robot, launch)
+            if launch.app.name not in there.apps:
+                self._begin(there.name, launch)
 
-    def act(self, robot: str, at: float, act: SimulationAction) -> None:
+    def _switch_on(self, robot: str, begun: list[Launch]) -> None:
+        there = self.robots[robot]
+        there.balancer.switch_on()
+        self._start_again(there, begun)
+
+    def act(self, robot: str, act: SimulationAction) -> None:
         """Let a person do something to a robot."""
-        self.time.at(at, self.robots[robot].balancer.act, act)
+        self.robots[robot].balancer.act(act)
 
     def start_app(self, robot: str, launch: Launch, after: float = 0.0) -> None:
         """Start an app's host after so many s; with an automatic topology it begins when that links all robots."""
@@ -206,6 +261,9 @@ class VirtualWorld:
         tickets = f"{run & 0xFFFFFFFFFFFF:012x}" + (f"-{there.starts}" if there.starts > 1 else "")
         overlays = equip(instance.robot, bus, logging.getLogger(robot), partial(getattr, there.time, "now"), tickets)
         instance.robot.recording = self.records.get((robot, app.name))
+        let_speak(instance.robot, bus, None, *self.hearers.get((robot, app.name), ()))
+        if metrics_of(type(instance)):
+            instance.robot.truth = self.truth(robot, app.name)
         host: LockstepHost | EventHost
         if isinstance(instance, EventApp):
             events = (make_runner or EventRunner)(instance, app.source)
@@ -223,6 +281,17 @@ class VirtualWorld:
             )
         there.apps[app.name], there.buses[app.name] = host, bus
         host.start()
+
+    def truth(self, robot: str, app: str) -> Callable[[], Truth]:
+        """What gives the truth for an app on a robot."""
+        simulation, known = self.config.simulation, told(self.config, app)
+
+        def look() -> Truth:
+            body = self.robots[robot].balancer.look()
+            target = simulation.target_after(self.time.now - self.modules.moves_from)
+            return Truth(body.x, body.y, body.heading, target, known)
+
+        return look
 
     def _measurements(
         self, runtime: VirtualRuntime, recording: ThesisRecording | None, last: int | None
@@ -267,4 +336,5 @@ class VirtualWorld:
         dwm = VirtualDwm(
             self.config, self._common.robots[name], self.modules, balancer, time, VirtualBus(router), self.seed
         )
-        return VirtualRobot(name, router, mesh, meshes_bus, balancer, dwm, time)
+        storage = MemoryStorage(snapshots=self._processes_end)
+        return VirtualRobot(name, router, mesh, meshes_bus, balancer, dwm, time, storage)

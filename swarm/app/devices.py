@@ -50,7 +50,7 @@ _log = logging.getLogger("devices")
 
 @frozen
 class PoseView:
-    """Where the robot is, by its UWB module (docs/uwb.md), in the frame of the anchors."""
+    """Where the robot is, by its UWB module (docs/reference/robot/uwb-module.md), in the frame of the anchors."""
 
     x: float
     """m."""
@@ -131,6 +131,10 @@ class Devices:
         """Call `callback(button)` on the bus's thread for each press, those whose message was lost included."""
         self._on_button = callback
         self._watch("buttons", "balancer", Buttons, self._take_buttons)
+
+    def asked(self, topic: str) -> bool:
+        """Whether the app has looked at `pose`, `state`, `battery` or `buttons`."""
+        return topic in self._watched
 
     # -- acting
 

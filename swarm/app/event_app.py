@@ -9,7 +9,7 @@
 
 Handlers run one at a time. After each, the shared state goes to the neighbours where it has changed, and at least once
 a second; a neighbour's newest state is there in `self.neighbours` and in `step`, with its age. A robot that is away
-holds up nobody. See docs/apps.md. A lockstep may run within such an app: `channel`.
+holds up nobody. See docs/reference/apps.md. A lockstep may run within such an app: `channel`.
 """
 
 import dataclasses
@@ -73,7 +73,6 @@ class EventApp(BaseApp):
             names = declared.names
             mine[name] = {key: rest.pop(prefix + key) for key in names if prefix + key in rest}
         super().__init__(robot, rest)
-        self._put("neighbours", ())
         self._put("finished", None)
         for name, declared in channels_of(type(self)).items():
             try:
@@ -135,6 +134,11 @@ class EventApp(BaseApp):
             told = getattr(self, part).app.told_parameters()
             found |= {f"{part}_{name}": known for name, known in told.items()}
         return found
+
+    def layouts(self) -> dict[str, str]:
+        """See `BaseApp`; those of channels by their names."""
+        inner = {part: getattr(self, part).app.layouts() for part in channels_of(type(self))}
+        return super().layouts() | {part: told[""] for part, told in inner.items() if told}
 
     def change(self, values: Mapping[str, Value]) -> None:
         """See `BaseApp`. A channel's parameters change with its next step, perhaps a little later."""

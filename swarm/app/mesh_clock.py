@@ -1,7 +1,7 @@
 """The swarm's common time, as apps and services use it: `MeshClock(bus, robot).now()`.
 
-The mesh service relates the robots' monotonic clocks and publishes the relation once a second (docs/keys.md, Clock);
-here it is applied. No time server is needed, and mesh time has nothing to do with the time of day.
+The mesh service relates the robots' monotonic clocks and publishes the relation once a second (docs/reference/keys.md,
+Clock); here it is applied. No time server is needed, and mesh time has nothing to do with the time of day.
 """
 
 import logging

@@ -1,4 +1,6 @@
-"""Messages to the whole swarm, or to one robot anywhere in it, for any process of a robot (docs/overlays.md).
+"""Messages to the whole swarm, or to one robot anywhere in it, for any process of a robot.
+
+For authors of apps: docs/how-to/apps/talk-beyond-neighbours.md.
 
     overlays = Overlays(bus, "r0", "myapp")
     reached = overlays.flood(b"hello").result(timeout=5.0)      # whom it reached, and whether that is all
@@ -17,9 +19,9 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 from swarm import clock
 from swarm.bus.protocol import BusLike, Clock
-from swarm.errors import PayloadError
+from swarm.errors import LocalError, PayloadError
 from swarm.messages import Arm, Flooded, FloodRequest, Progress, Reminder, SendRequest, Sent
-from swarm.messages.codec import decode, encode
+from swarm.messages.codec import MAX_BINARY, decode, encode
 from swarm.messages.keys import key, parse
 
 REPEAT = 0.5
@@ -224,7 +226,9 @@ class Overlays:
 
     def _open(self, request: FloodRequest | SendRequest, key: str) -> Handle[Any]:
         small = len(request.payload) <= SMALL
-        encode(request)  # what is too large is refused here and now
+        if len(request.payload) > MAX_BINARY:
+            raise LocalError(f"a payload of {len(request.payload)} bytes, the bus takes at most {MAX_BINARY} (960 KiB)")
+        encode(request)  # names that are too long are refused here and now, too
         self.asked(request)
         # The bus has room for large ones in its ordinary queue alone.
         ask = partial(self._bus.publish, key, request, urgent=small)

@@ -78,6 +78,11 @@ def value_of(text: str) -> Value:
             return tuple(float(item) for item in text[1:-1].split(",") if item.strip())
         except ValueError:
             raise AppError(f"{text!r} is not a list of numbers such as [0.5,1]") from None
+    return number_or_text(text)
+
+
+def number_or_text(text: str) -> int | float | str:
+    """Return the number that a text is, or the text."""
     for convert in (int, float):
         try:
             return convert(text)

@@ -29,7 +29,8 @@ class Ranging:
         self._table = RangeTable(robot)
         self._lock = threading.Lock()
         self._bus = bus
-        self._listening = False
+        self.listening = False
+        """Whether somebody has asked."""
 
     @property
     def ranges(self) -> tuple[Range, ...]:
@@ -45,8 +46,8 @@ class Ranging:
             return self._table.distance(robot, self._now())
 
     def _listen(self) -> None:
-        if not self._listening:
-            self._listening = True
+        if not self.listening:
+            self.listening = True
             self._bus.subscribe(key("*", "dwm", "ranges"), self._receive)
 
     def _receive(self, name: str, payload: bytes) -> None:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:  # brings the bus along, which a step in virtual time does wit
     from swarm.app.mesh_clock import MeshClock
     from swarm.app.overlays import Handle, Message, Overlays
     from swarm.app.ranging import Ranging
+    from swarm.app.truth import Truth
     from swarm.bus.protocol import BusLike
 
 
@@ -50,7 +51,7 @@ class Robot:
     bus: "BusLike | None" = None
     """Where the app runs on a robot: that robot's bus."""
     overlays: "Overlays | None" = None
-    """Likewise: messages to the whole swarm, or to one robot (docs/overlays.md)."""
+    """Likewise: messages to the whole swarm, or to one robot (docs/how-to/apps/talk-beyond-neighbours.md)."""
     mesh_clock: "MeshClock | None" = None
     """Likewise: the swarm's common time."""
     ranging: "Ranging | None" = None
@@ -62,9 +63,19 @@ class Robot:
     recording: Callable[[str, float, Value], None] | None = None
     """Put in by the host where the run is recorded: takes name, time and value of what `record` is given."""
 
+    said: Callable[[str, str], None] | None = None
+    """Put in by the host: takes level and text of what the app prints or logs."""
+    truth: "Callable[[], Truth | None] | None" = None
+    """Put in by the host of an app that measures its `error`: what a simulation knows; None as on real robots."""
+
     def __post_init__(self) -> None:
         self._measurement: Measurement | None = None
         self._label = "start"
+        self._stepped: tuple[int, float] | None = None
+        self.dt = 0.0
+        """s between the beginning of this step and of the one before, by the host's clock; 0 in the first step of a
+        process. It is an input of the step, as a measurement is: links and restarts change it, and with it the
+        trajectory."""
         self._random: random.Random | None = None
 
     # -- the swarm
@@ -127,7 +138,7 @@ class Robot:
 
     def distance(self, robot: str) -> float | None:
         """The measured distance to another robot, m; None where neither has measured it within the last second: one of
-        the two modules has to be an anchor (docs/uwb.md). See `clock`."""
+        the two modules has to be an anchor (docs/how-to/robots/set-up-uwb.md). See `clock`."""
         if robot not in self.swarm:
             raise AppError(f"robot.distance({robot!r}): there is no such robot")
         return self._ranging().distance(robot)
@@ -225,16 +236,27 @@ class Robot:
         self.bus.publish(key(self.name, f"app/{self.app}", "out", topic), AppOutput(self.now, values))
 
     def record(self, name: str, value: Value) -> None:
-        """Write a value into the run's recording, under this name and the time of `now`; without one nothing happens.
-        A name's values are all of one type."""
+        """Write a value into the run's recording, under this name and the time of `now`, and tell it to whoever watches
+        the robot. A name's values are all of one type."""
         if self.recording is not None:
-            self.recording(name, self.now, value)
+            try:
+                self.recording(name, self.now, as_value(value))
+            except LocalError as error:
+                raise AppError(f"robot.record({name!r}): {error}") from None
 
     # -- inside
 
     def prepare(self, label: str, measurement: Measurement | None) -> None:
         """Called by the host before `start` and before each step."""
         self._label, self._random, self._measurement = label, None, measurement
+
+    def begin_step(self, k: int) -> None:
+        """Called by the host when step k begins. One that is done again has the same `dt`."""
+        if self._stepped is not None and self._stepped[0] == k:
+            return
+        now = self.time()
+        self.dt = 0.0 if self._stepped is None else now - self._stepped[1]
+        self._stepped = k, now
 
     def _ranging(self) -> "Ranging":
         if self.ranging is None:

@@ -53,19 +53,31 @@ class RunOptions:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add all options but `--iterations`."""
-    end = parser.add_argument_group("where a lockstep ends, at the same iteration on all robots")
-    end.add_argument("--until", choices=("converged",), help="when all robots have converged")
+    end = parser.add_argument_group("end of a lockstep, at the same iteration on all robots")
+    end.add_argument("--until", choices=("converged",), help="end when all robots have converged")
     end.add_argument(
-        "--rounds", type=_rounds, default=ROUNDS, metavar="R", help=f"and that for R iterations ({ROUNDS})"
+        "--rounds",
+        type=_rounds,
+        default=ROUNDS,
+        metavar="R",
+        help=f"end when they have been converged for R iterations ({ROUNDS})",
     )
     end.add_argument("--tolerance", type=_positive, default=TOLERANCE, metavar="X",
-                     help="an app that does not say when it has converged has where its state changes by no more "
+                     help="an app without a rule of its own has converged if its state changes by at most X "
                      f"in a step ({TOLERANCE:g})")  # fmt: skip
-    end.add_argument("--for", dest="run_for", type=_positive, metavar="S", help="S seconds after the first one's start")
-    away = parser.add_argument_group("robots that stay away")
+    end.add_argument(
+        "--for", dest="run_for", type=_positive, metavar="S", help="end S seconds after the first robot's start"
+    )
+    away = parser.add_argument_group("missing robots")
     away.add_argument("--absent", choices=(WAIT, DROP), default=WAIT, help="wait for them (default), or go on without "
-                      "them where a majority is there, and take them in again when they come back")  # fmt: skip
-    away.add_argument("--drop-after", type=_positive, default=AFTER, metavar="S", help=f"s after which ({AFTER:g})")
+                      "them if a majority is there, and admit them again when they return")  # fmt: skip
+    away.add_argument(
+        "--drop-after",
+        type=_positive,
+        default=AFTER,
+        metavar="S",
+        help=f"seconds of silence after which a robot counts as missing ({AFTER:g})",
+    )
 
 
 def of(options: argparse.Namespace) -> RunOptions:

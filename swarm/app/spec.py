@@ -6,10 +6,11 @@ import keyword
 import typing
 from collections import namedtuple
 from collections.abc import Mapping
-from typing import Any, ClassVar, cast
+from typing import Annotated, Any, ClassVar, cast
 
 from swarm.app.parameters import KINDS, Parameter
-from swarm.core.state import Field, Item, Schema, field_of
+from swarm.core.arrays import ArrayShape
+from swarm.core.state import Field, Item, Schema, array_field, field_of
 from swarm.errors import AppError
 from swarm.frozen import frozen
 from swarm.messages.codec import Value
@@ -18,12 +19,18 @@ PLATFORM = ("spec", "robot", "k", "name", "age", "neighbours", "finished")
 """Names that no field may have, beside those of the methods."""
 
 
+PLATFORM_MODULES = ("swarm.app.sync_app", "swarm.app.event_app")
+"""Where the classes are that apps are derived from."""
+
+
 @frozen
 class Spec:
     """What a class declares: found out when the class is made."""
 
     schema: Schema
     private: tuple[str, ...]
+    arrays: Mapping[str, Field]
+    """Fields that are arrays, shared and private ones."""
     parameters: Mapping[str, Parameter]
     view: Any
     """The named tuple in which a step sees a neighbour: `name`, the shared fields and what the kind of app adds."""
@@ -49,6 +56,7 @@ def read_spec(cls: Any) -> Spec:
     reserved = {name for name in dir(base) if not name.startswith("_")} | set(PLATFORM)
     fields: list[Field] = []
     private: list[str] = []
+    arrays: dict[str, Field] = {}
     parameters: dict[str, Parameter] = {}
     for name, hint in hints.items():
         if typing.get_origin(hint) is ClassVar or hint is ClassVar:
@@ -61,6 +69,9 @@ def read_spec(cls: Any) -> Spec:
                 raise AppError(f"{name}: this name belongs to the platform, choose another")
         elif name.startswith("_"):
             private.append(name)
+            mark = typing.get_args(hint)[1] if typing.get_origin(hint) is Annotated else None
+            if isinstance(mark, ArrayShape):
+                arrays[name] = array_field(name, mark)
         else:
             if keyword.iskeyword(name):
                 raise AppError(f"{name}: a word of the Python language cannot be a field")
@@ -68,13 +79,14 @@ def read_spec(cls: Any) -> Spec:
     return Spec(
         Schema(cls.__name__, fields),
         tuple(private),
+        arrays | {field.name: field for field in fields if field.kind == "array"},
         parameters,
         namedtuple("Neighbour", ["name", *(f.name for f in fields), *cls.view_extras]),
     )
 
 
 def _is_platform(kind: type) -> bool:
-    return kind.__module__ in ("swarm.app.sync_app", "swarm.app.event_app")
+    return kind.__module__ in PLATFORM_MODULES
 
 
 def _declared(cls: type, name: str) -> Parameter | None:

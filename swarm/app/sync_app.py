@@ -11,17 +11,19 @@
 All robots step together: `step` runs when the states of iteration k of all neighbours are there, and turns
 the own state k into k + 1. A step is a pure function of what it is given (no clock, no files, no unordered
 iteration): then a run is the same bit for bit whatever is cut, killed or restarted meanwhile. See
-docs/apps.md. Apps that react to events, or step each by their own clock, are in `swarm.app.event_app`.
+docs/reference/apps.md. Apps that react to events, or step each by their own clock, are in `swarm.app.event_app`.
 """
 
 import copy
+import inspect
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, cast
 
 from swarm.app.parameters import Parameter, parameter
 from swarm.app.robot import Robot
-from swarm.app.spec import Spec, checked, read_spec
+from swarm.app.spec import PLATFORM_MODULES, Spec, checked, read_spec
+from swarm.core.arrays import shape_of
 from swarm.errors import AppError
 from swarm.messages.codec import Value
 
@@ -43,8 +45,12 @@ class BaseApp:
     """What a neighbour's view has beside `name` and the shared fields."""
     live: ClassVar[bool] = False
     """Whether parameters may be changed while it runs where they do not say."""
+    plotted: ClassVar[Sequence[str]] = ()
+    """Names of states and results that pictures of a run show, in this order; empty: by their kinds."""
     spec: ClassVar[Spec]
     robot: Robot
+    neighbours: Sequence[Any]
+    """The neighbours whose states are known, sorted by name: in a step those that it is given."""
     k: int
     """The iteration: the number of the state that the step starts from."""
 
@@ -59,20 +65,25 @@ class BaseApp:
         """`values`: parameters and first values by name. `AppError` for one the class does not know."""
         spec = type(self).spec
         self.check_state()
+        self.check_step()
         fields = {f.name: f for f in spec.schema.fields}
         given = dict(values or {})
-        for name, declared in spec.parameters.items():
-            self._put(name, checked(declared, name, given.pop(name)) if name in given else declared.default)
+        for name, setting in spec.parameters.items():
+            self._put(name, checked(setting, name, given.pop(name)) if name in given else setting.default)
         for name, shared in fields.items():
             start = given.pop(name) if name in given else getattr(type(self), name, shared.zero)
             self._put(name, checked(shared, name, start))
         for name in spec.private:
-            if hasattr(type(self), name):
+            if name in spec.arrays:
+                declared = spec.arrays[name]
+                self._put(name, checked(declared, name, getattr(type(self), name, declared.zero)))
+            elif hasattr(type(self), name):
                 self._put(name, copy.deepcopy(getattr(type(self), name)))
         if given:
             known = ", ".join([*spec.parameters, *fields])
             raise AppError(f"unknown parameter {min(given)!r}; {type(self).__name__} has {known}")
         self._put("robot", robot)
+        self._put("neighbours", ())
         self._put("k", 0)
         self._weigh()
 
@@ -94,6 +105,21 @@ class BaseApp:
         """Each neighbour with its consensus weight w_ij (`neighbour_weights`)."""
         weights = self.robot.weights
         return [(weights[neighbour.name], neighbour) for neighbour in neighbours]
+
+    @classmethod
+    def check_step(cls) -> None:
+        """Raise `AppError`, with file and line of the class, where an app that steps has no `step` of its own."""
+        step = getattr(cls, "step", None)
+        if step is None or step.__module__ not in PLATFORM_MODULES:
+            return
+        methods = [value for value in vars(cls).values() if inspect.isfunction(value)]
+        try:
+            place = f"{inspect.getsourcefile(cls)}, line {inspect.getsourcelines(cls)[1]}: "
+        except (OSError, TypeError):  # a class of a notebook's cell has no file, its methods do
+            code = methods[0].__code__ if methods else None
+            place = f"{code.co_filename}, line {code.co_firstlineno}: " if code is not None else ""
+        has = f"; it has {', '.join(method.__name__ for method in methods)}" if methods else ""
+        raise AppError(f"{place}class {cls.__name__} has no step: add `def step(self, neighbours):`{has}")
 
     @classmethod
     def check_state(cls) -> None:
@@ -118,15 +144,39 @@ class BaseApp:
         """All parameters by name, as they are declared and as they are now: what the host tells of them."""
         return {name: (declared, getattr(self, name)) for name, declared in type(self).spec.parameters.items()}
 
+    def layouts(self) -> dict[str, str]:
+        """How the shared state lies in frames, by an empty name: see `AppParameters.states`."""
+        schema = type(self).spec.schema
+        return {"": schema.layout} if schema.fields else {}
+
     def change(self, values: Mapping[str, Value]) -> None:
         """Called by the host between two handlers or steps, with what `check_change` gave."""
         for name, value in values.items():
             self._put(name, value)
         self._weigh()
 
+    def mix(self, name: str) -> Any:
+        """The weighted sum of a shared field over this robot and its neighbours, x_i + sum of w_ij (x_j - x_i): a
+        float, tuple or array like the field. `self.x = self.mix("x")` is a step of consensus. The same bits on every
+        machine: floats are added by `fsum`, entries of arrays in the order of the neighbours' names. Raises `AppError`
+        for a field that is not of floats."""
+        field = next((each for each in type(self).spec.schema.fields if each.name == name), None)
+        if field is None or field.kind not in ("float", "float32", "vector", "matrix", "array"):
+            kinds = ", ".join(f"{each.name} ({each.kind})" for each in type(self).spec.schema.fields)
+            raise AppError(f"mix({name!r}): expected a shared field of floats; there are {kinds}")
+        own, around = getattr(self, name), [(w, getattr(n, name)) for w, n in self.weighted(self.neighbours)]
+        if field.kind == "array":
+            return own + sum(weight * (other - own) for weight, other in around)
+        return _mixed(own, around)
+
     def __setattr__(self, name: str, value: object) -> None:
         spec = type(self).spec
+        if name in spec.arrays:
+            object.__setattr__(self, name, spec.arrays[name].assigned(name, value))
+            return
         if name in spec.schema.names or name in spec.private:
+            if type(value) is not float and name in spec.schema.names:
+                spec.schema.fields[spec.schema.names.index(name)].check_assigned(value)
             object.__setattr__(self, name, value)
             return
         kind = type(self).__name__
@@ -136,9 +186,13 @@ class BaseApp:
             )
         fields = ", ".join((*spec.schema.names, *spec.private)) or "nothing"
         plain = name.lstrip("_")
+        shared, private = f"{plain}: float", f"_{plain}: float = 0.0"
+        if shape := shape_of(value):
+            shared = f"{plain}: Array[{', '.join(map(str, shape))}]"
+            private = f"_{shared}"
         raise AttributeError(
             f"{kind} declares no {name!r}, it declares {fields}. Declare it in the class: "
-            f"`{plain}: float` is shared with the neighbours, `_{plain}: float = 0.0` is private"
+            f"`{shared}` is shared with the neighbours, `{private}` is private"
         )
 
     def _weigh(self) -> None:
@@ -157,7 +211,7 @@ class BaseApp:
 
 
 class SyncApp(BaseApp):
-    """Base of apps that step together with their neighbours. See the module's text and docs/apps.md.
+    """Base of apps that step together with their neighbours. See the module's text and docs/reference/apps.md.
 
     Private fields are saved for a restart, so they are of types that msgpack holds.
     """
@@ -185,3 +239,10 @@ class SyncApp(BaseApp):
     def regraph(self) -> None:
         """Called by the host when `robot.graph` is another one: the weights follow from it."""
         self._weigh()
+
+
+def _mixed(own: Any, around: Sequence[tuple[float, Any]]) -> Any:
+    """`BaseApp.mix` of floats, nested in tuples as they may be."""
+    if isinstance(own, tuple):
+        return tuple([_mixed(x, [(w, other[i]) for w, other in around]) for i, x in enumerate(own)])
+    return own + math.fsum([w * (other - own) for w, other in around])

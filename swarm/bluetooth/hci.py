@@ -59,6 +59,10 @@ _COMPLETE = struct.Struct("<BBBBHBHb")
 _STATUS = struct.Struct("<BBBBBH")
 _CONNECTION = struct.Struct("<6sBxH6sBBHI")
 
+SUPERVISION_SHARE = 2 / 3
+"""Supervision time-out of a connection, of the mesh's own time-out for a silent robot: others that wait for a buffer of
+the controller meanwhile must not be taken for dead."""
+
 
 class RssiReading(NamedTuple):
     """An answer to Read RSSI."""

@@ -1,4 +1,4 @@
-"""The one door to Zenoh. Every rule here was measured (docs/architecture.md, section Bus).
+"""The one door to Zenoh. Every rule here was measured (docs/explanation/bus.md, section Bus).
 
 Publishing never blocks longer than a millisecond and never fails for reasons outside this process: while the
 router is away messages are lost, so whoever needs an answer asks again. Callbacks run on Zenoh's own receive
@@ -9,53 +9,31 @@ child everything hangs.
 """
 
 import contextlib
-import ctypes
 import logging
-import os
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from swarm import clock
 from swarm.bus.packer import Packer
+from swarm.bus.publisher import Publisher
 from swarm.bus.zenoh_config import client_config, peer_config, router_config
-from swarm.errors import BusError, LocalError, SwarmError
-from swarm.messages.keys import MAX_KEY_LENGTH, STOP
-from swarm.process.edges import defect
+from swarm.bus.zenoh_runtime import direct, guard, text, zenoh
+from swarm.errors import BusError, LocalError
+from swarm.messages.keys import MAX_KEY_LENGTH
 from swarm.process.paths import ENDPOINT_PROTOCOL, bus_endpoint
-
-# One worker thread for all of Zenoh's runtimes: 3 threads a client instead of 7, and router CPU for a round
-# trip from 305 to 157 us on the measuring machine. Tried with restarts of the router, and with a client and a
-# router stopped for longer than the lease of 10 s. Must be set before the library is loaded.
-os.environ.setdefault(
-    "ZENOH_RUNTIME",
-    "(rx:(worker_threads:1),acc:(handover:rx),app:(handover:rx),tx:(handover:rx),net:(handover:rx))",
-)
-
-import zenoh
 
 MSGPACK = "application/msgpack"
 BINARY = "application/octet-stream"
-
-# One arena of the C library's allocator, not one for each thread: what Zenoh's threads give to each other and free
-# leaves holes in all of them, and a router grew by 0.5 MB an hour while it held not one byte more. Must be set before
-# there are threads.
-_M_ARENA_MAX = -8  # malloc.h
-ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
 
 OnSample = Callable[[str, bytes], None]
 OnQuery = Callable[[str, dict[str, str]], bytes | None]
 
 _log = logging.getLogger("bus")
 
-counters: Counter[str] = Counter()
-"""Of this process, for its status: `dropped_samples`, the samples and queries whose callback refused them."""
-_OUTLETS = 256
+_PUBLISHERS = 256
 """Keys that a session keeps declared; above, the oldest makes room."""
-_CERTAIN_S = 1.0
-"""s after which a router has told who listens."""
 _OPENING = 0.5
 """s that opening a session takes at most where there is a router."""
 
@@ -70,7 +48,7 @@ class Router:
         try:
             self._session = zenoh.open(zenoh.Config.from_json5(router_config(_checked_endpoint(endpoint))))
         except zenoh.ZError as error:
-            raise BusError(f"the bus cannot listen on {endpoint}: {_text(error)}") from None
+            raise BusError(f"the bus cannot listen on {endpoint}: {text(error)}") from None
 
     def close(self) -> None:
         """Stop routing; Zenoh removes the socket file.
@@ -102,7 +80,7 @@ class Subscription:
         """Begin to hear a key, unless it has been closed meanwhile."""
         if self._closed:
             return
-        subscriber = session.declare_subscriber(key, _direct(handle), allowed_origin=zenoh.Locality.REMOTE)
+        subscriber = session.declare_subscriber(key, direct(handle), allowed_origin=zenoh.Locality.REMOTE)
         with self._lock:
             if not self._closed:
                 self._subscribers.append(subscriber)
@@ -118,68 +96,6 @@ class Subscription:
         for subscriber in subscribers:
             with contextlib.suppress(zenoh.ZError):  # with its session, or before it
                 subscriber.undeclare()  # type: ignore[no-untyped-call]
-
-
-class Audience:
-    """Whether anybody listens to a key, as far as the router has told."""
-
-    __slots__ = ("certain_at", "there")
-
-    def __init__(self) -> None:
-        self.doubt()
-
-    def doubt(self) -> None:
-        """It is to be found out anew, and is taken to be there until then; `certain_at` is 0 from then on."""
-        self.there, self.certain_at = True, clock.now() + _CERTAIN_S
-
-    def matched(self, status: zenoh.MatchingStatus) -> None:
-        """It has come, or is gone."""
-        if not self.certain_at:
-            self.there = status.matching
-
-
-class Outlet:
-    """A declared publisher: it costs half the CPU time of a plain put, and hardly any where nobody listens to its key.
-
-    Zenoh would not send that either. But what decides so is not in the processor's caches when a message comes: a
-    twentieth of a mesh's CPU time was in Zenoh's library for what nobody heard.
-    """
-
-    __slots__ = ("_listener", "_publisher", "audience")
-
-    def __init__(self, session: zenoh.Session, key: str, *, urgent: bool) -> None:
-        """Raises `zenoh.ZError` where the bus does not take the key."""
-        # Zenoh holds what it calls, so that must not be this: nothing would ever let go of it.
-        self.audience = Audience()
-        self._publisher = session.declare_publisher(
-            key,
-            congestion_control=zenoh.CongestionControl.DROP,
-            priority=_priority(key, urgent),
-            # Subscribers hear other sessions only; else those of this one would be its audience.
-            allowed_destination=zenoh.Locality.REMOTE,
-        )
-        self._listener = self._publisher.declare_matching_listener(_direct(self.audience.matched))
-
-    def heard(self) -> bool:
-        """Whether anybody may listen. Raises `zenoh.ZError`."""
-        audience = self.audience
-        if audience.certain_at and clock.now() >= audience.certain_at:
-            # In this order, since who comes meanwhile is told of by `matched`.
-            audience.certain_at, audience.there = 0.0, False
-            if self._publisher.matching_status.matching:  # type: ignore[attr-defined]
-                audience.there = True
-        return audience.there
-
-    def put(self, payload: bytes, encoding: str) -> None:
-        """Send. Raises `zenoh.ZError`."""
-        self._publisher.put(payload, encoding=encoding)
-
-
-def _priority(key: str, urgent: bool) -> zenoh.Priority:
-    """Stops have a queue of their own, here as in the router: they wait for nothing else, however urgent it is."""
-    if key == STOP:
-        return zenoh.Priority.REAL_TIME
-    return zenoh.Priority.INTERACTIVE_HIGH if urgent else zenoh.Priority.DATA
 
 
 class Bus:
@@ -203,7 +119,7 @@ class Bus:
         self._pending: list[Callable[[zenoh.Session], object]] = []
         self._kept: list[object] = []
         self._subscriptions: set[Subscription] = set()
-        self._outlets: dict[tuple[str, bool], Outlet] = {}
+        self._publishers: dict[tuple[str, bool], Publisher] = {}
         self._watchers: list[Callable[[bool], None]] = []
         self._closed = False
         self._connected = threading.Event()
@@ -227,7 +143,7 @@ class Bus:
 
     def on_change(self, callback: Callable[[bool], None]) -> None:
         """Call `callback(connected)` whenever the router comes or goes; at once where it is there."""
-        callback = _guard(callback)
+        callback = guard(callback)
         with self._lock:
             self._watchers.append(callback)
             connected = self._connected.is_set()
@@ -245,35 +161,35 @@ class Bus:
             raise LocalError(f"key {key[:40]!r}...: longer than {MAX_KEY_LENGTH} characters")
         session = self._session
         try:
-            outlet = None if session is None else self._outlet(session, key, urgent)
-            if outlet is not None and not outlet.heard():
+            publisher = None if session is None else self._publisher_of(session, key, urgent)
+            if publisher is not None and not publisher.heard():
                 return
             payload = self._packer.pack(key, message)
-            if outlet is not None and payload is not None:
-                outlet.put(payload, BINARY if isinstance(message, bytes | bytearray) else MSGPACK)
+            if publisher is not None and payload is not None:
+                publisher.put(payload, BINARY if isinstance(message, bytes | bytearray) else MSGPACK)
         except zenoh.ZError as error:
             if not self._closed:
-                _log.warning("put failed key=%s error=%s", key, _text(error))
+                _log.warning("put failed key=%s error=%s", key, text(error))
 
     def wanted(self, key: str) -> bool:
         """Whether anybody hears what this session publishes under a key, or a key of an expression; somebody may until
         the router has told."""
         session = self._session
         try:
-            return session is not None and self._outlet(session, key, False).heard()
+            return session is not None and self._publisher_of(session, key, False).heard()
         except zenoh.ZError as error:
             if not self._closed:
-                _log.warning("key=%s error=%s", key, _text(error))
+                _log.warning("key=%s error=%s", key, text(error))
             return False
 
-    def _outlet(self, session: zenoh.Session, key: str, urgent: bool) -> Outlet:
-        outlets = self._outlets
-        outlet = outlets.get((key, urgent))
-        if outlet is None:
-            for oldest in list(outlets)[: max(0, len(outlets) + 1 - _OUTLETS)]:
-                outlets.pop(oldest, None)
-            outlet = outlets[key, urgent] = Outlet(session, key, urgent=urgent)
-        return outlet
+    def _publisher_of(self, session: zenoh.Session, key: str, urgent: bool) -> Publisher:
+        publishers = self._publishers
+        publisher = publishers.get((key, urgent))
+        if publisher is None:
+            for oldest in list(publishers)[: max(0, len(publishers) + 1 - _PUBLISHERS)]:
+                publishers.pop(oldest, None)
+            publisher = publishers[key, urgent] = Publisher(session, key, urgent=urgent)
+        return publisher
 
     def subscribe(self, keys: str | Iterable[str], callback: OnSample) -> Subscription:
         """Call `callback(key, payload)` for every sample of other sessions, until what is returned, or this client, is
@@ -297,7 +213,7 @@ class Bus:
             if payload is not None:
                 query.reply(key, payload, encoding=MSGPACK)
 
-        self._declare(lambda session: session.declare_queryable(key, _direct(handle)))
+        self._declare(lambda session: session.declare_queryable(key, direct(handle)))
 
     def ask(self, key: str, on_reply: OnSample, *, timeout_s: float = 1.0, **parameters: object) -> None:
         """Send a query; `on_reply(key, payload)` is called for each answer. No answer, no call."""
@@ -313,10 +229,10 @@ class Bus:
                 on_reply(str(reply.ok.key_expr), reply.ok.payload.to_bytes())
 
         try:
-            session.get(selector, _direct(handle), timeout=timeout_s)
+            session.get(selector, direct(handle), timeout=timeout_s)
         except zenoh.ZError as error:
             if not self._closed:
-                _log.warning("query failed key=%s error=%s", key, _text(error))
+                _log.warning("query failed key=%s error=%s", key, text(error))
 
     def announce(self, key: str) -> None:
         """Declare a liveliness token: others see `key` alive until this process ends."""
@@ -333,7 +249,7 @@ class Bus:
         def handle(sample: zenoh.Sample) -> None:
             callback(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
 
-        self._declare(lambda session: session.liveliness().declare_subscriber(key, _direct(handle), history=True))
+        self._declare(lambda session: session.liveliness().declare_subscriber(key, direct(handle), history=True))
 
     def close(self) -> None:
         """Undeclare everything and close; safe to call twice and while still waiting for a router."""
@@ -374,14 +290,14 @@ class Bus:
                 self._kept.append(declared)
         except zenoh.ZError as error:
             if not self._closed:
-                _log.error("the bus refused a declaration: %s", _text(error))
+                _log.error("the bus refused a declaration: %s", text(error))
 
     def _open(self) -> None:
         """Runs in its own thread: `zenoh.open` waits without end, and no signal would interrupt it."""
         try:
             session = zenoh.open(zenoh.Config.from_json5(self._config))
         except zenoh.ZError as error:
-            _log.error("the bus cannot be opened endpoint=%s error=%s", self._endpoint, _text(error))
+            _log.error("the bus cannot be opened endpoint=%s error=%s", self._endpoint, text(error))
             return
         while True:
             with self._lock:
@@ -399,7 +315,7 @@ class Bus:
         # Last, so that whoever is told of the connection can publish over it.
         self._keep(
             session,
-            lambda session: session.info.declare_transport_events_listener(_direct(self._on_transport), history=True),
+            lambda session: session.info.declare_transport_events_listener(direct(self._on_transport), history=True),
         )
 
     def _on_transport(self, event: Any) -> None:
@@ -410,51 +326,11 @@ class Bus:
             if self._closed:
                 return
             (self._connected.set if up else self._connected.clear)()
-            for outlet in tuple(self._outlets.values()):
-                outlet.audience.doubt()
+            for publisher in tuple(self._publishers.values()):
+                publisher.audience.doubt()
             watchers = tuple(self._watchers)
         for watcher in watchers:
             watcher(up)
-
-
-def _direct(callback: Callable[[Any], None]) -> "zenoh.handlers.Callback[Any]":
-    """A callback on Zenoh's own thread; the default would be a queue and a further thread for each."""
-    return zenoh.handlers.Callback(_guard(callback), indirect=False)
-
-
-class _Attached(threading.local):
-    """Keeps a thread of Zenoh's known to Python. Else each callback makes a thread state and throws it away again, an
-    mmap and a munmap: 33 instead of 20 us of CPU time for a sample."""
-
-    attached = True
-
-    def __init__(self) -> None:
-        # Never released: the state goes with the process, as the thread does.
-        ctypes.pythonapi.PyGILState_Ensure()
-
-
-_thread = _Attached()
-
-
-def _guard(callback: Callable[[Any], None]) -> Callable[[Any], None]:
-    """Keep what a callback raises out of Zenoh's thread, where it would vanish or poison the session.
-
-    An error of ours that has a name (`SwarmError`), such as that of a decoder, costs the sample or query that led to
-    it. Any other one is a defect: what the callback works on may be half changed, so a service ends
-    (`swarm.process.edges.defect`).
-    """
-
-    def guarded(argument: Any) -> None:
-        try:
-            _thread.attached  # noqa: B018 - the first look in a thread attaches it
-            callback(argument)
-        except SwarmError as error:
-            counters["dropped_samples"] += 1
-            _log.warning("a sample or query was dropped: %s", error)
-        except Exception as error:  # noqa: BLE001 - whatever it is, it is a defect of the callback
-            defect(error, "a bus callback")
-
-    return guarded
 
 
 def _checked_key(key: str) -> str:
@@ -464,7 +340,7 @@ def _checked_key(key: str) -> str:
     try:
         zenoh.KeyExpr(key)
     except zenoh.ZError as error:
-        raise LocalError(f"key {key!r}: {_text(error)}") from None
+        raise LocalError(f"key {key!r}: {text(error)}") from None
     return key
 
 
@@ -472,11 +348,6 @@ def _checked_endpoint(endpoint: str) -> str:
     if not endpoint.startswith(ENDPOINT_PROTOCOL + "/"):
         raise BusError(f"bus endpoint {endpoint!r}: expected {ENDPOINT_PROTOCOL}/PATH")
     return endpoint
-
-
-def _text(error: Exception) -> str:
-    """Zenoh's message without the place in its sources."""
-    return str(error).partition(" at /")[0]
 
 
 __all__ = ["BINARY", "MSGPACK", "Bus", "Router", "Subscription", "client_config", "router_config"]

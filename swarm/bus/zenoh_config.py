@@ -1,4 +1,7 @@
-"""How Zenoh is set up on a robot: one router on a Unix socket, every service a client of it (docs/architecture.md)."""
+"""How Zenoh is set up on a robot: one router on a Unix socket, every service a client of it.
+
+See docs/explanation/bus.md.
+"""
 
 import json
 

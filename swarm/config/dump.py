@@ -23,6 +23,8 @@ def dump(config: Config) -> str:
         document[name] = _plain(getattr(config, name))
     for name, robots in (("body", config.bodies), ("balancing", config.balancings)):
         document[name] = {**_plain(getattr(config, name)), "robots": _plain(robots)}
+    if config.packages:
+        document["robot"] = {"packages": list(config.packages)}
     document["relay"] = _plain(rules)
     document["apps"] = {name: _app(app) for name, app in config.apps.items()}
     text: str = tomli_w.dumps(document)

@@ -1,8 +1,9 @@
 """The commented `swarm.toml` that `swarm config --example` prints. The tests load it and miss no entry in it."""
 
 EXAMPLE = """\
-# swarm.toml: one file for the whole swarm, the same on every robot, in /etc/swarm/swarm.toml or where the
-# variable SWARM_CONFIG says. Each robot knows which one it is by its host name or the variable SWARM_ROBOT.
+# swarm.toml: one file for the whole swarm, the same on every robot, there in /etc/swarm. A laptop looks for
+# it in the working directory, ~/.config/swarm and /etc/swarm; the variable SWARM_CONFIG names another place.
+# Each robot knows which one it is by its host name or the variable SWARM_ROBOT.
 # Units are SI: m, rad, s, Hz. Check a changed file with: swarm config check swarm.toml
 
 network = "lab"            # robots of another network are refused
@@ -13,12 +14,13 @@ network = "lab"            # robots of another network are refused
 [[robots]]
 name = "r0"
 board = "zero2w"                    # zero2w or pi4: sets the body's mass
-bluetooth = "B8:27:EB:00:00:10"     # address of the Pi's adapter: bluetoothctl show
+bluetooth = "B8:27:EB:00:00:10"     # of the Pi's adapter; without it swarm pair writes it here
 
 [[robots]]
 name = "r1"
 uwb = "DE01"                        # address of its DWM1001: swarm dwm info
 uwb_role = "tag"                    # tag (finds its place) or anchor (other robots' tags range to it)
+i2c_clock = 100                     # kHz of the I2C bus; 400 was tried in simulation only
 bluetooth = "B8:27:EB:00:00:11"
 
 [[robots]]
@@ -65,8 +67,13 @@ shape = "thesis-d"         # line, loop, full, thesis-d (six robots) or random:S
 # listen = "0.0.0.0:7447"  # where tcp: neighbours may call; nothing listens on the network without it
 heartbeat = 0.5            # s between heartbeats
 suspect = 1.5              # s of silence until a link is suspect,
-dead = 3.0                 # and until it is closed and dialled anew
+dead = 3.0                 # and until it is closed and dialled anew; both grow with a slow link's round trips
+handshake = 8.0            # s that each half of a handshake may take; doubled after each one not answered
+patience = 60.0            # s that none of these exceeds, however slow a link is
 metric = "hops"            # the shortest way is that of fewest links, or of least measured "time"
+links = "graph"            # which links carry the topology: its own; "star": the first robot here calls all
+                           # others and hands on what they say, "tree": several do so, for more than eight;
+                           # "auto": star or tree on Bluetooth, graph elsewhere
 rfcomm_channel = 1         # of Bluetooth, 1 to 30, the same on every robot (bluetoothd -C holds 8)
 rfcomm_encrypt = false     # true: Bluetooth encrypts the links; needs bluetoothd and unasked pairing
 
@@ -99,10 +106,15 @@ address = "D003"
 x = 1.00
 y = 1.94
 
+# ---- Software of every robot, beside ours. swarm deploy brings it; robots need no internet.
+
+# [robot]
+# packages = ["numpy"]     # for apps that import it: 15 MB more for each such app
+
 # ---- UWB module of every robot: source, calibration, filter.
 
 [dwm]
-source = "serial:/dev/serial0"  # serial:PATH, balancer (wired to the ATmega), replay:DIR; {robot}: its name
+source = "serial:/dev/serial0"  # or balancer (wired to the ATmega), bus:KEY, replay:DIR; {robot}: its name
 target = "C933"            # address of the module that is the target
 rate = 10.0                # Hz, at most 10
 filter = "auto"            # pose by ekf (needs odometry), multilateration or average; auto: ekf or average
@@ -111,7 +123,7 @@ position_window = 5        # the same for places
 latency = 0.06             # s from a measurement until its report is read
 height = 0.0               # of the robots' antennas in the frame of the anchors, m
 lever = 0.0                # from the axle up to the antenna, m
-# calibration = "calibration/{robot}.toml"   # made by `swarm calibrate`; goes before the two tables below
+calibration = "calibration/{robot}.toml"    # made by `swarm calibrate`; goes before the two tables below
 
 [dwm.filters]              # of single robots
 r5 = "average"
@@ -147,6 +159,8 @@ acceleration = 0.5         # m/s^2, at most 1
 turn_acceleration = 6.0    # rad/s^2, at most 20
 battery_warning = 6.6      # V: a warning,
 battery_limit = 6.0        # V: and the robot lies down
+flip_left_motor = false    # true where its wires are the other way round
+flip_right_motor = false
 
 [balancing.robots.r5]
 controller = "pololu"
@@ -174,6 +188,11 @@ budget = 2_000_000_000     # bytes of a robot's disk; beyond, the oldest finishe
 [simulation]
 target = [0.5, 1.0]        # m
 target_velocity = [0.0, 0.0]    # m/s, from the first iteration of all robots on
+# scl = 100000             # Hz of the simulated I2C bus; as a real robot has it: swarm sim --like REPORT
+# battery = 7.4            # V
+# gyro_noise = 0.0012      # rad/s
+# acceleration_noise = 0.009    # m/s^2
+# range_noise = 0.04       # m, of UWB ranges in line of sight
 
 [simulation.places]        # x in m, y in m, heading in rad
 r0 = [0.5, 1.5, 0.0]

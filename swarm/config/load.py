@@ -10,22 +10,20 @@ import socket
 from collections.abc import Sequence
 from pathlib import Path
 
-from swarm.config import sections
+from swarm.config import find, sections
 from swarm.config.reader import Table, listed, shown
 from swarm.config.toml_input import read_toml
-from swarm.config.types import DEFAULT_RELAY, MAX_RFCOMM_LINKS, Config, RelayRule, RobotConfig
+from swarm.config.types import DEFAULT_RELAY, GRAPH, MAX_RFCOMM_LINKS, STAR, TREE, Config, RelayRule, RobotConfig
 from swarm.core.graph import SHAPES, Graph
 from swarm.errors import ConfigError, LocalError, PayloadError
 from swarm.messages.keys import MAX_KEY_LENGTH, ROOT, is_name
 from swarm.process.paths import MAX_SOCKET_PATH
 
-DEFAULT_PATH = Path("/etc/swarm/swarm.toml")
-
 AUTO = "auto"
 """`topology = "auto"`, in place of the table."""
 
 _TABLES = (
-    "network", "robots", "topology", "mesh", "relay", "anchors", "dwm", "body", "balancing", "apps",
+    "network", "robots", "robot", "topology", "mesh", "relay", "anchors", "dwm", "body", "balancing", "apps",
     "recordings", "simulation",
 )  # fmt: skip
 
@@ -38,18 +36,22 @@ _LINK = "tcp:HOST:PORT, sim:SOCKET or rfcomm:ADDRESS"
 
 
 def load(path: Path | None = None, *, addressed: bool = True) -> Config:
-    """Read the swarm's file: `path`, else the one SWARM_CONFIG names, else /etc/swarm/swarm.toml.
+    """Read the swarm's file: `path`, else the first that is there of `find.places`. Raises `ConfigError`.
 
     Without `addressed` Bluetooth addresses may be missing: that is how a file begins, `swarm pair` writes them.
     """
     if path is None:
-        path = Path(os.environ.get("SWARM_CONFIG") or DEFAULT_PATH)
+        path = find.find()
+    if path is None:
+        raise ConfigError(
+            f"there is no {find.NAME}: looked in {listed(list(map(str, find.places())))}; name yours in the variable "
+            f"SWARM_CONFIG, or start from a commented one: swarm config --example > {find.NAME}"
+        )
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise ConfigError(
-            f"{path}: there is no such file; name yours in the variable SWARM_CONFIG, "
-            f"or start from a commented one: swarm config --example > {path.name}"
+            f"{path}: there is no such file; start from a commented one: swarm config --example > {path.name}"
         ) from None
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: byte {error.start} is not UTF-8, as TOML demands") from None
@@ -70,8 +72,11 @@ def parse(text: str, path: Path, *, addressed: bool = True) -> Config:
     names = tuple(robot.name for robot in robots)
     auto = data.get("topology") == AUTO
     graph = Graph(names, ()) if auto else _topology(top, robots, addressed)
-    if auto and addressed:
-        _check_addresses(top, robots)
+    mesh = sections.mesh(top)
+    if problem := wrong_links(mesh.links, len(robots), auto=auto):
+        raise top.table("mesh", None).error("links", problem)
+    if (auto or mesh.links != GRAPH) and addressed:
+        _check_addresses(top, robots, f'topology = "{AUTO}"' if auto else f'links = "{mesh.links}"')
     body, bodies = sections.bodies(top, names)
     balancing, balancings = sections.balancings(top, names)
     return Config(
@@ -81,13 +86,14 @@ def parse(text: str, path: Path, *, addressed: bool = True) -> Config:
         edges=graph.edges,
         relay=_relay(top),
         anchors=sections.anchors(top),
-        mesh=sections.mesh(top),
+        mesh=mesh,
         body=body,
         bodies=bodies,
         balancing=balancing,
         balancings=balancings,
         dwm=sections.dwm(top, names),
         apps=sections.apps(top, names),
+        packages=sections.packages(top),
         recordings=sections.recordings(top),
         simulation=sections.simulation(top, names),
         auto=auto,
@@ -111,7 +117,7 @@ def who_am_i(config: Config) -> str:
 def _robots(top: Table) -> tuple[RobotConfig, ...]:
     robots: list[RobotConfig] = []
     taken: dict[str, str] = {}
-    tables = top.tables("robots", ("name", "board", "bluetooth", "link", "host", "uwb", "uwb_role"))
+    tables = top.tables("robots", ("name", "board", "bluetooth", "link", "host", "uwb", "uwb_role", "i2c_clock"))
     if not tables:
         raise top.error("robots", 'missing; expected at least one robot, written [[robots]] with name = "r0"')
     for table in tables:
@@ -147,7 +153,9 @@ def _robot(table: Table) -> RobotConfig:
     uwb = sections.uwb_address(table, "uwb") if "uwb" in table else None
     role = table.choice("uwb_role", "tag", ("tag", "anchor"))
     host = table.text("host", None, expected="a host as ssh knows it: r0.local or pi@192.168.1.15", pattern=_HOST)
-    return RobotConfig(name, board, bluetooth.upper() if bluetooth else None, link, host, uwb, role)
+    if (i2c_clock := table.count("i2c_clock", 100, low=1)) not in (100, 400):
+        raise table.wrong("i2c_clock", "100 or 400, in kHz")
+    return RobotConfig(name, board, bluetooth.upper() if bluetooth else None, link, host, uwb, role, i2c_clock)
 
 
 def _topology(top: Table, robots: Sequence[RobotConfig], addressed: bool) -> Graph:
@@ -201,13 +209,22 @@ def _check_radio(table: Table, way: str, robots: Sequence[RobotConfig], graph: G
             )
 
 
-def _check_addresses(top: Table, robots: Sequence[RobotConfig]) -> None:
-    """Any two robots may become neighbours: each needs an address."""
+def wrong_links(links: str, robots: int, *, auto: bool) -> str:
+    """Return why these links cannot carry a topology; empty where they can."""
+    if auto and links != GRAPH:
+        return f'topology = "{AUTO}" finds links itself: expected "{GRAPH}", got "{links}"'
+    if links == STAR and robots > MAX_RFCOMM_LINKS + 1:
+        return f'a hub has at most {MAX_RFCOMM_LINKS} links: expected "{TREE}" for {robots} robots, got "{STAR}"'
+    return ""
+
+
+def _check_addresses(top: Table, robots: Sequence[RobotConfig], way: str) -> None:
+    """Any two robots may have a link, by what `way` says: each needs an address."""
     for i, robot in enumerate(robots):
         if robot.link is None and robot.bluetooth is None and len(robots) > 1:
             raise Table(top.file, f"robots.{i}", {}, None).error(
                 "bluetooth",
-                f'with topology = "{AUTO}" each robot can be called by any other: expected the address of '
+                f"with {way} each robot can be called by any other: expected the address of "
                 f'{robot.name}, like "B8:27:EB:12:34:56", or its link',
             )
 

@@ -3,11 +3,12 @@ balancing, apps, recordings, simulation."""
 
 import dataclasses
 import re
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
 from swarm.config.reader import Table, finite, vector
 from swarm.config.types import (
+    LINKS,
     Affine,
     Anchor,
     AppConfig,
@@ -20,7 +21,9 @@ from swarm.config.types import (
     SimulationConfig,
 )
 from swarm.messages.codec import Value
-from swarm.messages.keys import is_name
+from swarm.messages.keys import is_key, is_name
+
+T = TypeVar("T")
 
 HOST_PORT = re.compile(r"(?:[A-Za-z0-9._-]+|\[[0-9A-Fa-f:.]+\]):[0-9]{1,5}")
 """A host name, an IPv4 address or an IPv6 address in brackets, then a port."""
@@ -40,6 +43,7 @@ MAX_TURN_ACCELERATION = 20.0
 """What the tests of driving reach: beyond, a robot may fall (m/s, rad/s, and these a second)."""
 
 _UWB_ADDRESS = re.compile(r"[0-9A-Fa-f]{4}")
+_PACKAGE = re.compile(r"[A-Za-z0-9](?:[A-Za-z0-9._-]*[A-Za-z0-9])?(?:(?:==|>=|<=|~=|<|>|!=)[A-Za-z0-9.*+!]+,?)*")
 _PARAMETER = "a finite number, a 64-bit whole number, true or false, a text or a list of finite numbers"
 
 
@@ -52,7 +56,20 @@ def mesh(top: Table) -> MeshConfig:
     """The table [mesh]."""
     table = top.table(
         "mesh",
-        ("insecure", "key", "listen", "heartbeat", "suspect", "dead", "rfcomm_channel", "rfcomm_encrypt", "metric"),
+        (
+            "insecure",
+            "key",
+            "listen",
+            "heartbeat",
+            "suspect",
+            "dead",
+            "handshake",
+            "patience",
+            "rfcomm_channel",
+            "rfcomm_encrypt",
+            "metric",
+            "links",
+        ),
     )
     normal = MeshConfig()
     seconds = "a number above 0, in seconds"
@@ -66,7 +83,10 @@ def mesh(top: Table) -> MeshConfig:
         heartbeat=table.number("heartbeat", normal.heartbeat, above=0, expected=seconds),
         suspect=table.number("suspect", normal.suspect, above=0, expected=seconds),
         dead=table.number("dead", normal.dead, above=0, expected=seconds),
+        handshake=table.number("handshake", normal.handshake, above=0, expected=seconds),
+        patience=table.number("patience", normal.patience, above=0, expected=seconds),
         metric=table.choice("metric", normal.metric, ("hops", "time")),
+        links=table.choice("links", normal.links, LINKS),
         rfcomm_channel=table.count("rfcomm_channel", normal.rfcomm_channel, low=1),
         rfcomm_encrypt=table.flag("rfcomm_encrypt", normal.rfcomm_encrypt),
     )
@@ -74,10 +94,11 @@ def mesh(top: Table) -> MeshConfig:
         raise table.error("key", "expected either a key or insecure = true: links with and without never mix")
     if found.rfcomm_channel > MAX_CHANNEL:
         raise table.wrong("rfcomm_channel", f"a channel from 1 to {MAX_CHANNEL}")
-    if not found.heartbeat < found.suspect < found.dead:
+    if not found.heartbeat < found.suspect < found.dead <= found.patience:
         raise table.error(
             None,
-            f"expected heartbeat < suspect < dead, got {found.heartbeat}, {found.suspect} and {found.dead} s",
+            f"expected heartbeat < suspect < dead, and patience no less, got {found.heartbeat}, {found.suspect}, "
+            f"{found.dead} and {found.patience} s",
         )
     return found
 
@@ -102,11 +123,11 @@ def dwm(top: Table, robots: Sequence[str]) -> Dwm:
          "calibration", "distance", "position"),
     )  # fmt: skip
     normal = Dwm()
-    expected = "serial:PATH, balancer or replay:DIR, {robot} in it standing for the robot's name"
+    expected = "serial:PATH, balancer, bus:KEY or replay:DIR, {robot} in it standing for the robot's name"
     source = table.text("source", normal.source, expected=expected)
     kind, _, place = source.partition(":")
-    named = kind in ("serial", "replay") and place and not set("{}") & set(place.replace("{robot}", ""))
-    if source != "balancer" and not named:
+    named = kind in ("serial", "replay", "bus") and place and not set("{}") & set(place.replace("{robot}", ""))
+    if source != "balancer" and (not named or (kind == "bus" and not is_key(place.replace("{robot}", "r0")))):
         raise table.wrong("source", expected)
     calibration = table.text("calibration", None, expected="the path of a file, {robot} standing for the robot's name")
     if calibration is not None and set("{}") & set(calibration.replace("{robot}", "")):
@@ -137,13 +158,20 @@ def dwm(top: Table, robots: Sequence[str]) -> Dwm:
     )
 
 
+def _of_robots(
+    top: Table, section: str, robots: Sequence[str], normal: T, read: Callable[[Table, T], T]
+) -> tuple[T, dict[str, T]]:
+    """What holds for all robots, and for those that have a table of their own."""
+    names = [field.name for field in dataclasses.fields(normal)]  # type: ignore[arg-type]
+    table = top.table(section, (*names, "robots"))
+    common = read(table, normal)
+    single = table.table("robots", robots)
+    return common, {robot: read(single.table(robot, names), common) for robot in single.data}
+
+
 def bodies(top: Table, robots: Sequence[str]) -> tuple[Body, dict[str, Body]]:
     """The table [body] and, on top of it, [body.robots.ROBOT]."""
-    names = [field.name for field in dataclasses.fields(Body)]
-    table = top.table("body", (*names, "robots"))
-    common = _body(table, Body())
-    single = table.table("robots", robots)
-    return common, {robot: _body(single.table(robot, names), common) for robot in single.data}
+    return _of_robots(top, "body", robots, Body(), _body)
 
 
 def _body(table: Table, normal: Body) -> Body:
@@ -163,11 +191,7 @@ def _body(table: Table, normal: Body) -> Body:
 
 def balancings(top: Table, robots: Sequence[str]) -> tuple[Balancing, dict[str, Balancing]]:
     """The table [balancing] and, on top of it, [balancing.robots.ROBOT]."""
-    names = [field.name for field in dataclasses.fields(Balancing)]
-    table = top.table("balancing", (*names, "robots"))
-    common = _balancing(table, Balancing())
-    single = table.table("robots", robots)
-    return common, {robot: _balancing(single.table(robot, names), common) for robot in single.data}
+    return _of_robots(top, "balancing", robots, Balancing(), _balancing)
 
 
 def _balancing(table: Table, normal: Balancing) -> Balancing:
@@ -184,6 +208,8 @@ def _balancing(table: Table, normal: Balancing) -> Balancing:
         turn_acceleration=up_to("turn_acceleration", MAX_TURN_ACCELERATION, "rad/s^2"),
         battery_warning=up_to("battery_warning", 20.0, "V"),
         battery_limit=up_to("battery_limit", 20.0, "V"),
+        flip_left_motor=table.flag("flip_left_motor", normal.flip_left_motor),
+        flip_right_motor=table.flag("flip_right_motor", normal.flip_right_motor),
     )
     if not found.battery_limit < found.battery_warning:
         raise table.error(
@@ -216,9 +242,20 @@ def recordings(top: Table) -> Recordings:
     return Recordings(table.number("budget", normal.budget, above=0, expected="a number above 0, in bytes"))
 
 
+def packages(top: Table) -> tuple[str, ...]:
+    """The table [robot]: Python packages for all robots."""
+    table = top.table("robot", ("packages",))
+    expected = 'a list of packages as pip names them, like ["numpy", "scipy==1.16.0"]'
+    found = table.data.get("packages", [])
+    if not isinstance(found, list) or not all(isinstance(each, str) and _PACKAGE.fullmatch(each) for each in found):
+        raise table.wrong("packages", expected)
+    return tuple(dict.fromkeys(found))
+
+
 def simulation(top: Table, robots: Sequence[str]) -> SimulationConfig:
     """The table [simulation]."""
-    table = top.table("simulation", ("target", "target_velocity", "places"))
+    parts = ("scl", "battery", "gyro_noise", "acceleration_noise", "range_noise")
+    table = top.table("simulation", ("target", "target_velocity", "places", *parts))
     normal = SimulationConfig()
     places = table.table("places", robots)
     expected = "three numbers [x, y, heading], in m, m and rad"
@@ -228,6 +265,13 @@ def simulation(top: Table, robots: Sequence[str]) -> SimulationConfig:
             "target_velocity", normal.target_velocity, expected="two numbers [vx, vy], in m/s", length=2
         ),
         places={robot: places.numbers(robot, (), expected=expected, length=3) for robot in places.data},
+        scl=table.number("scl", None, above=1e4, up_to=1e6, expected="a clock above 10 kHz, in Hz, at most 1 MHz"),
+        battery=table.number("battery", None, above=0, up_to=12, expected="a voltage above 0, in V, at most 12"),
+        gyro_noise=table.number("gyro_noise", None, above=0, up_to=1, expected="a deviation in rad/s, at most 1"),
+        acceleration_noise=table.number(
+            "acceleration_noise", None, above=0, up_to=10, expected="a deviation in m/s^2, at most 10"
+        ),
+        range_noise=table.number("range_noise", None, above=0, up_to=10, expected="a deviation in m, at most 10"),
     )
 
 

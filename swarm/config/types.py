@@ -14,6 +14,10 @@ from swarm.messages.codec import Value
 
 DEFAULT_KEY_FILE = "/etc/swarm/key"
 
+GRAPH, STAR, TREE, AUTO_LINKS = "graph", "star", "tree", "auto"
+LINKS = (GRAPH, STAR, TREE, AUTO_LINKS)
+"""Which links carry the topology: its own, one hub's, those of several hubs, or what suits the radio."""
+
 MAX_RFCOMM_LINKS = 7
 """A Bluetooth Classic master has at most seven active slaves (Core specification, vol 2 B, 8.6: LT_ADDR)."""
 
@@ -35,6 +39,8 @@ class RobotConfig:
     """Short address of its DWM1001, C933; `dwm/ranges` of the others name the robot by it."""
     uwb_role: str = "tag"
     """tag (finds its place) or anchor (others range to it; it knows no place of its own)."""
+    i2c_clock: int = 100
+    """kHz of the I2C bus, 100 or 400: what `swarm provision` sets."""
 
 
 @frozen
@@ -77,7 +83,7 @@ class Anchor:
 
 @frozen
 class MeshConfig:
-    """Mesh settings; docs/frames.md says why the times are as they are."""
+    """Mesh settings; docs/reference/network/frames.md says why the times are as they are."""
 
     insecure: bool = False
     """True = links are not authenticated: anyone in reach can join."""
@@ -88,11 +94,18 @@ class MeshConfig:
     heartbeat: float = 0.5
     """s between heartbeats."""
     suspect: float = 1.5
-    """s of silence until a link is suspect."""
+    """s of silence until a link is suspect; on a link whose round trips are long, what follows from them."""
     dead: float = 3.0
-    """s of silence until it is closed and dialled anew."""
+    """s of silence until it is closed and dialled anew, likewise."""
+    handshake: float = 8.0
+    """s that each half of a handshake may take; twice that after each one that was not answered."""
+    patience: float = 60.0
+    """s that none of these times exceeds, however slow a link is."""
     metric: str = "hops"
     """What makes a way short: hops, or time (measured)."""
+    links: str = GRAPH
+    """Which links carry the topology: graph (its own), star (the first robot of the file calls all others), tree (the
+    same with several hubs) or auto (star or tree on Bluetooth, graph elsewhere)."""
     rfcomm_channel: int = 1
     """RFCOMM channel the mesh listens at on every robot, 1 to 30 (bluetoothd -C holds 8)."""
     rfcomm_encrypt: bool = False
@@ -139,6 +152,9 @@ class Balancing:
     """V: 1.1 a cell of six."""
     battery_limit: float = 6.0
     """V: below it lies down; NiMH cells below 1 V suffer."""
+    flip_left_motor: bool = False
+    """Its wires are the other way round: a command to go forward is written as one to go backward."""
+    flip_right_motor: bool = False
 
 
 @frozen
@@ -224,6 +240,16 @@ class SimulationConfig:
     """m/s, from the first iteration of all robots on."""
     places: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
     """x, y in m and heading in rad, by robot."""
+    scl: float | None = None
+    """Hz: the clock of the simulated I2C bus; None here and below: as the parts' data sheets say."""
+    battery: float | None = None
+    """V."""
+    gyro_noise: float | None = None
+    """Standard deviation of a sample, rad/s."""
+    acceleration_noise: float | None = None
+    """m/s^2."""
+    range_noise: float | None = None
+    """Standard deviation of a UWB range in line of sight, m."""
 
     @property
     def moving(self) -> bool:
@@ -259,6 +285,8 @@ class Config:
     apps: Mapping[str, AppConfig] = field(default_factory=dict)
     recordings: Recordings = field(default_factory=Recordings)
     simulation: SimulationConfig = field(default_factory=SimulationConfig)
+    packages: tuple[str, ...] = ()
+    """Python packages that robots carry beside ours, as pip names them: for apps that import them."""
     auto: bool = False
     """Whether the robots find their links themselves; `edges` is empty then."""
 

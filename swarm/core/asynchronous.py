@@ -32,8 +32,8 @@ REPEAT_WAITING = 0.5
 """Likewise before the barrier."""
 MIN_GAP = 0.01
 """s between two frames at least: an app that changes its state more often sends every other one, and the last."""
-HANG = 5.0
-"""s after which a handler that has not returned is a fault, and the state is told no more. No app of ours takes 1 s."""
+HANG = 10.0
+"""Seconds after which a step or handler that still runs counts as hanging, in apps of all kinds."""
 MAX_QUEUE = 256
 """Events that wait for their handler; the oldest ones are lost."""
 

@@ -350,7 +350,7 @@ class Epochs:
     def _may_propose(self) -> bool:
         """Whether this robot can make a ballot: a member with a state and its votes, or one that a request forces.
 
-        Above the greatest round there is nothing; only a liar has named it (docs/security.md).
+        Above the greatest round there is nothing; only a liar has named it (docs/reference/network/captured-member.md).
         """
         if not self.member or not self.well or not self._settled or self._round == MAX_COUNT:
             return False

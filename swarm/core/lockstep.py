@@ -2,7 +2,8 @@
 
 One message per neighbour and iteration; no acknowledgement, no poll, no leader. Whatever is lost, cut, killed
 or duplicated, the trajectory stays that of the undisturbed synchronous run, or the core says `Fault`:
-it never forks in silence. `docs/lockstep.md` has the rules R1-R9 that the comments name, and why they are so.
+it never forks in silence. `docs/reference/network/lockstep.md` has the rules R1-R9 that the comments name, and why they
+are so.
 
 Why two values suffice. A robot at k has used every neighbour's x(k-1), so each of them is at k-1 or later and
 wants our x(k-1) or a later one; and it cannot pass k+1 without our x(k+1). A frame with x(k) and x(k-1) thus
@@ -28,6 +29,7 @@ from swarm.core.lockstep_frames import (
     encode_want,
 )
 from swarm.core.lockstep_links import SilentLinks
+from swarm.core.lockstep_questions import QuestionTimes
 from swarm.errors import FrameError, LocalError
 
 __all__ = [
@@ -43,17 +45,12 @@ __all__ = [
     "Waiting",
 ]
 
-WANT_AFTER_RTTS = 3.0
-"""A missing value is asked for after so many round-trip times without progress ..."""
-WANT_AFTER = 0.2
-"""... but not before this, in seconds: a loaded robot is late by a tenth of a second without any loss, and links lose
-nothing without saying so (`Lockstep.nudge`)."""
-WANT_AFTER_MOST = 1.0
-"""The interval between two questions doubles up to this, in seconds, and is kept for ever."""
 NAME_AFTER = 2.5
 """Who is waited for is named after so many seconds without progress; 3 s are promised, the bus takes some."""
 LINGER = 10.0
 """At its last iteration a robot stays at most so long for neighbours that may lack its values, in seconds."""
+LINGER_PATIENCES = 5.0
+"""... or so many times as long as it waits until it asks, where that is more."""
 RTT = 0.06
 """Round trip assumed where the host knows no better, in seconds: twice the latency of an RFCOMM link."""
 
@@ -68,19 +65,18 @@ class Lockstep:
         "_actions",
         "_answered",
         "_computing",
+        "_frame",
         "_last",
         "_leave_at",
         "_linger",
         "_links",
         "_name_at",
         "_named",
-        "_patience",
         "_peers",
         "_previous",
+        "_questions",
         "_size",
         "_value",
-        "_want_at",
-        "_wanted_at",
         "channel",
         "counters",
         "done",
@@ -114,12 +110,12 @@ class Lockstep:
         self._linger = linger
         self._value = b""
         self._previous: bytes | None = None
+        self._frame = b""
+        """The `Step` of this iteration."""
         self._computing = False
         self._named: tuple[str, ...] = ()
         self._name_at = 0.0
-        self._patience = 0.0
-        self._want_at = 0.0
-        self._wanted_at = float("-inf")
+        self._questions = QuestionTimes()
         self._leave_at = 0.0
         self._answered: dict[str, tuple[int, float]] = {}
         self._links = SilentLinks()
@@ -151,10 +147,10 @@ class Lockstep:
             return None  # all values were there
         lacking = self._lacking()  # once: this is asked after each frame
         if self.k == self._last:
-            return min(self._want_at, self._links.due, self._leave_at) if lacking else self._leave_at
+            return min(self._questions.due, self._links.due, self._leave_at) if lacking else self._leave_at
         if not lacking:
             return None
-        asks_at = min(self._want_at, self._links.due)
+        asks_at = min(self._questions.due, self._links.due)
         return asks_at if self._named or asks_at < self._name_at else self._name_at
 
     # What the host tells
@@ -163,12 +159,11 @@ class Lockstep:
         """Begin at iteration 0, or that of a change of epoch, with the packed state `x0`; `private` comes back after
         a restart."""
         self._check_fresh()
-        self._check_size(x0)
         # The frame has room for two states. Of this epoch nobody has one before the first, nor will ever ask for it.
         self._enter(k, x0, x0 if k else None, now)
         if not k:
             # Neighbours are yet to start. Who does sends x(0), and our x(1) has x(0) beside it for whoever missed ours.
-            self._want_at = now + max(self._patience, WANT_AFTER_MOST)
+            self._questions.wait_for_start(now)
         self._actions.append(Save(self._snapshot(private)))
         self._broadcast()
         self._settle(now)
@@ -204,7 +199,6 @@ class Lockstep:
     def computed(self, x_next: bytes, private: bytes, now: float, *, last: bool = False) -> None:
         """Answer a `Compute` with the packed x(k+1) and the private state that belongs to it. `last`: all robots have
         agreed to stop there."""
-        self._check_size(x_next)
         if self.fault is not None:
             return  # The fault came while the step was running: its value must not get out.
         if not self._computing:
@@ -222,10 +216,7 @@ class Lockstep:
 
     def nudge(self, now: float) -> None:
         """A link or the bus came up: what has been missing for a round trip is asked for now, no later (R4)."""
-        # Six links that come up together are one reason to ask, not six; and with a link that has been up all the time,
-        # of which only the host has just heard, everything is on its way.
-        entered_at = self._name_at - NAME_AFTER
-        self._want_at = min(self._want_at, max(now, self._wanted_at + self.rtt, entered_at + self.rtt))
+        self._questions.hurry(now, self._name_at - NAME_AFTER, self.rtt)
 
     def handle_timer(self, now: float) -> None:
         """Do what is due at `now`; may be called at any time."""
@@ -237,9 +228,9 @@ class Lockstep:
                 if name in lacking:
                     self._go_around(name)
                     self._send_around(name)
-        if lacking and now >= self._want_at:
+        if lacking and now >= self._questions.due:
             # With the own frame beside the question: the peer may be waiting for just that (R4).
-            self._actions += [Send(self._frame(), name) for name in lacking]
+            self._actions += [Send(self._frame, name) for name in lacking]
             self._ask(lacking, now)
             for name in self._links.around:
                 if name in lacking:
@@ -350,17 +341,21 @@ class Lockstep:
 
     def _enter(self, k: int, value: bytes, previous: bytes | None, now: float) -> None:
         """Be at iteration k; all clocks run from here: progress of the own k alone winds them (hole 1)."""
+        if self.k > 0:  # at the first one neighbours are yet to start
+            self._questions.took(self._name_at - NAME_AFTER, now, self.rtt)
+        if len(value) != self._size:
+            raise LocalError(f"lockstep: a state of {len(value)} bytes, expected {self._size}")
         self.k, self._value, self._previous = k, value, previous
+        self._frame = encode_step(k, value, previous)
         self._links.progress()
-        self._patience = max(WANT_AFTER_RTTS * self.rtt, WANT_AFTER)
-        self._want_at = now + self._patience
+        self._questions.progress(now, self.rtt)
         self._name_at = now + NAME_AFTER
-        self._leave_at = now + self._linger
+        self._leave_at = now + max(self._linger, LINGER_PATIENCES * self._questions.interval)
 
     def _broadcast(self) -> None:
         if self._peers:
-            self._actions.append(Send(self._frame(), None))
-        self._actions += [Send(self._frame(), name, around=True) for name in self._links.around]
+            self._actions.append(Send(self._frame, None))
+        self._actions += [Send(self._frame, name, around=True) for name in self._links.around]
         self._actions.append(Advanced(self.k, self._value))
         if self.k == self._last:
             self._actions.append(Finished(self.k))
@@ -400,9 +395,7 @@ class Lockstep:
         self.counters["want sent"] += len(peers)
         # At the first iteration neighbours are yet to start.
         self._links.asked(peers, self.rtt, now, least=now if self.k else self._name_at)
-        self._wanted_at = now
-        self._want_at = now + self._patience
-        self._patience = max(min(2 * self._patience, WANT_AFTER_MOST), WANT_AFTER_RTTS * self.rtt)
+        self._questions.asked(now, self.rtt)
 
     def _go_around(self, peer: str) -> None:
         if self._links.go_around(peer):
@@ -410,7 +403,7 @@ class Lockstep:
 
     def _send_around(self, peer: str) -> None:
         """What a neighbour may lack, and the question for what we lack, around the link with it."""
-        self._actions += (Send(self._frame(), peer, around=True), Send(encode_want(self.k), peer, around=True))
+        self._actions += (Send(self._frame, peer, around=True), Send(encode_want(self.k), peer, around=True))
 
     def _answer(self, sender: str, k: int, now: float, *, around: bool) -> None:
         """Send the own frame to who asked, the way it asked, at most once per (peer, k) and round trip (R4)."""
@@ -420,15 +413,12 @@ class Lockstep:
             return
         self._answered[sender] = (k, now)
         self.counters["want answered"] += 1
-        self._actions.append(Send(self._frame(), sender, around=around))
+        self._actions.append(Send(self._frame, sender, around=around))
 
     def _name(self, peers: tuple[str, ...]) -> None:
         if peers != self._named:
             self._named = peers
             self._actions.append(Waiting(self.k, peers))
-
-    def _frame(self) -> bytes:
-        return encode_step(self.k, self._value, self._previous)
 
     def _snapshot(self, private: bytes) -> Snapshot:
         channel = self.channel
@@ -447,7 +437,3 @@ class Lockstep:
     def _check_fresh(self) -> None:
         if self.k >= 0:
             raise LocalError("lockstep: start() and resume() are for a new core, this one runs")
-
-    def _check_size(self, value: bytes) -> None:
-        if len(value) != self._size:
-            raise LocalError(f"lockstep: a state of {len(value)} bytes, expected {self._size}")

@@ -1,4 +1,4 @@
-"""Bytes of the lockstep protocol: channel, frames and snapshot (docs/lockstep.md has the layouts).
+"""Bytes of the lockstep protocol: channel, frames and snapshot (docs/reference/network/lockstep.md has the layouts).
 
 A frame on the air is as short as it can be: run, epoch, incarnation and schema are in the channel, which is
 one chunk of the bus key and which the mesh binds once to a handle. All integers are little endian.

@@ -1,9 +1,10 @@
-"""An app's state as bytes: shared fields at fixed width for the air, private ones as msgpack for a restart.
+"""An app's shared state as bytes: fields at fixed width, for the air.
 
 Shared fields are packed little endian, without padding, in declared order (base classes first): float as float64,
 float32, int as int64, bool as one byte, an enum.Enum as the number of its member (one byte), `Annotated[Vector, n]` as
-n float64, `Annotated[Matrix, n, m]` as n rows of m float64. The width is known before the start, and the schema hash
-(names, types, order and the app's class name) keeps robots with different apps apart.
+n float64, `Annotated[Matrix, n, m]` as n rows of m float64, `Array[n, m]` likewise (`Array[n, m, float32]` as float32).
+The width is known before the start, and the schema hash (names, types, order and the app's class name) keeps robots
+with different apps apart.
 """
 
 import enum
@@ -15,8 +16,7 @@ from collections.abc import Iterable, Mapping, Set
 from hashlib import blake2b
 from typing import Annotated, Any, get_args, get_origin
 
-import msgpack
-
+from swarm.core import arrays
 from swarm.errors import AppError, FrameError
 from swarm.frozen import frozen
 
@@ -28,31 +28,23 @@ Matrix = tuple[Vector, ...]
 """A matrix of fixed size, a tuple of rows; declared as `Annotated[Matrix, 2, 3]`, two rows of three."""
 
 
-class _Float32:
-    """Marks a float that travels as IEEE 754 binary32."""
-
-
-float32 = Annotated[float, _Float32()]
-"""A float of half the width on the air. The own value is rounded, too: all robots then count with the same.
-"""
-
 MAX_STATE = 440
 """Largest packed state, bytes: one mesh frame holds two of them (rule R2 of the lockstep)."""
 
 MAX_MEMBERS = 256
 """Members of an enum: they travel as one byte."""
 
-WIRE_TYPES = "float, float32, int, bool, an enum.Enum, Annotated[Vector, n] or Annotated[Matrix, n, m]"
+WIRE_TYPES = "float, float32, int, bool, an enum.Enum, Array[n], Annotated[Vector, n] or Annotated[Matrix, n, m]"
 
 MessageValue = float | int | bool | str | tuple[float, ...]
-"""What a field's value is on the bus and in recordings: enums by name, matrices as one row after the other."""
+"""What a field's value is on the bus and in recordings: enums by name, matrices and arrays as one row after the
+other."""
 
-Item = float | int | bool | enum.Enum | Vector | Matrix
-"""The value of one shared field."""
+Item = float | int | bool | enum.Enum | Vector | Matrix | Any
+"""The value of one shared field; `Any` stands for a numpy array."""
 
 _INT64 = 1 << 63
 _FLOAT32_MAX = struct.unpack("<f", b"\xff\xff\x7f\x7f")[0]
-_TUPLE = 1  # msgpack extension type: Python tuples come back as tuples, not as lists
 
 
 @frozen
@@ -61,29 +53,46 @@ class Field:
 
     name: str
     kind: str
-    """float, float32, int, bool, enum, vector or matrix."""
+    """float, float32, int, bool, enum, vector, matrix or array."""
     length: int = 1
     """Numbers in it."""
     width: int = 0
     """Columns of a matrix."""
     members: tuple[enum.Enum, ...] = ()
     """Of an enum, in declared order."""
+    sizes: tuple[int, ...] = ()
+    """Shape of an array."""
+    single: bool = False
+    """Of an array: whether its numbers are float32."""
 
     @property
     def format(self) -> str:
         """Its `struct` format."""
-        numbers = f"{self.length}d"
+        numbers = f"{self.length}{'f' if self.single else 'd'}"
         return {"float": "d", "float32": "f", "int": "q", "bool": "?", "enum": "B"}.get(self.kind, numbers)
 
     @property
     def text(self) -> str:
         """Name and type in one word: what the schema's hash is over."""
         shape = f"{self.length}" if not self.width else f"{self.length // self.width}x{self.width}"
+        if self.kind == "array":
+            shape = "x".join(map(str, self.sizes)) + (":float32" if self.single else "")
         return f"{self.name}:{self.kind}:{'|'.join(member.name for member in self.members) or shape}"
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """() of a single value, (n,) of a vector, (n, m) of a matrix, of an array its own."""
+        if self.kind == "array":
+            return self.sizes
+        if self.kind not in ("vector", "matrix"):
+            return ()
+        return (self.length // self.width, self.width) if self.width else (self.length,)
 
     @property
     def zero(self) -> Item:
         """The value it has when nothing else was said."""
+        if self.kind == "array":
+            return arrays.checked((0.0,) * self.length, self.sizes, single=self.single)
         if self.kind == "vector":
             return (0.0,) * self.length
         if self.kind == "matrix":
@@ -96,12 +105,17 @@ class Field:
     def columns(self) -> tuple[str, ...]:
         """Its column names in a table: `q[0]`, `q[1]`... for a vector, and for a matrix row by row."""
         numbers = tuple(f"{self.name}[{i}]" for i in range(self.length))
-        return numbers if self.kind in ("vector", "matrix") else (self.name,)
+        return numbers if self.kind in ("vector", "matrix", "array") else (self.name,)
 
     def check(self, value: object) -> Item:
         """`value` as this field holds it, numbers as floats, lists as tuples; `AppError` says what was wrong."""
         if self.kind == "float":
             return _finite(value)
+        if self.kind == "array":
+            array = arrays.checked(value, self.sizes, single=self.single)
+            if not arrays.are_finite(array):
+                raise AppError(f"{shown(value)}: not all of its numbers are finite")
+            return array
         if self.kind == "float32":
             number = _finite(value)
             if abs(number) > _FLOAT32_MAX:
@@ -111,13 +125,13 @@ class Field:
         if self.kind == "bool":
             if isinstance(value, bool):
                 return value
-            raise AppError(f"expected True or False, got {_shown(value)}")
+            raise AppError(f"expected True or False, got {shown(value)}")
         if self.kind == "int":
             if isinstance(value, numbers.Integral) and not isinstance(value, bool):
                 whole = int(value)
                 if -_INT64 <= whole < _INT64:
                     return whole
-            raise AppError(f"expected an integer of 64 bits, got {_shown(value)}")
+            raise AppError(f"expected an integer of 64 bits, got {shown(value)}")
         if self.kind == "enum":
             return self._member(value)
         if self.kind == "matrix":
@@ -126,7 +140,36 @@ class Field:
             items = tuple([_finite(item) for item in value])
             if len(items) == self.length:
                 return items
-        raise AppError(f"expected {self.length} numbers, got {_shown(value)}")
+        raise AppError(f"expected {self.length} numbers, got {shown(value)}")
+
+    def assigned(self, name: str, value: object) -> Item:
+        """An array that an author assigns, as a new one of this field's type; `AppError` for another shape."""
+        try:
+            return arrays.checked(value, self.sizes, single=self.single)
+        except AppError as error:
+            raise AppError(f"{name}: {error}") from None
+
+    def check_assigned(self, value: object) -> None:
+        """Raise `AppError`, with how to mend it, for a value that arithmetic with tuples or an array that is not
+        declared has made, while the author's line is still known. All else is checked after the step."""
+        if type(value) is tuple and self.kind in ("vector", "matrix"):
+            length = self.length // (self.width or 1)
+            if len(value) > length and len(value) % length == 0:
+                raise AppError(
+                    f"{self.name}: expected {length} entries, got {len(value)}. + and * of tuples join and repeat "
+                    f"them; for arithmetic declare `{self.name}: {self.as_array}`"
+                )
+        elif self.kind not in ("vector", "matrix") and (sizes := arrays.shape_of(value)):
+            shape = ", ".join(map(str, sizes))
+            raise AppError(
+                f"{self.name}: it is declared as {self.kind}, and is given an array of shape ({shape}): "
+                f"declare `{self.name}: Array[{shape}]`"
+            )
+
+    @property
+    def as_array(self) -> str:
+        """How a vector or matrix would be declared as an array."""
+        return f"Array[{', '.join(map(str, self.shape))}]"
 
     def message_value(self, value: Any) -> MessageValue:
         """A checked value for the bus and for recordings."""
@@ -135,6 +178,8 @@ class Field:
             return name
         if self.kind == "matrix":
             return tuple([number for row in value for number in row])
+        if self.kind == "array":
+            return tuple(value.ravel().tolist())
         same: MessageValue = value
         return same
 
@@ -142,12 +187,15 @@ class Field:
         """A checked value as the numbers that are packed."""
         if self.kind == "enum":
             return (self.members.index(value),)
-        if self.kind in ("vector", "matrix"):
+        if self.kind in ("vector", "matrix", "array"):
             return self.message_value(value)  # type: ignore[return-value]
         return (value,)
 
     def raised(self, numbers: tuple[Any, ...]) -> Item:
-        """The value out of the numbers that were packed; `FrameError` for an enum's member that is not there."""
+        """The value out of the numbers that were packed, an array read-only; `FrameError` for an enum's member that is
+        not there."""
+        if self.kind == "array":
+            return arrays.from_numbers(numbers, self.sizes, single=self.single)
         if self.kind == "vector":
             return numbers
         if self.kind == "matrix":
@@ -164,7 +212,7 @@ class Field:
         for member in self.members:
             if value is member or (type(value) is str and value == member.name):
                 return member
-        raise AppError(f"expected {' or '.join(member.name for member in self.members)}, got {_shown(value)}")
+        raise AppError(f"expected {' or '.join(member.name for member in self.members)}, got {shown(value)}")
 
     def _matrix(self, value: object) -> Matrix:
         """Rows, or what a configuration has for them: all numbers in one list."""
@@ -177,7 +225,7 @@ class Field:
             nested = [tuple(row) for row in items if isinstance(row, Iterable) and not isinstance(row, str | bytes)]
             if len(items) == len(nested) == rows and all(len(row) == self.width for row in nested):
                 return tuple([tuple([_finite(item) for item in row]) for row in nested])
-        raise AppError(f"expected {rows} rows of {self.width} numbers, got {_shown(value)}")
+        raise AppError(f"expected {rows} rows of {self.width} numbers, got {shown(value)}")
 
 
 class Schema:
@@ -194,8 +242,18 @@ class Schema:
         text = f"{app}({','.join(field.text for field in self.fields)})"
         self.hash = int.from_bytes(blake2b(text.encode(), digest_size=4).digest(), "little")
         """32 bits over class name, names, types and order."""
-        self._is_flat = not any(field.kind in ("vector", "matrix", "enum") for field in self.fields)
+        self._is_flat = not any(field.kind in ("vector", "matrix", "array", "enum") for field in self.fields)
         self._are_floats = all(field.kind == "float" for field in self.fields)
+
+    @property
+    def shapes(self) -> dict[str, str]:
+        """`4x4`, by name, of fields with several axes: recordings hold them as one row after the other."""
+        return {f.name: "x".join(map(str, f.shape)) for f in self.fields if len(f.shape) > 1}
+
+    @property
+    def layout(self) -> str:
+        """`value=d x=2d`: each field's name and its format for `struct`."""
+        return " ".join(f"{field.name}={field.format}" for field in self.fields)
 
     def check_size(self) -> None:
         """Raise `AppError` where there is nothing to share, or more than one frame holds."""
@@ -259,7 +317,9 @@ def field_of(name: str, annotation: object) -> Field:
         raise AppError(f"{name}: an enum of 1 to {MAX_MEMBERS} members can be shared, {annotation.__name__} is none")
     if get_origin(annotation) is Annotated:
         base, mark, *more = get_args(annotation)
-        if isinstance(mark, _Float32):
+        if isinstance(mark, arrays.ArrayShape):
+            return array_field(name, mark)
+        if isinstance(mark, arrays.Float32):
             return Field(name, "float32")
         if base == Vector:
             if type(mark) is int and mark > 0:
@@ -275,42 +335,18 @@ def field_of(name: str, annotation: object) -> Field:
     if annotation == Matrix:
         raise AppError(f"{name}: say how large the matrix is: `{name}: Annotated[Matrix, 2, 3]`")
     shown = getattr(annotation, "__name__", None) or str(annotation)
+    if shown in ("Array", "ndarray") or "ndarray[" in shown:
+        raise AppError(f"{name}: say the array's shape: `{name}: Array[2]` or `{name}: Array[4, 4]`")
     raise AppError(f"{name}: a shared field is of type {WIRE_TYPES}, not {shown}")
 
 
-def pack_private(values: Mapping[str, object]) -> bytes:
-    """Private fields as msgpack, tuples and lists kept apart; `AppError` names the field at fault."""
+def array_field(name: str, mark: arrays.ArrayShape) -> Field:
+    """The field that is declared as an array; `AppError` where numpy is missing."""
     try:
-        return _packb(dict(values))
-    except (TypeError, ValueError, OverflowError, RecursionError):
-        for name, value in values.items():
-            try:
-                _packb(value)
-            except (TypeError, ValueError, OverflowError, RecursionError) as error:
-                raise AppError(f"{name}: {_shown(value)} cannot be saved for a restart ({error})") from None
-        raise
-
-
-def unpack_private(data: bytes) -> dict[str, Any]:
-    """What `pack_private` packed."""
-    values: dict[str, Any] = msgpack.unpackb(data, ext_hook=_from_extension, strict_map_key=False)
-    return values
-
-
-def _packb(value: object) -> bytes:
-    data: bytes = msgpack.packb(value, default=_to_extension, strict_types=True)
-    return data
-
-
-def _to_extension(value: object) -> object:
-    if isinstance(value, tuple):
-        return msgpack.ExtType(_TUPLE, _packb(list(value)))
-    raise TypeError(f"type {type(value).__name__}")
-
-
-def _from_extension(code: int, data: bytes) -> object:
-    items = msgpack.unpackb(data, ext_hook=_from_extension, strict_map_key=False)
-    return tuple(items) if code == _TUPLE else items
+        arrays.numpy()
+    except AppError as error:
+        raise AppError(f"{name}: {error}") from None
+    return Field(name, "array", math.prod(mark.sizes), sizes=mark.sizes, single=mark.single)
 
 
 def _finite(value: object) -> float:
@@ -323,10 +359,11 @@ def _finite(value: object) -> float:
             number = math.inf
         if math.isfinite(number):
             return number
-        raise AppError(f"{_shown(value)} is not a finite number")
-    raise AppError(f"expected a number, got {_shown(value)}")
+        raise AppError(f"{shown(value)} is not a finite number")
+    raise AppError(f"expected a number, got {shown(value)}")
 
 
-def _shown(value: object) -> str:
+def shown(value: object) -> str:
+    """A value in an error, cut where it is long."""
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."

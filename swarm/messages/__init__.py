@@ -21,6 +21,7 @@ from swarm.messages.keys import STOP, parse
 if TYPE_CHECKING:  # the same names, for type checkers; a test compares them to `_NAMES`
     from swarm.messages.apps import (
         AppEpoch,
+        AppLog,
         AppOutput,
         AppParameter,
         AppParameters,
@@ -41,6 +42,7 @@ if TYPE_CHECKING:  # the same names, for type checkers; a test compares them to 
         SetMode,
         SetParameters,
         SetVelocity,
+        TryMotors,
     )
     from swarm.messages.devices import (
         Battery,
@@ -59,14 +61,12 @@ if TYPE_CHECKING:  # the same names, for type checkers; a test compares them to 
         Uwb,
         UwbRange,
     )
-    from swarm.messages.dwm import Measurement, Pose, Range, Ranges
+    from swarm.messages.dwm import ExternalReport, Measurement, Pose, Range, Ranges
     from swarm.messages.mesh import (
         Arm,
         Clock,
         Echo,
         EchoRequest,
-        Flooded,
-        FloodRequest,
         GraphRobot,
         HoldLink,
         Links,
@@ -75,11 +75,6 @@ if TYPE_CHECKING:  # the same names, for type checkers; a test compares them to 
         MemberChange,
         Members,
         MeshGraph,
-        Passed,
-        Progress,
-        Reminder,
-        SendRequest,
-        Sent,
         Stopped,
         Topology,
         TopologyRequest,
@@ -87,28 +82,30 @@ if TYPE_CHECKING:  # the same names, for type checkers; a test compares them to 
         View,
         Watch,
     )
+    from swarm.messages.overlays import Flooded, FloodRequest, Passed, Progress, Reminder, SendRequest, Sent
     from swarm.messages.service import Status, Stop
     from swarm.messages.sim import LedChange, Target, Truth
 
 
 _NAMES = {
     "apps": (
-        "AppEpoch AppOutput AppParameter AppParameters AppParametersSet AppProgress AppState SetAppEpoch "
+        "AppEpoch AppLog AppOutput AppParameter AppParameters AppParametersSet AppProgress AppState SetAppEpoch "
         "SetAppParameters"
     ),
     "balancer": (
-        "BalancerFault BalancerState Leds Notice Odometry Parameters SetLeds SetMode SetParameters SetVelocity"
+        "BalancerFault BalancerState Leds Notice Odometry Parameters "
+        "SetLeds SetMode SetParameters SetVelocity TryMotors"
     ),
     "devices": (
         "Battery Buttons Display Firmware I2CRates ImuRequest ImuSample MeasureI2C ModuleAnswer ModuleRequest "
         "Note SetDisplay SetNotes Uwb UwbRange"
     ),
-    "dwm": "Measurement Pose Range Ranges",
+    "dwm": "ExternalReport Measurement Pose Range Ranges",
     "mesh": (
-        "Arm Clock Echo EchoRequest Flooded FloodRequest GraphRobot HoldLink Links LinkState Member "
-        "MemberChange Members MeshGraph Passed Progress Reminder SendRequest Sent Stopped Topology "
-        "TopologyRequest TopologySet View Watch"
+        "Arm Clock Echo EchoRequest GraphRobot HoldLink Links LinkState Member MemberChange Members MeshGraph Stopped "
+        "Topology TopologyRequest TopologySet View Watch"
     ),
+    "overlays": "Flooded FloodRequest Passed Progress Reminder SendRequest Sent",
     "service": "Status Stop",
     "sim": "LedChange Target Truth",
 }
@@ -117,7 +114,7 @@ _NAMES = {
 _HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
 
 _OF_SERVICE = {
-    "mesh": ("mesh",),
+    "mesh": ("mesh", "overlays"),
     "balancer": ("balancer", "devices"),
     "dwm": ("dwm",),
     "app": ("apps",),
@@ -144,7 +141,8 @@ def _topics(modules: tuple[str, ...]) -> dict[tuple[str, str], type]:
 
 
 def topics() -> dict[tuple[str, str], type]:
-    """Message type of each key, by (service, topic); `*` is any one chunk. A test compares docs/keys.md to it."""
+    """Message type of each key, by (service, topic); `*` is any one chunk. A test compares docs/reference/keys.md to
+    it."""
     return _topics(tuple(_NAMES))
 
 
@@ -180,5 +178,5 @@ def read(key: str, payload: bytes) -> object:
         return stop_of(payload)
     kind = type_of(key)
     if kind is None:
-        raise PayloadError(f"{key}: no message travels under this key (docs/keys.md lists them)")
+        raise PayloadError(f"{key}: no message travels under this key (docs/reference/keys.md lists them)")
     return decode(kind, payload, key)

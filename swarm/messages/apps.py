@@ -1,5 +1,7 @@
 """Messages of the hosts of apps."""
 
+from dataclasses import field
+
 from swarm.frozen import frozen
 from swarm.messages.codec import Value, with_telemetry
 from swarm.messages.service import Status
@@ -69,11 +71,22 @@ class SetAppEpoch:
 
 @frozen
 class AppOutput:
-    """What an app tells by `robot.publish`, on `swarm/<robot>/app/<app>/out/<topic>`."""
+    """What an app tells by `robot.publish`, on `swarm/<robot>/app/<app>/out/<topic>`, or by `robot.record`, on
+    `swarm/<robot>/app/<app>/record/<name>`."""
 
     t: float
     values: dict[str, Value]
     """By name; a single one is called `value`."""
+
+
+@frozen
+class AppLog:
+    """A line that an app has printed, or given to `robot.log`, on `swarm/<robot>/app/<app>/log`."""
+
+    t: float
+    level: str
+    """debug, info, warning, error, critical, or print."""
+    text: str
 
 
 @frozen
@@ -86,6 +99,14 @@ class AppParameter:
     """What it must be, in words."""
     live: bool
     """Whether it may be changed while the app runs."""
+    kind: str = ""
+    """float, int, bool or str."""
+    low: float | None = None
+    """The smallest value that it may have; None without such a bound."""
+    high: float | None = None
+    """The largest one."""
+    choices: tuple[str, ...] = ()
+    """The texts that it may be; empty where all are allowed."""
 
 
 @frozen
@@ -94,6 +115,9 @@ class AppParameters:
 
     t: float
     parameters: dict[str, AppParameter]
+    states: dict[str, str] = field(default_factory=dict)
+    """How shared states lie in the frames between robots, the app's own by an empty name, those of its channels by
+    theirs: `value=d x=2d`, little endian, in the letters of Python's struct."""
 
 
 @frozen
@@ -128,6 +152,8 @@ TOPICS = with_telemetry(
         ("app", "*/*/epoch"): AppEpoch,
         ("app", "*/set/epoch"): SetAppEpoch,
         ("app", "*/out/*"): AppOutput,
+        ("app", "*/record/*"): AppOutput,
+        ("app", "*/log"): AppLog,
         ("app", "*/parameters"): AppParameters,
         ("app", "*/set/parameters"): SetAppParameters,
         ("app", "*/parameters_set"): AppParametersSet,

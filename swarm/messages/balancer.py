@@ -10,7 +10,7 @@ class BalancerState:
 
     t: float
     mode: str
-    """starting, calibrating, idle, standing_up, balancing, lying_down or fault."""
+    """starting, calibrating, idle, standing_up, balancing, lying_down, testing or fault."""
     tilt: float
     """From upright, rad; positive = falling forward."""
     tilt_rate: float
@@ -43,6 +43,10 @@ class BalancerState:
     """ok, low (a warning) or empty (it lies down, and does not stand up)."""
     battery_left: float | None = None
     """s until it lies down, a rough estimate; None before the battery was read."""
+    scl: float = 0.0
+    """Hz: the clock of the I2C bus as its transfers show it, the kernel's time for them included; 0 where unknown."""
+    behind: str = ""
+    """Tasks for which the I2C bus has no time, as `uwb, display`; empty where it has time for all."""
 
 
 @frozen
@@ -152,6 +156,20 @@ class SetVelocity:
 
 
 @frozen
+class TryMotors:
+    """Command on `balancer/set/motors`: turn wheels at low power without balancing. Only an idle robot does."""
+
+    left: float
+    """Duty, at most 0.2 either way; positive = forward."""
+    right: float
+    seconds: float
+    """How long, at most 10."""
+    kind: str = "turn"
+    """turn (these duties), watchdog (they are commanded once, so that the ATmega has to stop the motors), or tilt (the
+    balancing controller's duty by the body's tilt alone, cut to 0.2)."""
+
+
+@frozen
 class SetParameters:
     """Command on `balancer/set/parameters`: change some, all or none of them."""
 
@@ -169,6 +187,7 @@ TOPICS = with_telemetry(
         ("balancer", "parameters"): Parameters,
         ("balancer", "set/leds"): SetLeds,
         ("balancer", "set/mode"): SetMode,
+        ("balancer", "set/motors"): TryMotors,
         ("balancer", "set/parameters"): SetParameters,
         ("balancer", "set/velocity"): SetVelocity,
     }

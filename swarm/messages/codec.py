@@ -2,7 +2,7 @@
 
 A decoder is compiled once for each type, so that checking costs a few microseconds and a missing or wrong field is
 refused at the edge with an error that names key and field. A field that the type does not have is refused in a command
-and ignored in telemetry, which a robot with another release may have sent (docs/keys.md).
+and ignored in telemetry, which a robot with another release may have sent (docs/reference/keys.md).
 """
 
 import dataclasses
@@ -24,6 +24,9 @@ MAX_PAYLOAD = 64 * 1024
 MAX_BINARY = 960 * 1024
 """Largest payload of raw bytes that the bus carries: what one app sends to another. Files go by other ways. A larger
 one would not fit Zenoh's queue, 16 batches of 64 KiB, and be dropped silently."""
+
+MAX_REQUEST = MAX_BINARY + 4096
+"""Largest request that carries such a payload: ticket, names and numbers come on top."""
 
 Value = float | int | bool | str | tuple[float, ...]
 """What a free-form map on the bus (an app's state, say) may hold."""
@@ -77,7 +80,8 @@ def decode(kind: type[T], payload: bytes, key: str) -> T:
 
 
 def as_value(value: object) -> Value:
-    """What an author gives, as a free-form map carries it: lists as tuples of floats. `LocalError` where it cannot."""
+    """What an author gives, as a free-form map carries it: lists as tuples of floats, numpy's arrays as one row after
+    the other. `LocalError` where it cannot."""
     if type(value) is float and math.isfinite(value):
         return value
     if isinstance(value, bool | str):
@@ -88,6 +92,8 @@ def as_value(value: object) -> Value:
         return float(value)
     if isinstance(value, tuple | list) and all(isinstance(x, float | int) and math.isfinite(x) for x in value):
         return tuple([float(x) for x in value])
+    if type(value).__module__ == "numpy" and hasattr(value, "tolist"):
+        return as_value(value.ravel().tolist() if value.shape else value.item())  # type: ignore[attr-defined]
     raise LocalError(f"expected a finite number, bool, text or vector, got {_shortened(repr(value))}")
 
 

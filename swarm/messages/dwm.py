@@ -1,5 +1,7 @@
 """Messages of the UWB service."""
 
+from dataclasses import field
+
 from swarm.frozen import frozen
 from swarm.messages.codec import with_telemetry
 from swarm.messages.devices import ModuleAnswer, ModuleRequest
@@ -52,7 +54,7 @@ class Pose:
     quality: int
     """0-100; 0 = no fix, the numbers are not to be used."""
     source: str
-    """Which filter made it: ekf, multilateration, average, module or recording."""
+    """Which filter made it: ekf, multilateration, average, module, external or recording."""
     deviation_x: float | None = None
     """Standard deviation, m; None where the filter does not estimate it."""
     deviation_y: float | None = None
@@ -63,6 +65,26 @@ class Pose:
     raw_x: float | None = None
     """The place as the module reported it, m; None without a fix."""
     raw_y: float | None = None
+
+
+@frozen
+class ExternalReport:
+    """A pose or ranges from another process, as a motion capture system, on the key of `[dwm] source = "bus:KEY"`.
+
+    Either `x` and `y` are there, which become `dwm/pose` as they are, or `ranges`, which go through the service's own
+    calibration and filter."""
+
+    x: float | None = None
+    """m, in the frame of the anchors."""
+    y: float | None = None
+    heading: float | None = None
+    """rad, counter-clockwise from x; None where it is not known."""
+    deviation: float | None = None
+    """Standard deviation of x and of y, m; None where it is not known."""
+    ranges: dict[str, float] = field(default_factory=dict)
+    """Distances, m, by the addresses of anchors."""
+    age: float = 0.0
+    """s since it was measured, 0 to 10."""
 
 
 @frozen
@@ -86,6 +108,7 @@ TOPICS = with_telemetry(
         ("dwm", "measurement"): Measurement,
         ("dwm", "module"): ModuleAnswer,
         ("dwm", "set/module"): ModuleRequest,
+        ("dwm", "set/report"): ExternalReport,
     }
 )
 """Message type of each key, by (service, topic); `*` is any one chunk."""

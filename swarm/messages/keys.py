@@ -1,4 +1,4 @@
-"""The key space of the bus: `swarm/<robot>/<service>/<topic...>` (docs/keys.md lists every key).
+"""The key space of the bus: `swarm/<robot>/<service>/<topic...>` (docs/reference/keys.md lists every key).
 
 What a robot publishes carries its own name. Commands to a robot go to `swarm/<robot>/<service>/set/<what>`.
 `swarm/stop` stops every robot.
@@ -20,6 +20,7 @@ which poisons the session; 255 is the length its own documentation recommends.""
 
 _NAME = re.compile(r"[a-z][a-z0-9_-]{0,15}")
 _CHUNK = re.compile(r"[A-Za-z0-9_.:-]+")
+_ANY_KEY = re.compile(r"[A-Za-z0-9_.:-]+(/[A-Za-z0-9_.:-]+)*")
 
 
 class Key(NamedTuple):
@@ -69,6 +70,11 @@ def whose_token(text: str) -> tuple[str, str]:
     if last != "alive":
         raise PayloadError(f"key {text!r}: expected swarm/<robot>/<service>/alive")
     return robot, "/".join((service, *more))
+
+
+def is_key(text: str) -> bool:
+    """Whether Zenoh takes it as a key: chunks of letters, digits and `_.:-`, with `/` between them."""
+    return len(text) <= MAX_KEY_LENGTH and _ANY_KEY.fullmatch(text) is not None
 
 
 def is_name(text: str) -> bool:

@@ -3,7 +3,7 @@
 from dataclasses import field
 
 from swarm.frozen import frozen
-from swarm.messages.codec import MAX_BINARY, with_telemetry
+from swarm.messages.codec import with_telemetry
 
 
 @frozen
@@ -51,7 +51,10 @@ class Links:
     t: float
     links: tuple[LinkState, ...]
     clashes: dict[str, str] = field(default_factory=dict)
-    """By name that two robots have (docs/security.md): how that was noticed, in words. Empty in a well swarm."""
+    """How it was noticed, in words, by name that two robots have. Empty in a well swarm.
+
+    See docs/explanation/two-robots-with-one-name.md.
+    """
 
 
 @frozen
@@ -88,113 +91,6 @@ class Members:
     """All other robots of the configuration."""
     changes: tuple[MemberChange, ...]
     """The newest 32, the newest last."""
-
-
-@frozen
-class FloodRequest:
-    """Command on `mesh/set/flood`: carry a payload to the whole swarm, and say in `mesh/flooded` whom it reached.
-
-    It appears on every other robot's bus, raw, under `swarm/<this robot>/app/<app>/flood`.
-    """
-
-    LIMIT = MAX_BINARY
-    ticket: str
-    """Names this request; a repetition of it is not flooded again but gets the answer again."""
-    app: str
-    payload: bytes
-    priority: str
-    """control, sync or bulk."""
-    announce: bool
-    """Whether the answer is flooded, too: every robot learns that the flood is complete."""
-
-
-@frozen
-class Flooded:
-    """End of a flood, on `swarm/<robot>/mesh/flooded` of its origin; elsewhere only where it is announced."""
-
-    t: float
-    """At the origin."""
-    ticket: str
-    app: str
-    robots: tuple[str, ...]
-    """Whom it reached, besides the origin."""
-    complete: bool
-    """Whether these are all that could be reached."""
-    problem: str
-    """Why it is not complete; empty otherwise."""
-
-
-@frozen
-class SendRequest:
-    """Command on `mesh/set/send`: carry a payload to one robot, and say in `mesh/sent` whether it arrived.
-
-    It appears on that robot's bus, raw, under `swarm/<this robot>/app/<app>/send/<to>`.
-    """
-
-    LIMIT = MAX_BINARY
-    ticket: str
-    app: str
-    to: str
-    payload: bytes
-    priority: str
-    timeout: float
-    """s after which it is given up."""
-
-
-@frozen
-class Reminder:
-    """Command on `mesh/set/remind`: tell the answer to a request again or, where there is none yet, a `Progress`."""
-
-    ticket: str
-
-
-@frozen
-class Progress:
-    """How far a request is, on `swarm/<robot>/mesh/progress`."""
-
-    t: float
-    ticket: str
-    known: bool
-    """Whether there is such a request here: one that is not known was lost, and is to be made again."""
-    size: int
-    """Bytes of its payload; 0 where it is small, which takes no time worth telling."""
-    moved: int
-    """Bytes that have arrived: at the receiver, or at every neighbour that hands a flood on."""
-
-
-@frozen
-class Sent:
-    """End of a message, on `swarm/<robot>/mesh/sent`."""
-
-    t: float
-    ticket: str
-    app: str
-    to: str
-    delivered: bool
-    """Whether the other robot's mesh has confirmed it."""
-    problem: str
-    """Why not; empty otherwise. It may have arrived all the same where the answer was lost."""
-
-
-@frozen
-class Passed:
-    """A message of an app, or the answer to one, was handed to a neighbour, on `swarm/<robot>/mesh/passed` of each
-    robot on its way: so one sees which way it took, and when. Not of messages larger than a packet."""
-
-    t: float
-    app: str
-    """Empty for an answer on its way: it does not say to what."""
-    sender: str
-    """Whose message it is, also where this is the answer."""
-    to: str
-    number: int
-    """Counts what the sender's mesh has sent to that robot since its start."""
-    back: bool
-    """Whether it is the answer."""
-    next: str
-    """The neighbour."""
-    ticket: str
-    """At the sender; empty elsewhere."""
 
 
 @frozen
@@ -374,30 +270,25 @@ class Topology:
     since: float
     """When this robot took it over."""
     edges: tuple[tuple[str, ...], ...]
-    """All links of the swarm, each once."""
+    """All neighbours of the swarm, each pair once."""
     wanted: tuple[str, ...]
     """Neighbours of this robot in it."""
     up: tuple[str, ...]
-    """Those of them whose links are up."""
+    """Those of them whose links are up, or whom other links lead to."""
     kept: tuple[str, ...]
     """Links that are up and not in it: they alone hold the swarm together, or are about to go."""
     missing: dict[str, str]
     """Robots out of reach that this one has called, and why in vain."""
+    links: tuple[tuple[str, ...], ...] = ()
+    """Links that carry the topology, where these are not its own."""
 
 
 TOPICS = with_telemetry(
     {
         ("mesh", "links"): Links,
         ("mesh", "members"): Members,
-        ("mesh", "flooded"): Flooded,
-        ("mesh", "sent"): Sent,
-        ("mesh", "passed"): Passed,
         ("mesh", "stopped"): Stopped,
         ("mesh", "graph"): MeshGraph,
-        ("mesh", "set/flood"): FloodRequest,
-        ("mesh", "set/send"): SendRequest,
-        ("mesh", "set/remind"): Reminder,
-        ("mesh", "progress"): Progress,
         ("mesh", "set/arm"): Arm,
         ("mesh", "clock"): Clock,
         ("mesh", "echo"): Echo,

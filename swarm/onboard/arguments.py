@@ -12,7 +12,7 @@ from swarm.process.terminal import write_lines
 
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Declare `--json`."""
-    parser.add_argument("--json", action="store_true", help="one JSON object")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def show(args: argparse.Namespace, data: object, lines: Iterable[str]) -> None:
@@ -27,7 +27,7 @@ def add_robots(parser: argparse._ActionsContainer, text: str) -> None:
 
 def add_run_dir(parser: argparse._ActionsContainer) -> None:
     """Declare `--run-dir`."""
-    parser.add_argument("--run-dir", type=Path, metavar="DIR", help="of the simulation, where it was started with one")
+    parser.add_argument("--run-dir", type=Path, metavar="DIR", help="run directory of the simulation (its --run-dir)")
 
 
 def names(text: str) -> list[str]:

@@ -14,7 +14,7 @@ from swarm.process.simulations import default_run_dir, is_live, robots
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare `--robots` and `--run-dir`."""
-    add_robots(parser, "of a simulation (all); on a robot only itself")
+    add_robots(parser, "names of robots (default: all of a simulation; on a robot this robot only)")
     add_run_dir(parser)
 
 

@@ -31,6 +31,8 @@ class Command(NamedTuple):
     """Arguments that come before those that the user gives."""
     help: str = ""
     """One line; empty where the module has it as `HELP`."""
+    far: str = ""
+    """Module that runs it on robots elsewhere, by `run(name, words)`, which returns None where it is meant here."""
 
 
 class CommandGroup(NamedTuple):
@@ -48,6 +50,9 @@ Sections = Mapping[str, Commands]
 
 _ROOT = Path(__file__).parents[2]
 """Where the packages lie."""
+
+_WIDTH = 100
+"""Characters of a line of the help; of a group with more commands the first ones are listed."""
 
 _HELP = re.compile(r'^HELP = (".*")$', re.MULTILINE)
 
@@ -117,7 +122,8 @@ def help_of(command: Command | CommandGroup) -> str:
 
 def parser_of(name: str, command: Command) -> argparse.ArgumentParser:
     """Return the parser of a command whose module has `add_arguments`."""
-    parser = argparse.ArgumentParser(prog=f"swarm {name}", description=help_of(command))
+    epilog = "Real robots, over ssh: --real, --config FILE, --ssh-config FILE." if command.far else None
+    parser = argparse.ArgumentParser(prog=f"swarm {name}", description=help_of(command), epilog=epilog)
     importlib.import_module(command.module).add_arguments(parser)
     return parser
 
@@ -149,6 +155,8 @@ def _main(sections: Sections, argv: list[str]) -> int:
 
 def _call(name: str, command: Command, rest: list[str]) -> int:
     """Run a command with the arguments that the user gave; returns the exit code."""
+    if command.far and (there := importlib.import_module(command.far).run(name, rest)) is not None:
+        return int(there)
     module = importlib.import_module(command.module)
     if not hasattr(module, "add_arguments"):
         sys.argv = ["swarm", *command.first, *rest]
@@ -187,7 +195,8 @@ def _line(name: str, command: Command | CommandGroup) -> str:
     text = help_of(command)
     if isinstance(command, CommandGroup):
         text = f"{text}: {', '.join(command.commands)}"
-    return f"  {name:<10} {text}"
+    line = f"  {name:<10} {text}"
+    return line if len(line) <= _WIDTH else line[: line.rindex(",", 0, _WIDTH - 4)] + ", ..."
 
 
 def _leave_output() -> None:

@@ -21,14 +21,26 @@ MEASURE = CommandGroup(
     "links, paths and the I2C bus",
     {
         "rtt": Command("swarm.onboard.measure.links", ("rtt",), "round-trip times by payload size and overlay"),
-        "throughput": Command("swarm.onboard.measure.links", ("throughput",), "bytes a second of links and paths"),
+        "throughput": Command(
+            "swarm.onboard.measure.links", ("throughput",), "throughput of links and paths, in bytes a second"
+        ),
         "radio": Command("swarm.onboard.measure.radio"),
         "i2c": Command("services.balancer.measure_i2c"),
     },
 )
 
+BALANCE = CommandGroup(
+    "make robots stand or lie, by name or all",
+    {
+        "stand": Command("swarm.onboard.body.balance", ("stand",), "stand up and balance, from lying or held upright"),
+        "rest": Command("swarm.onboard.body.balance", ("rest",), "motors off at once; this also ends a fault"),
+        "lie": Command("swarm.onboard.body.balance", ("lie",), "lie down gently, then motors off"),
+        "zero": Command("swarm.onboard.body.balance", ("zero",), "measure the gyro's zero again, at rest"),
+    },
+)
+
 TOOLS: dict[str, Command | CommandGroup] = {
-    "dwm": Command("services.dwm.tool", help="look at UWB modules, set them up, find what is wrong"),
+    "dwm": Command("services.dwm.tool", help="show, configure and check UWB modules"),
     "calibrate": Command("services.dwm.calibrate.__main__", help="calibrate the UWB module of a robot"),
     "discover": Command("services.mesh.discover", help="list Bluetooth devices in range, and which are robots"),
     "config": Command("swarm.onboard.config"),
@@ -37,16 +49,19 @@ TOOLS: dict[str, Command | CommandGroup] = {
 
 SECTIONS: Sections = {
     "this robot and its swarm": {
+        "balance": BALANCE,
+        "drive": Command("swarm.onboard.body.drive"),
+        "commission": Command("swarm.onboard.commission.command"),
         "mesh": MESH,
         "measure": MEASURE,
-        "app": CommandGroup("apps while they run", {"param": Command("swarm.onboard.param")}),
+        "app": CommandGroup("running apps", {"param": Command("swarm.onboard.param")}),
         **TOOLS,
-        "flash": Command("services.balancer.flash", help="put new firmware on the Balboa, over its USB cable"),
+        "flash": Command("services.balancer.flash", help="write new firmware to the Balboa, over its USB cable"),
     },
     "safety": {
-        "estop": Command("swarm.onboard.halt", ("stop",), "stop every robot, and say who has obeyed"),
+        "estop": Command("swarm.onboard.halt", ("stop",), "stop every robot, and list the robots that confirmed"),
         "stop": Command("swarm.onboard.halt", ("stop",), "the same as estop"),
-        "arm": Command("swarm.onboard.halt", ("arm",), "take every stop back, and say who has heard it"),
+        "arm": Command("swarm.onboard.halt", ("arm",), "take back all stops, and list the robots that confirmed"),
     },
 }
 

@@ -4,6 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from swarm.config.find import LOOKED_IN
 from swarm.config.load import load
 from swarm.config.types import DEFAULT_RELAY, Config
 from swarm.core.graph import Graph
@@ -17,8 +18,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """`--example`, or `check [FILE] [--json]`."""
     parser.add_argument("--example", action="store_true", help="print a commented file to start from")
     verbs = parser.add_subparsers(dest="verb", metavar="check")
-    check = verbs.add_parser("check", help="say what a file holds, or what is wrong with it")
-    check.add_argument("file", nargs="?", type=Path, help="default: SWARM_CONFIG, else /etc/swarm/swarm.toml")
+    check = verbs.add_parser("check", help="show what a file contains, or its errors")
+    check.add_argument("file", nargs="?", type=Path, help=f"configuration file (default: {LOOKED_IN})")
     add_json(check)
     parser.set_defaults(fail=parser.error)
 

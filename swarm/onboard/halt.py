@@ -29,8 +29,12 @@ ROUND = 0.2
 ANSWER = 2.0
 """s that a mesh has for its answer; questions overlap."""
 
-MOVING = ("standing_up", "balancing")
+MOVING = ("standing_up", "balancing", "testing")
 """Modes of a balancer whose motors are on."""
+
+
+NEXT = "nothing moves by that; to make robots stand: swarm balance stand"
+"""Said after `swarm arm`."""
 
 
 @frozen
@@ -50,7 +54,7 @@ class Row:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare `stop [REASON]` or `arm`, then options. Which of the two is part of the command's name."""
     parser.add_argument("act", choices=("stop", "arm"), help=argparse.SUPPRESS)
-    parser.add_argument("reason", nargs="?", help="of a stop: what the robots' logs and faults will say")
+    parser.add_argument("reason", nargs="?", help="reason of a stop, for the robots' logs and faults")
     parser.add_argument("--timeout", type=number(0.1, 600, "s"), default=5.0, metavar="S", help="seconds to wait (5)")
     add_json(parser)
     buses.add_arguments(parser)
@@ -122,7 +126,7 @@ def table(rows: list[Row], *, stop: bool) -> list[str]:
         summary += f"; not confirmed: {' '.join(missing)}"
     if away:
         summary += f"; out of reach: {' '.join(away)} (told when they are back)"
-    return [*columns(lines), "", summary]
+    return [*columns(lines), "", summary, *([] if stop else [NEXT])]
 
 
 def _remark(row: Row, *, stop: bool) -> str:

@@ -13,8 +13,8 @@ HELP = "make or replace the key that the robots of a swarm share"
 
 _VERBS = {
     "new": "make a file with a new key, readable by its owner alone; never overwrites",
-    "rotate": "put a new key in front; the old one stays valid until `retire`",
-    "retire": "end a rotation: forget the older key",
+    "rotate": "add a new key before the old one, which stays valid until `retire`",
+    "retire": "end a rotation: remove the older key",
     "show-id": "print the ids of the keys in a file, the newest first; ids are no secret",
 }
 
@@ -25,7 +25,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for verb, text in _VERBS.items():
         command = verbs.add_parser(verb, help=text, description=text)
         add_json(command)
-        command.add_argument("file", nargs="?", type=Path, default=Path(DEFAULT_KEY_FILE), help="default: %(default)s")
+        command.add_argument(
+            "file", nargs="?", type=Path, default=Path(DEFAULT_KEY_FILE), help="key file (default: %(default)s)"
+        )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -47,7 +47,7 @@ def listen(robots: Mapping[str, Path], seconds: float = SECONDS) -> dict[str, di
 
             found[robot]["bus"] = bus.wait_connected(2.0)
             if found[robot]["bus"]:
-                bus.subscribe([f"swarm/{robot}/*/*"], keep)
+                bus.subscribe([f"swarm/{robot}/*/*", f"swarm/{robot}/app/*/progress"], keep)
                 for service in SERVICES:
                     bus.ask(f"swarm/{robot}/{service}/status", keep, timeout_s=seconds)
         while (left := began + seconds - time.monotonic()) > 0:

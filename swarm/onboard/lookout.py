@@ -48,7 +48,8 @@ TOLD_ONCE = (
 """Keys below a robot's name that are told on change and answer questions: who comes late asks."""
 
 TOLD = (
-    "*/*", "*/set/*", "app/*/*", "app/*/set/*", "app/*/*/state", "app/*/*/progress", "app/*/*/epoch", "app/*/out/**",
+    "*/*", "*/set/*", "app/*/*", "app/*/set/*", "app/*/*/state", "app/*/*/progress", "app/*/*/epoch",
+    "app/*/out/**", "app/*/record/*",
 )  # fmt: skip
 """Keys below a robot's name that are for people too: all but what apps send to each other, which would cost the bus
 more than the rest together (`swarm.onboard.traffic`)."""

@@ -17,7 +17,7 @@ from swarm.onboard.arguments import add_json, show
 from swarm.onboard.ask import PATIENCE, Answers, new_ticket, opened, request
 from swarm.process.terminal import columns
 
-HELP = "show or change parameters of an app that runs"
+HELP = "show or change parameters of a running app"
 
 Known = Mapping[str, Mapping[str, AppParameter]]
 """Parameters by robot and name."""
@@ -26,7 +26,9 @@ Known = Mapping[str, Mapping[str, AppParameter]]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare `APP [[ROBOT.]NAME=VALUE]...`."""
     parser.add_argument("app", help="name of the app, e.g. consensus")
-    parser.add_argument("settings", nargs="*", metavar="[ROBOT.]NAME=VALUE", help="none = show them")
+    parser.add_argument(
+        "settings", nargs="*", metavar="[ROBOT.]NAME=VALUE", help="values to set (default: show the parameters)"
+    )
     buses.add_arguments(parser)
     add_json(parser)
 

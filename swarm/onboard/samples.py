@@ -4,12 +4,14 @@ import json
 import re
 import struct
 import time
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 from swarm.core.lockstep_frames import STEP, WANT
 from swarm.errors import PayloadError
 from swarm.messages import read, type_of
-from swarm.messages.codec import unpack
+from swarm.messages.codec import MAX_PAYLOAD, unpack
 from swarm.messages.json_values import cut, json_value
 from swarm.messages.keys import parse
 from swarm.process.text import printable
@@ -22,6 +24,15 @@ _FRAME = struct.Struct("<BI")
 _FRAME_KINDS = {STEP: "STEP", WANT: "WANT"}
 
 
+_LETTERS = "dfqQbBiIhH?"
+_ROLL = 32
+"""Bytes behind a latest state: who has been there, a bit a robot."""
+_ENTRY = re.compile(r"([0-9]{0,3})([a-zA-Z?])")
+
+Layouts = Mapping[str, str]
+"""How an app's states lie in its frames: `AppParameters.states`."""
+
+
 class BusSample(NamedTuple):
     """What came, when, and on whose bus."""
 
@@ -31,6 +42,8 @@ class BusSample(NamedTuple):
     """The simulated robot whose bus it came over; empty where there is only one bus."""
     key: str
     payload: bytes
+    layouts: Layouts = MappingProxyType({})
+    """Of the app of whose frames it is one, as far as known."""
 
 
 def as_text(sample: BusSample) -> str:
@@ -39,10 +52,13 @@ def as_text(sample: BusSample) -> str:
 
 
 def as_json(sample: BusSample) -> str:
-    """One JSON object: `value` is the decoded payload, or `hex` the raw one beside `error` or a frame's head."""
+    """One JSON object: `value` is the decoded payload, or `hex` the raw one beside `error`; of a frame between apps its
+    kind, its number and the state, or where its layout is not known `hex`."""
     data: dict[str, object] = {"time": round(sample.time, 6), "robot": sample.robot, "key": sample.key}
     if (frame := _frame(sample)) is not None:
-        data |= {"frame": frame[0], frame[1]: frame[2], "bytes": len(sample.payload), "hex": sample.payload.hex()}
+        kind, name, number, state = frame
+        data |= {"frame": kind, name: number, "bytes": len(sample.payload)}
+        data |= {"state": json_value(state)} if state is not None else {"hex": sample.payload.hex()}
     else:
         try:
             data["value"] = json_value(unpack(sample.payload))
@@ -72,7 +88,9 @@ def clock_text(seconds: float) -> str:
 
 def _payload_text(sample: BusSample) -> str:
     if (frame := _frame(sample)) is not None:
-        return f"{frame[0]} {frame[1]}={frame[2]} {_raw(sample.payload)}"
+        kind, name, number, state = frame
+        shown = _raw(sample.payload) if state is None else value_text(state) if state else ""
+        return f"{kind} {name}={number} {shown}".rstrip()
     try:
         value = unpack(sample.payload)
     except PayloadError as error:
@@ -81,9 +99,20 @@ def _payload_text(sample: BusSample) -> str:
     return value_text(value) + (f" (! {printable(fault)})" if fault is not None else "")
 
 
-def _frame(sample: BusSample) -> tuple[str, str, int] | None:
-    """Kind and iteration, or sequence, of an app-to-app frame (docs/lockstep.md, docs/events.md), None for everything
-    else."""
+def frame_app(key: str) -> str:
+    """The app whose frames between robots come under this key; empty for other keys."""
+    try:
+        _, service, topic = parse(key)
+    except PayloadError:
+        return ""
+    chunks = topic.split("/")
+    return chunks[0] if service == "app" and len(chunks) >= 3 and chunks[1] in ("sync", "latest") else ""
+
+
+def _frame(sample: BusSample) -> tuple[str, str, int, dict[str, object] | None] | None:
+    """Kind, `k` or `sequence`, that number and the state of an app-to-app frame
+    (docs/reference/network/lockstep.md). None in place of the state where its layout is not known; None for other
+    keys."""
     try:
         _, service, topic = parse(sample.key)
     except PayloadError:
@@ -92,9 +121,42 @@ def _frame(sample: BusSample) -> tuple[str, str, int] | None:
     if service != "app" or len(chunks) < 3 or len(sample.payload) < _FRAME.size:
         return None
     kind, number = _FRAME.unpack_from(sample.payload)
-    if chunks[1] == "sync":
-        return _FRAME_KINDS.get(kind, f"kind {kind}"), "k", number
-    return ("STATE", "sequence", number) if chunks[1] == "latest" else None
+    body = sample.payload[_FRAME.size :]
+    if chunks[1] == "latest":
+        return "STATE", "sequence", number, _state({"": sample.layouts.get("", "")}, body, 1, spare=_ROLL)
+    if chunks[1] != "sync":
+        return None
+    if kind == WANT and not body:
+        return "WANT", "k", number, {}
+    state = _state(sample.layouts, body, 2 if number else 1, spare=0) if kind == STEP else None
+    return _FRAME_KINDS.get(kind, f"kind {kind}"), "k", number, state
+
+
+def _state(layouts: Layouts, body: bytes, copies: int, *, spare: int) -> dict[str, object] | None:
+    """The first of so many equally long states in a frame's body, by the one layout that fits its length; at most
+    `spare` bytes may follow."""
+    fitting = {text for text in layouts.values() if text and 0 <= len(body) - copies * _size(text) <= spare}
+    if len(fitting) != 1:
+        return None
+    (layout,) = fitting
+    found: dict[str, object] = {}
+    at = 0
+    for name, letters in (each.split("=", 1) for each in layout.split()):
+        entries = struct.unpack_from(f"<{letters}", body, at)
+        at += struct.calcsize(f"<{letters}")
+        found[name] = entries[0] if len(entries) == 1 else list(entries)
+    return found
+
+
+def _size(layout: str) -> int:
+    """Bytes of a state; more than any has where this is no layout: another robot's process has told it."""
+    size = 0
+    for each in layout.split():
+        match = _ENTRY.fullmatch(each.partition("=")[2])
+        if match is None or match[2] not in _LETTERS:
+            return MAX_PAYLOAD + 1
+        size += struct.calcsize(f"<{match[0]}")
+    return size
 
 
 def _fault(sample: BusSample) -> str | None:

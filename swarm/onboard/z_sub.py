@@ -16,14 +16,23 @@ from typing import NoReturn
 
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus
-from swarm.errors import LocalError
+from swarm.errors import LocalError, PayloadError
+from swarm.messages import AppParameters
+from swarm.messages.codec import decode
 from swarm.messages.keys import EVERYTHING
+from swarm.messages.keys import key as key_of
 from swarm.onboard import buses, samples
 from swarm.onboard.arguments import add_robots, add_run_dir, number, whole
 from swarm.onboard.command_line import complain, end_with
 from swarm.onboard.samples import BusSample
 from swarm.process.paths import DEFAULT_RUNTIME, bus_endpoint, runtime_dir
 from swarm.process.simulations import default_run_dir, is_live, robots
+
+_ANSWER_S = 0.5
+"""s that an app has to say how its states lie in frames; without an answer they are shown in hexadecimal."""
+
+_MOST_APPS = 256
+"""Apps whose answers are kept."""
 
 Source = Callable[[], Mapping[str, str] | None]
 """Name and endpoint of each bus to watch at this moment; None when there will be no more."""
@@ -61,16 +70,18 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
         description="Watch the bus of a robot, or of all simulated robots, decoded.",
     )
     parser.add_argument("keys", nargs="*", metavar="KEY", help=f"key expressions, default {EVERYTHING}")
-    parser.add_argument("-k", "--key", action="append", default=[], metavar="KEY", help="the same as an option")
+    parser.add_argument(
+        "-k", "--key", action="append", default=[], metavar="KEY", help="a key expression, as an option"
+    )
     where = parser.add_argument_group("which bus")
-    add_robots(where, "only theirs: of a simulation, or of real robots by ssh")
+    add_robots(where, "these robots: simulated, or real ones by ssh")
     add_run_dir(where)
-    where.add_argument("-e", "--endpoint", help="this one: unixsock-stream/PATH")
-    where.add_argument("--config", type=Path, metavar="FILE", help="by ssh: where the robots' hosts are (swarm.toml)")
-    where.add_argument("--ssh-config", type=Path, metavar="FILE", help="by ssh: in place of ~/.ssh/config")
+    where.add_argument("-e", "--endpoint", help="the bus at unixsock-stream/PATH")
+    where.add_argument("--config", type=Path, metavar="FILE", help="swarm.toml with the robots' hosts, for ssh")
+    where.add_argument("--ssh-config", type=Path, metavar="FILE", help="in place of ~/.ssh/config, for ssh")
     output = parser.add_argument_group("output")
-    output.add_argument("--rate", action="store_true", help="rates by key, once a second, in place of samples")
-    output.add_argument("--json", action="store_true", help="one JSON object a line")
+    output.add_argument("--rate", action="store_true", help="print rates by key, in place of samples")
+    output.add_argument("--json", action="store_true", help="print one JSON object a line")
     output.add_argument("--count", type=whole(1), metavar="N", help="end after N samples")
     output.add_argument("--seconds", type=number(0, unit="s", above=True), metavar="S", help="end after S seconds")
     output.add_argument("--while-input", action="store_true", help=argparse.SUPPRESS)
@@ -129,6 +140,8 @@ class _Watch:
         self._queue: queue.Queue[BusSample] = queue.Queue(_QUEUE)
         self._lost = 0
         self._buses: dict[str, _Watched] = {}
+        self._layouts: dict[tuple[str, str], dict[str, str]] = {}
+        """By bus and app, how its states lie in frames."""
 
     def run(self) -> None:
         """Print until the end."""
@@ -158,9 +171,23 @@ class _Watch:
         if self._rates is not None:
             self._rates.count(sample)
             return
+        sample = self._with_layouts(sample)
         sys.stdout.write((samples.as_json if self._json else samples.as_text)(sample) + "\n")
         if self._queue.empty():
             sys.stdout.flush()
+
+    def _with_layouts(self, sample: BusSample) -> BusSample:
+        """The same with what its app tells of its frames; the app is asked when its first one comes."""
+        app = samples.frame_app(sample.key)
+        watched = self._buses.get(sample.robot)
+        if not app or watched is None:
+            return sample
+        known = self._layouts.get((sample.robot, app))
+        if known is None:
+            if len(self._layouts) >= _MOST_APPS:
+                self._layouts.clear()
+            known = self._layouts[sample.robot, app] = watched.layouts(app)
+        return sample._replace(layouts=known)
 
     def _look(self, stack: contextlib.ExitStack) -> bool:
         """Find new buses, tell what became of the others; False when there is nothing more to watch."""
@@ -178,9 +205,9 @@ class _Watch:
         return not (_nobody_reads() or (self._while_input and _input_has_ended()))
 
     def _receiver(self, robot: str) -> Callable[[str, bytes], None]:
-        def receive(key: str, payload: bytes) -> None:
+        def receive(name: str, payload: bytes) -> None:
             try:
-                self._queue.put_nowait(BusSample(clock.wall(), robot, key, payload))
+                self._queue.put_nowait(BusSample(clock.wall(), robot, name, payload))
             except queue.Full:
                 self._lost += 1
 
@@ -195,6 +222,19 @@ class _Watched:
         self._endpoint = endpoint
         self._opened = clock.now()
         self._told_connected = True
+
+    def layouts(self, app: str) -> dict[str, str]:
+        """What an app on this bus tells of its frames, within `_ANSWER_S`; empty where it tells nothing."""
+        told: queue.SimpleQueue[dict[str, str]] = queue.SimpleQueue()
+
+        def answered(name: str, payload: bytes) -> None:
+            with contextlib.suppress(PayloadError):
+                told.put(decode(AppParameters, payload, name).states)
+
+        self._bus.ask(key_of("*", f"app/{app}", "parameters"), answered, timeout_s=_ANSWER_S)
+        with contextlib.suppress(queue.Empty):
+            return told.get(timeout=_ANSWER_S)
+        return {}
 
     def tell_changes(self) -> None:
         """Say so when a bus is not there, and when it is again."""

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from swarm import clock
-from swarm.bus import zenoh_bus
+from swarm.bus import zenoh_runtime
 from swarm.bus.zenoh_bus import Bus
 from swarm.config import Config, load, who_am_i
 from swarm.messages import Status
@@ -93,7 +93,7 @@ class Service:
         with self._lock:
             state, reason, since = self._state, self._reason, self._since
         # The copy is one step of the interpreter: other threads may be counting a new name.
-        counters = {name: count for name, count in {**zenoh_bus.counters, **self.counters}.items() if count}
+        counters = {name: count for name, count in {**zenoh_runtime.counters, **self.counters}.items() if count}
         return Status(clock.now(), self.name, state, reason, os.getpid(), since, counters)
 
     def close(self) -> None:

@@ -5,15 +5,15 @@ and `swarm.toml`. Its parent process holds a lock on `sim.lock` for as long as i
 file itself stays and says nothing.
 """
 
-import fcntl
 import os
+import socket
 import time
 from pathlib import Path
 
 from swarm.config.toml_input import read_toml
 from swarm.errors import BusError, LocalError, PayloadError
 from swarm.messages.keys import is_name
-from swarm.process.locks import is_held
+from swarm.process.locks import is_held, take_lock
 from swarm.process.paths import BUS_SOCKET
 
 LOCK = "sim.lock"
@@ -21,10 +21,21 @@ CONFIG = "swarm.toml"
 _ATTEMPTS = 20
 
 
+HAS_PROCESSES = hasattr(socket, "AF_UNIX") and hasattr(os, "getuid")
+"""Whether this system can run the processes of robots: they talk over Unix sockets."""
+
+
 def default_run_dir() -> Path:
     """Where a simulation of this user runs unless told otherwise; short, since sockets' paths are limited."""
     runtime = os.environ.get("XDG_RUNTIME_DIR")
-    return Path(runtime) / "swarm-sim" if runtime else Path(f"/tmp/swarm-sim-{os.getuid()}")  # noqa: S108
+    if runtime:
+        return Path(runtime) / "swarm-sim"
+    if not HAS_PROCESSES:
+        raise LocalError(
+            "simulations of real processes need Linux (on Windows: WSL): `swarm sim --virtual` and "
+            "`swarm.simulate` run everywhere"
+        )
+    return Path(f"/tmp/swarm-sim-{os.getuid()}")  # noqa: S108
 
 
 class _RunLock:
@@ -58,7 +69,7 @@ def claim(directory: Path) -> _RunLock:
             raise BusError(f"{directory}: belongs to another user; use --run-dir")
         if not (directory / LOCK).exists() and any(directory.iterdir()):
             raise BusError(f"{directory}: is neither empty nor a run directory; use another --run-dir")
-        descriptor = os.open(directory / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        descriptor = os.open(directory / LOCK, os.O_RDWR | os.O_CREAT, 0o600)
     except OSError as error:
         raise BusError(f"{directory}: no run directory: {error.strerror}; use --run-dir") from None
     if not _lock(descriptor):
@@ -74,7 +85,7 @@ def _lock(descriptor: int) -> bool:
     """Lock, with patience for a moment: somebody may just be looking whether a simulation runs."""
     for _ in range(_ATTEMPTS):
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            take_lock(descriptor)
         except BlockingIOError:
             time.sleep(0.01)
         else:

@@ -1,80 +1,52 @@
-"""The runtime of a process on a robot: one lock, one thread for what is planned, and a thread for each worker.
+"""The runtime of an app's process on a robot: besides its lock a thread for what is planned, and one for each worker.
 
-Whoever calls a shell holds the lock: Zenoh's thread, the thread of the planned calls, or a worker's thread at the end
-of a job. So a shell's call runs on whichever thread brought its cause, and no hand-over between threads delays a
-message. An author's step runs on its worker's thread without the lock, since a blocked callback would hold up every key
-of the process.
+An author's step runs on its worker's thread without the lock, since a blocked callback would hold up every key of the
+process.
 """
 
-import heapq
-import itertools
-import logging
 import queue
 import threading
-from collections import Counter, deque
 from collections.abc import Callable, Iterable
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 from swarm import clock
 from swarm.bus.protocol import BusLike, OnQuery, OnSample
+from swarm.core.asynchronous import HANG
 from swarm.errors import SwarmError
+from swarm.process.locked_runtime import NEVER, LockedRuntime
 from swarm.process.service import Service
 
 T = TypeVar("T")
-F = TypeVar("F", bound=Callable[..., Any])
 
 SELDOM = 0.5
 """s between two calls of `every` while nobody hears what they publish."""
-STUCK = 10.0
-"""s after which a job that still runs no longer feeds systemd's watchdog."""
 _FEED = 1.0
 """s between two feedings of systemd's watchdog."""
 _JOIN = 2.0
 """s that the thread of the planned calls has to end."""
 
 
-class ThreadedRuntime:
+class ThreadedRuntime(LockedRuntime):
     """See `swarm.process.runtime.Runtime`."""
 
     def __init__(self, service: Service) -> None:
+        super().__init__(_SerialBus(service.bus, self), service.counters, service.log)
         self.robot = service.robot
-        self.log: logging.Logger = service.log
-        self.counters: Counter[str] = service.counters
-        self.bus: BusLike = _SerialBus(service.bus, self)
         self._service = service
-        self._lock = threading.RLock()
         self._changed = threading.Condition(self._lock)
-        self._depth = 0
-        """How many calls of the shells are inside each other."""
-        self._soon: deque[tuple[Callable[..., object], tuple[Any, ...]]] = deque()
-        self._planned: list[tuple[float, int, Callable[..., object], tuple[Any, ...]]] = []
-        self._numbers = itertools.count()
         self._workers: list[ThreadWorker] = []
         self._closing = False
+        self.at(self.now + _FEED, self._feed_watchdog)
         self._thread = threading.Thread(target=self._run_planned, name="timers", daemon=True)
         self._thread.start()
-        self.at(self.now + _FEED, self._feed_watchdog)
-
-    @property
-    def now(self) -> float:
-        """See `Runtime`."""
-        return clock.now()
 
     def at(self, time: float, call: Callable[..., object], *arguments: Any) -> None:
         """See `Runtime`."""
         with self._lock:
-            first = self._planned[0][0] if self._planned else float("inf")
-            heapq.heappush(self._planned, (time, next(self._numbers), call, arguments))
-            if time < first:
+            before = self.next_time
+            super().at(time, call, *arguments)
+            if time < before:
                 self._changed.notify()
-
-    def soon(self, call: Callable[..., object], *arguments: Any) -> None:
-        """See `Runtime`."""
-        with self._lock:
-            if self._depth:
-                self._soon.append((call, arguments))
-            else:
-                self._call(call, arguments)
 
     def every(self, period: float, call: Callable[[], None], keys: tuple[str, ...]) -> None:
         """See `Runtime`."""
@@ -85,15 +57,6 @@ class ThreadedRuntime:
             call()
 
         self.at(self.now + period, beat)
-
-    def entry(self, call: F) -> F:
-        """See `Runtime`."""
-
-        def enter(*arguments: Any) -> Any:
-            with self._lock:
-                return self._call(call, arguments)
-
-        return cast(F, enter)
 
     def worker(self, name: str) -> "ThreadWorker":
         """See `Runtime`."""
@@ -116,41 +79,19 @@ class ThreadedRuntime:
             self._changed.notify()
         self._thread.join(_JOIN)
 
-    def _call(self, call: Callable[..., object], arguments: tuple[Any, ...]) -> Any:
-        """Make a call, and what it wants to be made soon; the lock is held."""
-        self._depth += 1
-        try:
-            try:
-                result = call(*arguments)
-            except SwarmError:
-                # It costs the sample that led to it. After anything else, a defect, nothing is done any more.
-                self._do_what_is_soon()
-                raise
-            self._do_what_is_soon()
-            return result
-        finally:
-            self._depth -= 1
-
-    def _do_what_is_soon(self) -> None:
-        while self._soon and self._depth == 1:
-            call, arguments = self._soon.popleft()
-            call(*arguments)
-
     def _run_planned(self) -> None:
-        with self._lock:
-            while not self._closing:
-                now = clock.now()
-                if self._planned and self._planned[0][0] <= now:
-                    _, _, call, arguments = heapq.heappop(self._planned)
-                    self._call(call, arguments)
-                else:
-                    self._changed.wait(self._planned[0][0] - now if self._planned else None)
+        while not self._closing:
+            self.call_due()
+            with self._lock:
+                wait = self.next_time - clock.now()
+                if wait > 0 and not self._closing:
+                    self._changed.wait(None if wait == NEVER else wait)
 
     def _feed_watchdog(self) -> None:
         """Only where the lock is free, the clock goes on and no job hangs is this process alive."""
         self.at(self.now + _FEED, self._feed_watchdog)
         began = [worker.running_since for worker in self._workers]
-        if all(since is None or self.now - since < STUCK for since in began):
+        if all(since is None or self.now - since < HANG for since in began):
             self._service.watchdog()
 
 

@@ -5,14 +5,13 @@ written to within the last minutes may be that of a process that is being starte
 """
 
 import contextlib
-import fcntl
 import logging
 import os
 from collections.abc import Callable
 from pathlib import Path
 
 from swarm.frozen import frozen
-from swarm.process.locks import is_held
+from swarm.process.locks import is_held, take_lock
 from swarm.recording.reader import SUFFIX
 
 RESTING_S = 120.0
@@ -101,7 +100,7 @@ def shown(size: float) -> str:
 def hold(file: int) -> None:
     """Let others see that a process records into this file, until it is closed or the process ends."""
     with contextlib.suppress(OSError):  # a file system without locks
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        take_lock(file)
 
 
 def _look(folder: Path) -> _RunFolder:

@@ -72,7 +72,7 @@ class RecordingFile:
         left = self._journal.left() if self._journal is not None and append else []
         known = ExistingContent()
         try:
-            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o664)
+            self._file = os.open(path, os.O_RDWR | os.O_CREAT, 0o664)
             hold(self._file)
             if append:
                 known = self._found(left[0][0] if left else None)
@@ -190,7 +190,7 @@ class RecordingFile:
             _log.warning("%s: %s; it is now %s", self._path, error, aside.name)
             self._path.rename(aside)
             os.close(self._file)
-            self._file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o664)
+            self._file = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o664)
             hold(self._file)
             return ExistingContent()
 

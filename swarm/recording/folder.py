@@ -8,9 +8,7 @@
 The names do not clash when the folders of several robots are copied into one.
 """
 
-import fcntl
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -18,6 +16,7 @@ from swarm import __version__
 from swarm.config.toml_input import read_toml
 from swarm.errors import PayloadError, RecordingError
 from swarm.files import atomic_write, make_folder
+from swarm.process.locks import folder_lock
 from swarm.process.paths import state_dir
 
 RUN_FILE = "run.toml"
@@ -46,14 +45,10 @@ def begin(folder: Path, run: Mapping[str, str], files: Mapping[str, bytes]) -> N
     same: another robot of the simulation has written it. Raises `OSError`."""
     make_folder(folder)
     text = "".join(f"{name} = {json.dumps(value)}\n" for name, value in run.items())  # a JSON text is one of TOML
-    lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    with folder_lock(folder):
         for name, data in {**files, RUN_FILE: text.encode()}.items():
             if not (folder / name).exists():
                 atomic_write(folder / name, data)
-    finally:
-        os.close(lock)
 
 
 def read_run(folder: Path) -> dict[str, str]:

@@ -18,6 +18,12 @@ EPOCH = "epoch_ns"
 
 _NO_TIME = 1 << 64
 
+OUTCOME = "outcome"
+"""Name of the metadata record that ends the recording of a run in virtual time: `messages`, `problems` (JSON)."""
+SHAPES = "shapes"
+"""Name of the metadata record that says how many rows and columns the app's matrices have: `4x4`, by field."""
+PLOTTED = "plotted"
+"""Name of the metadata record that says what the app's author wants to be drawn: names, by app."""
 CLOCK = "clock"
 """Its entry that names the clock: of a machine since it was started, or a virtual one."""
 

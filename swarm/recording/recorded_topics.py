@@ -6,7 +6,7 @@ the pictures of a run need, and no more, since each costs the process some 0.1 m
 
 import logging
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import partial
 from typing import NamedTuple, Protocol
 
@@ -22,7 +22,7 @@ TOPICS = {
     "balancer/leds": 0.0,
     "balancer/buttons": 0.0,
     "balancer/fault": 0.0,
-    "mesh/links": 1.0,
+    "mesh/links": 0.0,
     "mesh/clock": 1.0,
     "mesh/topology": 2.0,
     "mesh/members": 0.0,
@@ -33,7 +33,8 @@ TOPICS = {
     "sim/target": 0.2,
     "sim/leds": 0.0,
 }
-"""What is recorded of the robot's own keys, and the least time between two messages of a key, s."""
+"""What is recorded of the robot's own keys, and the least time between two messages of a key, s. Links are told once a
+second, and when one comes or goes: such a message left out would show it wrong until the next."""
 
 THROTTLED_TOPICS = ("balancer/state", "sim/truth")
 """Topics of which the throttled copy is recorded."""
@@ -87,8 +88,19 @@ class Heard(NamedTuple):
 class TopicRecorder:
     """Listens on one robot's bus, and puts what it hears into a recording when told to."""
 
-    def __init__(self, bus: BusLike, robot: str, app: str, sink: Takes, now: Clock, *, copies: bool = True) -> None:
-        """`copies`: fast keys have some, which are heard in their place (not so in virtual time)."""
+    def __init__(
+        self,
+        bus: BusLike,
+        robot: str,
+        app: str,
+        sink: Takes,
+        now: Clock,
+        *,
+        copies: bool = True,
+        topics: Collection[str] = tuple(TOPICS),
+    ) -> None:
+        """`copies`: fast keys have some, which are heard in their place (not so in virtual time). `topics`: which of
+        `TOPICS` are recorded."""
         self._sink = sink
         self._now = now
         self._app = app
@@ -96,11 +108,12 @@ class TopicRecorder:
         self._waiting: deque[tuple[str, bytes, float]] = deque(maxlen=MAX_WAITING)
         self._last: dict[str, float] = {}
         self._asked: deque[str] = deque(maxlen=MAX_ASKED)
-        self._least = {key(robot, topic): least for topic, least in TOPICS.items()}
+        self._least = {key(robot, topic): least for topic, least in TOPICS.items() if topic in topics}
         self.on_sample: Callable[[], None] = lambda: None
         """Called after each message: in virtual time `drain`, as there is no thread that would."""
         of = partial(key, robot)
-        self._copies = {f"{name}/{THROTTLED}": name for name in map(of, THROTTLED_TOPICS if copies else ())}
+        throttled = [topic for topic in THROTTLED_TOPICS if copies and topic in topics]
+        self._copies = {f"{name}/{THROTTLED}": name for name in map(of, throttled)}
         heard = set(self._least) - set(self._copies.values()) | set(self._copies)
         bus.subscribe(sorted(heard), self._take)
         bus.subscribe([key("*", "app", app, "flood"), key("*", "app", app, "send", robot)], self._take)

@@ -12,7 +12,7 @@ from swarm.recording import folder
 from swarm.recording.axis import Axis, Clocks, Relation
 from swarm.recording.core.mcap import McapSchema
 from swarm.recording.reader import SUFFIX, RecordedSample, RecordingReader
-from swarm.recording.trajectory import Builder, Trajectory, epoch_topic, is_state
+from swarm.recording.trajectory import Builder, Trajectory, beside, is_state
 
 _NO_SCHEMA = McapSchema(0, "", "", b"{}")
 
@@ -82,11 +82,11 @@ class Run:
         later one counts, and `damage` says so where they differ."""
         topics = {topic: robot for robot, topic in self.states(app).get(channel, {}).items()}
         found = {robot: Builder(strict=False) for robot in topics.values()}
-        changes = {epoch_topic(topic): robot for topic, robot in topics.items()}
+        told = {each: robot for topic, robot in topics.items() for each in beside(topic)}
         for file in self.files:
-            for sample in self._read(file, {*topics, *changes}.__contains__):
-                if sample.topic in changes:
-                    found[changes[sample.topic]].go_back(sample.message)
+            for sample in self._read(file, {*topics, *told}.__contains__):
+                if sample.topic in told:
+                    found[told[sample.topic]].heed(sample.topic, sample.message)
                 else:
                     found[topics[sample.topic]].add(sample.message | {"t": sample.t}, file)
         for robot, builder in found.items():

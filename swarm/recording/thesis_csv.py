@@ -10,12 +10,12 @@ A folder holds `<k>.csv` for robot k (of LEDs: in `frequency/` and `phase/`), wi
     k | distance, x, y                                calibration (full.csv): a place's number, or a sample there, mm
 """
 
-import math
 from collections.abc import Iterator, Sequence
 from pathlib import PurePosixPath
 from typing import NamedTuple
 
 from swarm.errors import RecordingError
+from swarm.recording.thesis_ranges import finite
 
 FOLDERS = ("consensus", "led_sync", "localization", "flooding", "unicast", "async", "standup", "latency", "calibration")
 """Names of the thesis' folders: what was measured."""
@@ -77,11 +77,8 @@ def read(text: str, kind: str, name: str) -> Iterator[tuple[str, _Line]]:
 def _cell(text: str) -> float | bool:
     if text in ("True", "False"):
         return text == "True"
-    try:
-        value = float(text) if "_" not in text else math.nan
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
+    value = finite(text)
+    if value is None:
         raise ValueError(f"{text[:40]!r} is no number")
     return value
 

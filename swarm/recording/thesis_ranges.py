@@ -26,6 +26,15 @@ from swarm.frozen import frozen
 
 _CM = 100.0
 
+FARTHEST_CM = 1e5
+"""UWB reaches no farther, nor is an estimate of any use there."""
+
+SHORT_M = 0.05
+"""Distances that are all below are none of UWB modules, whose error is as large."""
+
+_MARK = "\ufffd\ufffd\ufffd"
+"""What a byte-order mark is, read as ASCII."""
+
 
 class ThesisRow(NamedTuple):
     """One measurement of a robot, in m."""
@@ -57,10 +66,18 @@ class ThesisRecording:
 
 def read_folder(directory: Path) -> list[ThesisRecording]:
     """The recordings of all robots of a run: 0.csv, 1.csv and so on. Raises `RecordingError`."""
-    count = 1
-    while (directory / f"{count}.csv").exists():
-        count += 1
-    return [read_recording(directory, index) for index in range(count)]
+    there = {int(path.stem) for path in directory.glob("*.csv") if path.stem.isdecimal()}
+    count = max(there, default=0) + 1
+    if missing := sorted(set(range(count)) - there) if there else []:
+        raise RecordingError(
+            f"{directory / f'{missing[0]}.csv'}: missing, though {count - 1}.csv is there: a recording holds a file "
+            "<index>.csv for each robot, from 0.csv"
+        )
+    found = [read_recording(directory, index) for index in range(count)]
+    farthest = max(row.distance for recording in found for row in recording.rows)
+    if 0.0 < farthest < SHORT_M:
+        raise RecordingError(f"{directory}: no distance is above {farthest * _CM:.3g} cm: the lengths are not in cm")
+    return found
 
 
 def read_recording(directory: Path, index: int) -> ThesisRecording:
@@ -71,6 +88,8 @@ def read_recording(directory: Path, index: int) -> ThesisRecording:
     if not directory.is_dir():
         raise RecordingError(f"{directory}: there is no such folder of recordings")
     path = directory / f"{index}.csv"
+    if path.exists() and not path.is_file():
+        raise RecordingError(f"{path}: cannot be read: it is no file")  # a pipe would be waited for without an end
     try:
         lines = path.read_text("ascii", "replace").splitlines()
     except FileNotFoundError:
@@ -79,13 +98,23 @@ def read_recording(directory: Path, index: int) -> ThesisRecording:
         ) from None
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
+    if lines and lines[0].startswith(_MARK):
+        raise RecordingError(f"{path}:1: it begins with a byte-order mark: save it as UTF-8 or ASCII without one")
     rows: list[ThesisRow] = []
     times: list[float] = []
     start: float | None = None
+    before = ""
     estimates: list[tuple[float, float]] = []
     for number, line in enumerate(lines, 1):
         try:
             values = _numbers(line)
+            if before:
+                last = float(before.partition(",")[0])
+                _expect(line != before, "the same line as the one before: rows were repeated")
+                _expect(
+                    values[0] >= last, f"its time is {last - values[0]:.6g} s before the line before: rows are shuffled"
+                )
+            before = line
             if start is None:
                 _expect(len(values) == 7, f"{len(values)} columns, the first line has 7 (t,x,y,zx,zy,gx,gy)")
                 start = values[0]
@@ -97,6 +126,8 @@ def read_recording(directory: Path, index: int) -> ThesisRecording:
             if flag == 0:
                 _expect(len(values) == 12, "a new state without cost, distance and own place (12 columns)")
                 _expect(values[9] >= 0, f"a distance of {values[9]:g} cm")
+                far = max(abs(value) for value in (*values[1:3], *values[9:12]))
+                _expect(far <= FARTHEST_CM, f"a length of {far:g} cm: expected at most {FARTHEST_CM:g}")
                 rows.append(ThesisRow(values[9] / _CM, values[10] / _CM, values[11] / _CM))
                 times.append(values[0] - start)
                 estimates.append((values[1] / _CM, values[2] / _CM))
@@ -110,13 +141,20 @@ def read_recording(directory: Path, index: int) -> ThesisRecording:
 def _numbers(line: str) -> list[float]:
     values = []
     for column, text in enumerate(line.split(","), 1):
-        try:
-            value = float(text) if "_" not in text else math.nan
-        except ValueError:
-            value = math.nan
-        _expect(math.isfinite(value), f"column {column} is {text[:40]!r}, expected a number")
+        value = finite(text)
+        if value is None:
+            raise ValueError(f"column {column} is {text[:40]!r}, expected a number")
         values.append(value)
     return values
+
+
+def finite(text: str) -> float | None:
+    """Return the finite number that a cell holds; None where it holds none. Python's 1_000 is no number in a file."""
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) and "_" not in text else None
 
 
 def _expect(right: bool, message: str) -> None:

@@ -40,6 +40,8 @@ class Trajectory:
     """s of the robot's clock at which state k was there."""
     rows: dict[int, tuple[str, ...]] = field(default_factory=dict)
     """State and result of iteration k, as text (repr of the floats, so that equal text means equal bits)."""
+    breaks: tuple[int, ...] = ()
+    """The k at which an event-driven or periodic app began anew. It counts from 0 then; here k goes on."""
 
     @property
     def last(self) -> int:
@@ -52,7 +54,10 @@ class Trajectory:
         return self.times.get(self.last, -math.inf)
 
     def value(self, k: int, column: str) -> float:
-        """One number; nan where the column holds none (an absent or ambiguous result)."""
+        """One number; nan where the column holds none (an absent or ambiguous result). Raises `RecordingError` for a
+        column that is not there."""
+        if column not in self.columns:
+            raise RecordingError(f"there is no column {column!r}; there are: {', '.join(self.columns) or 'none'}")
         try:
             return float(self.rows[k][self.columns.index(column)])
         except ValueError:
@@ -81,10 +86,11 @@ class Builder:
         self._columns: tuple[str, ...] = ()
         self._times: dict[int, float] = {}
         self._rows: dict[int, tuple[str, ...]] = {}
+        self._breaks: list[int] = []
 
     def known(self) -> Trajectory:
         """What it has by now; grows with it."""
-        return Trajectory(self._columns, self._times, self._rows)
+        return Trajectory(self._columns, self._times, self._rows, tuple(self._breaks))
 
     def add(self, message: Mapping[str, Any], path: Path) -> None:
         """Take the state in a message of the file `path`.
@@ -102,6 +108,7 @@ class Builder:
         elif columns != self._columns:
             raise RecordingError(f"{path}: iteration {k} has other fields than the first: {', '.join(columns)}")
         row = tuple(text for _, text in cells)
+        k += self._breaks[-1] if self._breaks else 0
         if self._rows.setdefault(k, row) != row:
             if self._strict:
                 raise RecordingError(f"{path}: iteration {k} stands there twice with different values")
@@ -110,6 +117,13 @@ class Builder:
         self._times.setdefault(k, t)
         if not self._whole and len(self._rows) > 2 * MOST_ROWS:
             self._thin_out()
+
+    def heed(self, topic: str, message: Mapping[str, Any]) -> None:
+        """Take what an app has told beside its states: other members, or that it begins anew."""
+        if topic.endswith("/epoch"):
+            self.go_back(message)
+        elif message.get("phase") == "starting" and self._rows:
+            self._breaks.append(max(self._rows) + 1)
 
     def _thin_out(self) -> None:
         newest = sorted(self._rows)[-MOST_ROWS:]
@@ -143,17 +157,14 @@ class TrajectoryReader:
             if not self._path.is_file() or not self._path.stat().st_size:
                 return EMPTY
             self._reader = RecordingReader(self._path)
-        for sample in self._reader.samples(self._wanted):
-            if is_state(sample.topic):
+        for sample in self._reader.samples(_tells):
+            if not self._topic and is_state(sample.topic):
+                self._topic = sample.topic
+            if sample.topic == self._topic:
                 self._builder.add(sample.message, self._path)
-            else:
-                self._builder.go_back(sample.message)
+            elif sample.topic in beside(self._topic):
+                self._builder.heed(sample.topic, sample.message)
         return self._builder.known()
-
-    def _wanted(self, topic: str) -> bool:
-        if not self._topic and is_state(topic):
-            self._topic = topic
-        return topic == self._topic or topic == epoch_topic(self._topic)
 
 
 def read(path: Path, *, whole: bool = True) -> Trajectory:
@@ -168,9 +179,15 @@ def is_state(topic: str) -> bool:
     return len(chunks) in (5, 6) and chunks[2] == "app" and chunks[-1] == "state"
 
 
-def epoch_topic(states: str) -> str:
-    """The topic of an app's changes of members, by that of its states."""
-    return states.removesuffix("state") + "epoch"
+def _tells(topic: str) -> bool:
+    """Whether it may be what an app tells of itself: its progress comes before its first state."""
+    return is_state(topic) or topic.endswith(("/epoch", "/progress"))
+
+
+def beside(states: str) -> tuple[str, str]:
+    """The topics of an app's changes of members and of its progress, by that of its states: see `Builder.heed`."""
+    prefix = states.removesuffix("state")
+    return prefix + "epoch", prefix + "progress"
 
 
 def _cells(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

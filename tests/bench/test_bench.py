@@ -8,9 +8,11 @@ import sys
 
 import pytest
 
-from bench import memory
+from bench import __main__ as program
+from bench import memory, page
 from bench.__main__ import AREAS
 from bench.rows import Row
+from swarm.errors import SwarmError
 
 
 def test_a_row_is_judged_by_its_ratio_to_the_limit():
@@ -36,6 +38,49 @@ def test_every_area_has_sizes_for_its_figures_and_for_a_smoke_run(area):
     assert callable(module.rows)
     assert isinstance(module.FULL, module.Sizes)
     assert isinstance(module.SMOKE, module.Sizes)
+
+
+@pytest.mark.parametrize("area", AREAS)
+def test_the_page_of_results_has_one_table_for_every_area(area):
+    text = page.PAGE.read_text(encoding="utf-8")
+    part = page.table(area, [], command="c", machine="m", date="d")
+    new = page.replaced(text, area, part)
+    assert new.count(part) == 1
+    before = text[text.index(f"<!-- bench {area} -->") : text.index(f"<!-- end of bench {area} -->")]
+    assert page.HEAD in before
+    assert f"`./run bench {area}" in before
+
+
+def test_a_table_that_is_written_takes_the_place_of_the_old_one_alone(monkeypatch, tmp_path, capsys):
+    rows = [Row("a | b", 0.033, "s", 0.030, 1.15), Row("told", math.nan, "s", 0.03, None), Row("late", 2.0, "s", 1, 1)]
+    monkeypatch.setattr(program, "measure", lambda area, **_: iter(rows))
+    monkeypatch.setattr(page, "PAGE", tmp_path / "page.md")
+    other = page.table("stop", rows, command="c", machine="m", date="2026-01-01")
+    old = page.table("mesh", [], command="c", machine="m", date="2026-01-01")
+    page.PAGE.write_text(f"# Results\n\n{other}\n\nWords.\n\n{old}\n\nMore.\n")
+    monkeypatch.setattr(sys, "argv", ["bench", "mesh", "--write"])
+    assert program.main() == 1
+    before, _, rest = page.PAGE.read_text().partition("Words.\n\n")
+    assert before == f"# Results\n\n{other}\n\n"
+    assert rest.endswith("<!-- end of bench mesh -->\n\nMore.\n")
+    assert "Measured by `./run bench mesh` on 2" in rest
+    assert "| a \\| b | 0.033 | s | 0.03 | 1.1 | 1.15 | reached |" in rest
+    assert "| told | not measured | s | 0.03 |  |  | told |" in rest
+    assert "| late | 2 | s | 1 | 2 | 1 | **missed** |" in rest
+    assert len(capsys.readouterr().out.splitlines()) == len(rows)
+
+
+def test_a_page_without_a_place_for_the_table_is_refused():
+    with pytest.raises(SwarmError, match="<!-- bench mesh -->"):
+        page.replaced("# Results\n", "mesh", "")
+
+
+def test_figures_of_a_smoke_run_are_not_written(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["bench", "mesh", "--write", "--smoke"])
+    with pytest.raises(SystemExit) as ended:
+        program.main()
+    assert ended.value.code == 2
+    assert "full sizes" in capsys.readouterr().err
 
 
 NEEDS = {"balancer": "cyclictest", "deploy": "sshd", "view": "chromium"}

@@ -32,7 +32,7 @@ MODULE = """
 import shutil, sys
 from pathlib import Path
 from typing import Any
-from sim.module import ModuleBoard
+from sim.devices.module import ModuleBoard
 from swarm.config import load
 
 board = ModuleBoard(Path("/run/rig"), load(), 1)
@@ -353,7 +353,7 @@ def the_fleet_can_ask_it() -> dict[str, float]:
     expect(found["pose"], "no pose")
     expect(found["apps"]["restless"]["phase"] == "running", f"apps: {found['apps']}")
     expect(found["release"] == Path("/opt/swarm/current").resolve().name, f"release: {found['release']}")
-    expect(found["firmware"] == "1.1", f"firmware: {found['firmware']}")
+    expect(found["firmware"] == "2.2", f"firmware: {found['firmware']}")
     expect(found["versions"]["release"] == found["release"], f"versions: {found['versions']}")
     expect(found["versions"]["config"] and found["versions"]["firmware"], f"versions: {found['versions']}")
     expect(found["lines"] and found["entries"] == found["lines"], f"{found['entries']} of {found['lines']} log entries")

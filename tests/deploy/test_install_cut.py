@@ -346,6 +346,29 @@ def test_an_installation_that_was_cut_off_is_done_again(robot: Robot) -> None:
         assert robot.boot(again[-1][1]) == whole("2"), name
 
 
+@pytest.mark.slow
+def test_a_calibration_goes_with_the_settings_stays_without_the_option_and_is_taken_over_where_it_was_made_there(
+    robot: Robot,
+) -> None:
+    first = robot.place / "calibration-1"
+    first.write_text("calibration 1")
+    place = robot.root / "etc/swarm/calibration/r0.toml"
+    robot.run(robot.release("1") / "install", *files(robot, "1"), "--calibration", first)
+    assert place.is_symlink()
+    assert place.read_text() == "calibration 1"
+    release = robot.release("2")
+    for _, tree in cuts(robot.run(release / "install", *files(robot, "2"))):
+        assert robot.read(tree, "etc/swarm/calibration/r0.toml") == "calibration 1"
+    place.unlink()
+    place.write_text("made here")  # as swarm calibrate does it on a robot
+    robot.run(robot.release("3") / "install", *files(robot, "3"))
+    assert place.is_symlink()
+    assert place.read_text() == "made here"
+    robot.run(robot.root / "../release/uninstall")
+    assert not place.is_symlink()
+    assert place.read_text() == "made here"
+
+
 def test_what_uninstall_leaves_are_files_and_not_links_to_what_is_gone(robot: Robot) -> None:
     release = robot.release("1")
     robot.run(release / "install", *files(robot, "1"))

@@ -36,7 +36,7 @@ import threading
 from swarm import SyncApp
 from swarm.process import threads
 
-threads.STUCK = 0.0
+threads.HANG = 0.0
 
 class Hung(SyncApp):
     value: float

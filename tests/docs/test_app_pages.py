@@ -9,9 +9,9 @@ from test_tutorial import commands_on_the_path
 
 from services.apps import loader
 
-PAGES = Path(__file__).parents[2] / "docs" / "apps"
+PAGES = Path(__file__).parents[2] / "docs/reference/apps"
 PICTURE = re.compile(r"^```sh picture\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-SHOWN = re.compile(r"!\[[^]]+\]\(\.\./images/([a-z0-9_]+\.png)\)")
+SHOWN = re.compile(r"!\[[^]]+\]\(\.\./\.\./images/([a-z0-9_]+\.png)\)")
 
 
 @pytest.mark.parametrize("app", sorted(loader.BUILT_IN))
@@ -22,7 +22,7 @@ def test_every_app_has_its_page(app: str) -> None:
     assert "thesis" in text
     shown = SHOWN.findall(text)
     assert shown
-    assert all((PAGES.parent / "images" / name).is_file() for name in shown)
+    assert all((PAGES.parents[1] / "images" / name).is_file() for name in shown)
     # No picture without the command that makes it.
     made = re.findall(r"docs/images/([a-z0-9_]+\.png)", "".join(PICTURE.findall(text)))
     assert sorted(made) == sorted(shown)

@@ -1,4 +1,4 @@
-"""The check that names keep to docs/glossary.md finds each kind of breach, and cannot pass without having read."""
+"""The check that names keep to the glossary finds each kind of breach, and cannot pass without having read."""
 
 import importlib.util
 from pathlib import Path
@@ -12,7 +12,7 @@ assert _spec.loader is not None
 check = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(check)
 
-PAGE = (ROOT / "docs" / "glossary.md").read_text()
+PAGE = (ROOT / check.PAGE).read_text()
 
 
 def found(page=PAGE, **modules):

@@ -1,4 +1,4 @@
-"""The tutorial's files and commands, in its order."""
+"""Files and commands of the tutorials, in their order."""
 
 import os
 import re
@@ -9,14 +9,21 @@ from pathlib import Path
 
 import pytest
 
-TUTORIAL = Path(__file__).parents[2] / "docs" / "tutorial.md"
+DOCS = Path(__file__).parents[2] / "docs"
+PAGES = {
+    "tutorials/first-swarm.md": (4, ("first.png", "second.png")),
+    "tutorials/own-algorithm.md": (8, ("descent.png", "states.png")),
+    "how-to/apps/max-consensus.md": (2, ()),
+}
+"""Pages whose files and commands are run: the fewest quick commands of each, and the pictures that they make."""
+WITH_PROCESSES = ("tutorials/first-swarm.md", "tutorials/own-algorithm.md")
 
 BLOCK = re.compile(r"^```(\w+) ?([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
-def blocks() -> list[tuple[str, str, str]]:
+def blocks(page: str) -> list[tuple[str, str, str]]:
     """Language, what stands beside it, and text of every fenced block."""
-    return [(m[1], m[2], m[3]) for m in BLOCK.finditer(TUTORIAL.read_text())]
+    return [(m[1], m[2], m[3]) for m in BLOCK.finditer((DOCS / page).read_text())]
 
 
 def commands_on_the_path(folder: Path) -> dict[str, str]:
@@ -25,18 +32,18 @@ def commands_on_the_path(folder: Path) -> dict[str, str]:
         script = folder / name
         script.write_text(f'#!/bin/sh\nexec {sys.executable} {module} "$@"\n')
         script.chmod(script.stat().st_mode | stat.S_IXUSR)
-    root = str(TUTORIAL.parents[1])
+    root = str(DOCS.parent)
     return {**os.environ, "PATH": f"{folder}:{os.environ['PATH']}", "PYTHONPATH": root, "MPLBACKEND": "Agg"}
 
 
-def work_through(tmp_path: Path, *, slow: bool) -> int:
+def work_through(page: str, tmp_path: Path, *, slow: bool) -> int:
     """Write its files and run its commands; returns how many commands were run."""
     tools, home = tmp_path / "tools", tmp_path / "home"
     tools.mkdir()
     home.mkdir()
     environment = commands_on_the_path(tools)
     count = 0
-    for language, beside, text in blocks():
+    for language, beside, text in blocks(page):
         if language == "python":
             assert beside, "a file's name stands beside ```python"
             (home / beside).write_text(text)
@@ -55,17 +62,23 @@ def work_through(tmp_path: Path, *, slow: bool) -> int:
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_the_tutorial_works_as_it_stands(tmp_path: Path) -> None:
-    assert work_through(tmp_path, slow=False) >= 8
-    for picture in ("descent.png", "states.png"):
+@pytest.mark.parametrize("page", PAGES)
+def test_a_page_works_as_it_stands(page: str, tmp_path: Path) -> None:
+    fewest, pictures = PAGES[page]
+    assert work_through(page, tmp_path, slow=False) >= fewest
+    for picture in pictures:
         assert (tmp_path / "home" / picture).stat().st_size > 5000
 
 
 @pytest.mark.slow
-def test_its_swarm_of_real_processes_works(tmp_path: Path) -> None:
-    assert work_through(tmp_path, slow=True) == 1
+@pytest.mark.parametrize("page", WITH_PROCESSES)
+def test_its_swarm_of_real_processes_works(page: str, tmp_path: Path) -> None:
+    assert work_through(page, tmp_path, slow=True) == 1
 
 
-def test_every_block_is_of_a_kind_that_is_run() -> None:
-    assert {language for language, _, _ in blocks()} == {"sh", "python"}
-    assert {beside for language, beside, _ in blocks() if language == "sh"} == {"", "slow"}
+@pytest.mark.parametrize("page", PAGES)
+def test_every_block_is_of_a_kind_that_is_run(page: str) -> None:
+    assert {language for language, _, _ in blocks(page)} == {"sh", "python"} - (
+        {"python"} if "first" in page else set()
+    )
+    assert {beside for language, beside, _ in blocks(page) if language == "sh"} <= {"", "slow"}

@@ -103,6 +103,7 @@ class Report(NamedTuple):
     count: int
     place: bytes
     ranges: tuple[bytes, ...]
+    """Each with its anchor's place, as the module's answer has them."""
 
 
 def _load(path: Path) -> ctypes.CDLL:
@@ -226,7 +227,10 @@ class Bench:
             sequence, age, count = UWB_HEAD.unpack_from(data)
             if UWB_TAIL.unpack_from(data, size - 2)[0] == sequence:
                 place = data[5:18]
-                ranges = tuple(data[18 + 20 * n : 38 + 20 * n] for n in range(CONSTANTS["UWB_RANGES"]))
+                ranges = tuple(
+                    data[18 + 7 * n : 25 + 7 * n] + data[46 + 13 * n : 59 + 13 * n]
+                    for n in range(CONSTANTS["UWB_RANGES"])
+                )
                 return Report(sequence, age, count, place, ranges)
         raise AssertionError("no slice fitted another")
 

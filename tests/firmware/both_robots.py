@@ -6,10 +6,10 @@ from collections.abc import Callable
 from avr_bench import Bench
 from elf_robot import ElfRobot
 
-from services.balancer.core.body import body_model
+from services.balancer.core.control.body import body_model
 from sim.core.balboa import BalboaBody
 from sim.core.devices import NO_ERRORS, SimulatedRobot
-from sim.i2c import SimulatedBus
+from sim.devices.i2c import SimulatedBus
 from swarm.config.types import Body
 
 CONFIGURED = body_model("zero2w", Body())

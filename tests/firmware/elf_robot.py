@@ -5,16 +5,16 @@ ELF, whose PWM registers drive the body and whose encoder pins the body turns; t
 """
 
 import errno
-import math
 import os
 import random
 
 from avr_bench import Bench
 from firmware_layout import CONSTANTS
 
-from services.balancer.core import imu
-from services.balancer.core.body import BodyModel
-from sim.core.balboa import STEP_S, BalboaBody
+from lab.i2c.firmware import BodyAndChip
+from services.balancer.core.control.body import BodyModel
+from services.balancer.core.devices import imu
+from sim.core.balboa import BalboaBody
 from sim.core.devices import ImuDevice, draw_errors
 
 
@@ -26,11 +26,7 @@ class ElfRobot:
         noise = random.Random(seed)
         self.body = BalboaBody(model, bench.now)
         self.imu = ImuDevice(self.body, noise, draw_errors(noise), trim)
-        self._per_radian = model.counts_per_turn / math.tau
-        self._place = [float(count) for count in bench.counts()]
-        self._rate = [0.0, 0.0]
-        self._then = bench.now
-        self._origin = tuple(self._place)
+        self._pair = BodyAndChip(bench, self.body)
 
     # time
 
@@ -42,39 +38,25 @@ class ElfRobot:
 
     def run_to(self, end: float) -> None:
         """Body and chip together, in steps of the body's integration."""
-        while end - self.bench.now > 1e-7:  # a cycle is 62.5 ns
-            self._meet(STEP_S)
-            self.bench.run_to(min(end, self.bench.now + STEP_S))
-
-    def _meet(self, ahead: float) -> None:
-        """Hand the motors' duty to the body, and the wheels' angles to the encoders, to be there in `ahead` seconds."""
-        now = self.bench.now
-        self.body.advance(now)
-        self.body.drive(*self.bench.motors())
-        for side, angle in enumerate(self.body.wheel_angles()):
-            self._place[side] += self._rate[side] * (now - self._then)
-            wanted = self._origin[side] + angle * self._per_radian
-            self._rate[side] = (wanted - self._place[side]) / ahead
-        self.bench.wheels(*self._rate)
-        self._then = now
+        self._pair.run_to(end)
 
     # I2C
 
     def write(self, address: int, data: bytes) -> None:
-        self._meet(STEP_S)
+        self._pair.meet()
         if address == CONSTANTS["ADDRESS"]:
             self.bench.write(address, data)
         else:
             self._imu(address, len(data)).write(data, self.bench.now)
 
     def read(self, address: int, count: int) -> bytes:
-        self._meet(STEP_S)
+        self._pair.meet()
         if address == CONSTANTS["ADDRESS"]:
             return self.bench.read(address, count)
         return self._imu(address, count).read(count, self.bench.now)
 
     def write_read(self, address: int, data: bytes, count: int) -> bytes:
-        self._meet(STEP_S)
+        self._pair.meet()
         if address == CONSTANTS["ADDRESS"]:
             return self.bench.write_read(address, data, count)
         self._imu(address, len(data)).write(data, self.bench.now)

@@ -6,14 +6,14 @@ import pytest
 from elf_robot import ElfRobot
 
 from services.balancer.balancer import Balancer
-from services.balancer.core import balboa
-from services.balancer.core.body import body_model
-from services.balancer.core.lqr import PERIOD_S
+from services.balancer.core.control.body import body_model
+from services.balancer.core.control.lqr import PERIOD_S
+from services.balancer.core.devices import balboa
 from services.balancer.i2c import NOBODY
 from services.balancer.slack_tasks import MARGIN_S, SlackTasks
-from services.dwm.core.tlv import AnchorRange, Location, Position, encode_location
+from services.dwm.core.module.tlv import AnchorRange, Location, Position, encode_location
 from swarm.config.types import Body
-from swarm.messages import Uwb
+from swarm.messages import Battery, Uwb
 
 pytest_plugins = ("firmware_fixtures",)
 
@@ -29,12 +29,17 @@ ANSWER = encode_location(
 class Standing:
     """A robot with its balancer, ticked as its loop does; the DWM1001 answers every poll."""
 
-    def __init__(self, bench) -> None:
+    def __init__(self, bench, cpu: float = 0.0) -> None:
+        """`cpu` is the CPU time of a tick, s: half of it passes before the motors are commanded, half after."""
         bench.battery(7.4)
+        self.cpu = cpu
         self.bench = bench
         self.robot = ElfRobot(bench, MODEL)
         self.balancer = Balancer(self.robot, MODEL, 0.0, self.robot.clock, self.robot.sleep, start_mode="stand")
         self.tasks = SlackTasks(self.balancer, self.robot.clock)
+        read = self.balancer._read
+        self.balancer._read = lambda now: (read(now), self.robot.sleep(cpu / 2))[0]
+        self.missed = 0
         self.news: list[object] = []
         self.tilts: list[float] = []
         self.longest_tick = self.longest_slack = 0.0
@@ -42,11 +47,11 @@ class Standing:
     def run(self, seconds: float, until=lambda: False) -> None:
         end = deadline = self.robot.clock()
         end += seconds
-        ticks = 0
         while deadline < end and not until():
             self.robot.run_to(deadline)
             self.balancer.step(self.robot.clock())
             self.longest_tick = max(self.longest_tick, self.robot.clock() - deadline)
+            self.robot.sleep(self.cpu / 2)
             self.balancer.show_leds(self.robot.clock())
             self.news += self.tasks.run(deadline + PERIOD_S)
             self.longest_slack = max(self.longest_slack, self.robot.clock() - deadline)
@@ -54,15 +59,19 @@ class Standing:
                 self.bench.feed(ANSWER)
             self.tilts.append(self.robot.body.tilt)
             deadline += PERIOD_S
-            ticks += 1
+            if self.robot.clock() > deadline:
+                self.missed += 1
+                deadline += PERIOD_S
 
 
-def upright(bench) -> Standing:
-    standing = Standing(bench)
+def upright(bench, cpu: float = 0.0) -> Standing:
+    standing = Standing(bench, cpu)
     standing.run(6.0, until=lambda: standing.balancer.mode == "balancing")
     assert standing.balancer.mode == "balancing", standing.balancer.fault
     standing.tilts.clear()
     standing.longest_tick = standing.longest_slack = 0.0
+    standing.missed = 0
+    standing.news.clear()
     return standing
 
 
@@ -72,6 +81,50 @@ def test_it_stands_for_five_seconds(bench):
     assert standing.balancer.mode == "balancing"
     assert max(map(abs, standing.tilts)) < math.radians(10)
     assert standing.balancer.bus_errors == 0
+
+
+def at_clock(bench, scl: float, cpu: float, seconds: float) -> Standing:
+    """Balancing at a clock of the bus, Hz, and with a CPU time of each tick, s; upright and without a missed tick."""
+    bench.call("i2c_speed", scl)
+    standing = upright(bench, cpu)
+    standing.run(seconds)
+    assert (standing.balancer.mode, standing.balancer.bus_errors, standing.tasks.errors) == ("balancing", 0, 0)
+    assert max(map(abs, standing.tilts)) < math.radians(10)
+    assert 1.0 / standing.balancer.wire.bit_s == pytest.approx(scl, rel=0.1)
+    assert standing.missed == 0
+    return standing
+
+
+def reports_a_second(standing: Standing, seconds: float) -> float:
+    return len({each.sequence for each in standing.news if isinstance(each, Uwb) and each.ranges}) / seconds
+
+
+def test_reports_come_through_the_firmware_at_the_clock_of_an_idle_pi(bench):
+    standing = at_clock(bench, 62.5e3, 1e-3, 3.0)
+    assert reports_a_second(standing, 3.0) >= 9.0
+    told = [each for each in standing.news if isinstance(each, Uwb) and each.ranges][-1]
+    assert [(each.anchor, each.distance, each.x) for each in told.ranges] == [
+        (f"C93{n}", 1.0 + n, float(n)) for n in range(4)
+    ]
+
+
+def test_the_firmware_holds_a_bus_at_400_khz(bench):
+    bench.i2c_stats()
+    standing = at_clock(bench, 400e3, 2e-3, 2.0)
+    assert reports_a_second(standing, 2.0) >= 9.0
+    stats = bench.i2c_stats()
+    assert (stats.deaf, stats.refused) == (0, 0)
+    assert standing.tasks.behind == ""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cpu", [0.0, 0.5e-3, 1e-3])
+@pytest.mark.parametrize("scl", [40e3, 50e3, 62.5e3, 80e3, 100e3])
+def test_the_matrix_of_clocks_and_cpu_times_through_the_firmware(bench, scl, cpu):
+    standing = at_clock(bench, scl, cpu, 10.0)
+    if scl > 40e3 or cpu <= 0.5e-3:
+        assert reports_a_second(standing, 10.0) >= 9.0
+    assert any(isinstance(each, Battery) for each in standing.news)
 
 
 @pytest.mark.slow

@@ -8,14 +8,14 @@ from firmware_layout import FIELDS
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from services.balancer.core import balboa
-from services.balancer.core.health import BoardHealth
-from services.balancer.core.mailbox import Mailbox
-from services.balancer.core.transfers import LONGEST
-from services.balancer.core.tune import Player
-from services.balancer.core.uwb import UwbReader
+from services.balancer.core.devices import balboa
+from services.balancer.core.devices.health import BoardHealth
+from services.balancer.core.devices.mailbox import Mailbox
+from services.balancer.core.devices.tune import Player
+from services.balancer.core.devices.uwb import UwbReader
+from services.balancer.core.slack.wire_time import LONGEST
 from services.balancer.drivers import Balboa
-from services.dwm.core.tlv import LOC_GET, AnchorRange, Location, Position, encode_location
+from services.dwm.core.module.tlv import LOC_GET, AnchorRange, Location, Position, encode_location
 from swarm.messages import ModuleRequest, Note, SetNotes
 
 pytest_plugins = ("firmware_fixtures",)
@@ -40,7 +40,11 @@ class Driven:
         self._due: list[tuple[float, bytes]] = []
 
     def tick(self, *tasks) -> None:
+        self.balboa.select(balboa.ENCODERS)
+        newest = self.balboa.fetch_motion()[0].newest_report
         for task in tasks:
+            if isinstance(task, UwbReader):
+                task.notice(newest)
             if (transfer := task.next(self.now())) is not None:
                 self.transfers.append(transfer)
                 at = self.now()
@@ -94,13 +98,13 @@ def test_it_is_found_and_shows_how_it_is(driven: Driven) -> None:
     found = driven.balboa.set_up()
     assert found.battery == pytest.approx(7.4, abs=0.05)
     assert found.buttons == (True, False, True)
-    assert (found.revision, found.encoder_errors, found.bus_resets) == (1, (0, 0), 0)
+    assert (found.revision, found.encoder_errors, found.bus_resets) == (2, (0, 0), 0)
     driven.balboa.select(balboa.ENCODERS)
-    assert driven.balboa.fetch_motion() == balboa.MotionBlock(0, 0, 0b101, False)
+    assert driven.balboa.fetch_motion() == (balboa.MotionBlock(0, 0, 0b101, False), b"")
     driven.robot.press(0b010)
     driven.robot.run(0.05)
     driven.balboa.select(balboa.ENCODERS)
-    assert driven.balboa.fetch_motion().buttons == 0b010
+    assert driven.balboa.fetch_motion()[0].buttons == 0b010
 
 
 def test_motors_and_leds(driven: Driven) -> None:
@@ -255,12 +259,11 @@ def test_health_is_read_twice_a_second_and_told_each(driven: Driven) -> None:
 def test_a_tune_is_played_note_by_note(driven: Driven) -> None:
     player = Player()
     player.play(SetNotes((Note(440.0, 0.05, 1.0), Note(880.0, 0.05, 1.0), Note(0.0, 0.1, 1.0))), driven.now())
-    reader = UwbReader(driven.now())
     left = []
     for _ in range(30):
-        driven.tick(player, reader)
-        if reader.progress is not None:
-            left.append(reader.progress.notes_left)
+        driven.tick(player)
+        driven.balboa.select(balboa.UWB_STATE)
+        left.append(balboa.decode_progress(driven.balboa._fetch(balboa.PROGRESS_SIZE)).notes_left)
     assert sorted(set(left), reverse=True) == [3, 2, 1, 0]
     assert left == sorted(left, reverse=True)
     refused = driven.balboa.read_housekeeping().refused
@@ -298,6 +301,50 @@ def buffer(driven: Driven) -> dict[int, int]:
     data = driven.robot.bus.read(balboa.ADDRESS, 256)
     driven.robot.run(2e-4)
     return {at: value for at, value in enumerate(data) if at not in VOLATILE}
+
+
+def joined(driven: Driven, index: int, count: int) -> tuple[balboa.MotionBlock, bytes]:
+    driven.balboa.select(index)
+    return driven.balboa.fetch_motion(count)
+
+
+def test_a_piece_of_a_report_comes_with_the_encoders_and_the_next_one_goes_on(driven: Driven) -> None:
+    """Pieces of any size are of the report of the first one, though others came meanwhile, and other reads."""
+    driven.answers[LOC_GET.request] = encode_location(location())
+    for _ in range(15):
+        driven.tick()
+    _, block = joined(driven, balboa.joined(balboa.UWB), 5)
+    driven.answers[LOC_GET.request] = encode_location(location(first=0x1000))
+    for size in (3, 1, 7, 16, 14):
+        for _ in range(4):
+            driven.tick()
+        driven.balboa.read_housekeeping()
+        motion, more = joined(driven, balboa.ONWARD, size)
+        block += more
+    assert motion.newest_report > 1, "others came"
+    expected = encode_location(location())
+    ranges = b"".join(expected[21 + 20 * n : 28 + 20 * n] for n in range(4))
+    assert block[0:2] == b"\1\0"
+    assert block[4:46] == expected[20:21] + expected[5:18] + ranges
+    _, again = joined(driven, balboa.joined(balboa.UWB), 2)
+    assert again[0] == motion.newest_report
+
+
+def test_every_joined_index_goes_on_at_its_offset(driven: Driven) -> None:
+    driven.answers[LOC_GET.request] = encode_location(location())
+    for _ in range(15):
+        driven.tick()
+    plain = {}
+    for offset in (balboa.BUTTONS, balboa.UWB):  # the second one freezes the report
+        driven.balboa.select(offset)
+        for at, value in enumerate(driven.balboa._fetch(132 - offset), offset):
+            plain[at] = value
+    for offset in range(balboa.BUTTONS, balboa.LAST_JOINED + 1, 4):
+        if offset == balboa.UWB:
+            continue
+        _, more = joined(driven, balboa.joined(offset), 8)
+        steady = [at for at in range(offset, offset + 8) if at not in VOLATILE and at != balboa.STATUS]
+        assert [more[at - offset] for at in steady] == [plain[at] for at in steady], offset
 
 
 def test_the_simulated_atmega_has_the_same_room_at_every_offset(new_bench) -> None:

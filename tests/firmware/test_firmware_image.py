@@ -5,7 +5,7 @@ from pathlib import Path
 
 from firmware_layout import CONSTANTS
 
-from services.balancer.core import image
+from services.balancer.core.flashing import image
 
 pytest_plugins = ["firmware_fixtures"]
 

@@ -8,7 +8,8 @@ from firmware_pure import LOCATION, Pure
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from services.dwm.core.tlv import (
+from services.balancer.core.devices import balboa
+from services.dwm.core.module.tlv import (
     LOC_GET,
     AnchorRange,
     Location,
@@ -104,7 +105,7 @@ def test_a_read_is_of_the_moment_of_its_index(pure):
     assert pure.read_at(offset, 4) == b"\x22" * 4
 
 
-@given(index=st.integers(0, 255), count=st.integers(1, 300))
+@given(index=st.integers(0, balboa.JOINED - 1), count=st.integers(1, 300))
 @ONE_COPY
 def test_reading_beyond_the_end_gives_zeros(pure, index, count):
     data = pure.read_at(index, count)

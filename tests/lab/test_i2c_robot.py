@@ -9,17 +9,19 @@ import pytest
 
 from lab.i2c.ioctls import Message
 from lab.i2c.robot import ANY, AT_ONCE_S, RobotAdapter
-from services.balancer.core import balboa, imu
-from services.balancer.core.body import body_model
-from services.balancer.core.transfers import BIT_S, HOLD_S
+from services.balancer.core.control.body import body_model
+from services.balancer.core.devices import balboa, imu
+from services.balancer.core.slack.wire_time import HOLD_S
 from services.balancer.i2c import NOBODY
 from sim.core.balboa import BalboaBody
 from sim.core.devices import NO_ERRORS, SimulatedRobot
-from sim.i2c import SimulatedBus
+from sim.devices.i2c import SimulatedBus
 from swarm.config.types import Body
 from swarm.errors import LocalError
 
 WHO = [Message(imu.ADDRESS, bytes((imu.WHO_AM_I,))), Message(imu.ADDRESS, read=1)]
+BIT_S = 10e-6
+"""At 100 kHz."""
 STOP = [Message(balboa.ADDRESS, bytes((balboa.MOTORS,)) + balboa.encode_motors(0.0, 0.0))]
 VERSION = [Message(balboa.ADDRESS, bytes((balboa.VERSION,))), Message(balboa.ADDRESS, read=1)]
 
@@ -41,7 +43,8 @@ class Rig:
             self.adapter.transfer(messages)
 
     def works(self, messages: list[Message] = WHO) -> None:
-        assert self.adapter.transfer(messages) == bytes((imu.IDENTITY,) if messages is WHO else (1,))
+        expected = imu.IDENTITY if messages is WHO else balboa.LAYOUT_VERSION
+        assert self.adapter.transfer(messages) == bytes((expected,))
 
 
 @pytest.fixture

@@ -1,5 +1,6 @@
 """The lab's machine itself: it boots both ways, does what it is told, and its disk outlives a power cut."""
 
+import subprocess
 import time
 from collections.abc import Callable
 
@@ -9,6 +10,9 @@ from lab.vm.machine import PLAIN, Machine, MachineError
 
 pytest_plugins = ("lab_fixtures",)
 pytestmark = [pytest.mark.lab, pytest.mark.timeout(400)]
+
+LARGE = 1_000_000
+"""Bytes that go to a machine in one piece."""
 
 
 def test_it_runs_commands_and_keeps_its_disk_through_a_power_cut(machine: Callable[..., Machine]) -> None:
@@ -48,6 +52,11 @@ def test_a_whole_system_has_the_release_and_ssh(machine: Callable[..., Machine])
     robot.start()
     robot.run("systemctl start ssh")  # the agent is up before it is
     assert robot.ssh("/opt/swarm/current/bin/swarm --version").startswith("swarm ")
+    sent = subprocess.run(
+        [*robot.ssh_words(), "wc -c"], input=b"x" * LARGE, capture_output=True, check=True, timeout=200
+    )
+    assert int(sent.stdout) == LARGE
+    assert robot.run("dmesg | grep -c GSO", code=1) == "0\n", "frames that the machine has thrown away"
     assert robot.run("systemctl is-enabled swarm-mesh", code=None) == "disabled\n"
     assert (
         robot.run("/opt/swarm/current/bin/python -c 'import bluetooth, socket; print(socket.AF_BLUETOOTH)'") == "31\n"

@@ -1,5 +1,5 @@
 """One whole robot: booted from the installed units on real systemd and a live /dev/i2c-1, its bus broken in every way
-that docs/devices.md knows. tests/lab/inside_robot.py has the checks.
+that docs/reference/robot/i2c-bus.md knows. tests/lab/inside_robot.py has the checks.
 """
 
 import ast

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from lab.radio.core import hci
 from lab.radio.core.air import Air
-from lab.radio.core.controller import FEATURES
+from lab.radio.core.answers import FEATURES
 from lab.radio.core.hci import Ev, Op, Status
 from lab.radio.trace import Trace
 

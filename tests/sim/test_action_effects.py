@@ -1,9 +1,16 @@
 """Acts of a person on simulated robots: the acts, the body's answer under virtual time, and real processes."""
 
 import contextlib
+import json
 import math
+import os
+import pty
+import select
 import socket
+import subprocess
 import sys
+import termios
+import time
 from pathlib import Path
 
 import msgpack
@@ -14,9 +21,9 @@ from hypothesis import strategies as st
 
 from sim.control import datagrams
 from sim.core.action_effects import ActionEffects
-from sim.core.actions import BodyPlace, Lay, Press, Push, Unplug, check, pack, unpack
+from sim.core.actions import BodyPlace, Carry, Lay, Press, Push, Unplug, check, pack, unpack
+from sim.devices.world_client import WORLD_SOCKET, WorldClient
 from sim.world import BodyWorld, LedReport
-from sim.world_client import WORLD_SOCKET, WorldClient
 from swarm import clock
 from swarm import config as configuration
 from swarm.bus.zenoh_bus import Bus
@@ -38,7 +45,15 @@ with claim(Path(sys.argv[1])):
 
 
 @pytest.mark.parametrize(
-    "act", [Press("B", 0.5), Push(-0.2), Lay("back"), Unplug("imu", True), BodyPlace(1.0, 2.0, 0.3, -1.9, False)]
+    "act",
+    [
+        Press("B", 0.5),
+        Push(-0.2),
+        Lay("back"),
+        Unplug("imu", True),
+        Carry(1, 2, 0.3),
+        BodyPlace(1.0, 2.0, 0.3, -1.9, False),
+    ],
 )
 def test_an_act_survives_its_datagram(act) -> None:
     assert unpack(pack(act)) == act
@@ -142,6 +157,18 @@ def test_a_body_that_is_put_down_lies_where_it_was() -> None:
     assert rig.run(8).balancer.mode == "balancing"
     ActionEffects(rig.robot).do(BodyPlace(9.0, 9.0, 0.0, 0.0, True), rig.now)
     assert rig.body.x < 3.0, "a body in its hand begins at its own place"
+
+
+@pytest.mark.parametrize("mode", ["rest", "stand"])
+def test_a_robot_that_is_carried_somewhere_lies_still_there_with_its_motors_off(mode: str) -> None:
+    rig = upright() if mode == "stand" else Rig(start_mode="rest")
+    rig.run(2)
+    ActionEffects(rig.robot).do(Carry(1.5, -0.5, 0.7), rig.now)
+    rig.run(4)
+    assert math.dist((rig.body.x, rig.body.y), (1.5, -0.5)) < 0.01
+    assert rig.body.tilt == pytest.approx(-math.radians(110))
+    assert rig.robot.atmega.motors == (0.0, 0.0)
+    assert rig.balancer.mode == ("idle" if mode == "rest" else "fault")
 
 
 def test_a_change_of_leds_waits_for_room_at_a_busy_world(runtime: Path) -> None:
@@ -305,3 +332,102 @@ def test_a_robot_that_is_not_there_is_named(processes: Processes, runtime: Path,
         words = verb.replace("r9", robot).split()
         command = processes.start("-m", "laptop.cli", "hand", *words, "--run-dir", str(runtime / "run"))
         assert message in command.communicate(timeout=60)[1]
+
+
+def test_balance_commands_reach_a_running_robot_and_say_what_came_of_them(robot: Robot) -> None:
+    def balance(mode: str) -> tuple[int, dict[str, object]]:
+        command = robot.processes.start("-m", "laptop.cli", "balance", mode, "--run-dir", str(robot.run), "--json")
+        out, error = command.communicate(timeout=60)
+        assert not error
+        return command.returncode, json.loads(out)["robots"]["r0"]
+
+    robot.wait_balancing()
+    assert balance("lie")[0] == 0
+    assert robot.states[-1].mode == "idle"
+    code, row = balance("lie")
+    assert (code, row["ok"]) == (1, False)
+    assert "swarm balance stand makes it stand" in str(row["text"])
+    robot.hand("lay", "r0", "back")
+    wait_until(lambda: robot.states[-1].posture == "back", what="it lies")
+    assert balance("stand") == (0, {"ok": True, "text": "stands"})
+
+
+def test_a_robot_drives_by_keyboard_and_stops_when_the_key_is_let_go(robot: Robot) -> None:
+    """At a terminal of its own, which is as before afterwards, whichever way it ends."""
+    robot.wait_balancing()
+    terminal, end = pty.openpty()
+    before = termios.tcgetattr(end)
+
+    def begin() -> subprocess.Popen[bytes]:
+        words = [sys.executable, "-m", "laptop.cli", "drive", "r0", "--run-dir", str(robot.run)]
+        started = subprocess.Popen(
+            words, env=robot.processes.environment(SWARM_RUNTIME=""), stdin=end, stdout=end, stderr=end
+        )
+        wait_until(lambda: b"space" in said(), what="it says which keys there are")
+        return started
+
+    def said() -> bytes:
+        return os.read(terminal, 4096) if select.select([terminal], [], [], 0)[0] else b""
+
+    def demanded() -> float:
+        return robot.states[-1].demanded_speed
+
+    first = begin()
+    assert not termios.tcgetattr(end)[3] & termios.ECHO
+    os.write(terminal, b"w")
+    wait_until(lambda: demanded() > 0.05, what="it drives forward")
+    wait_until(lambda: demanded() == 0.0, what="it stops: no key has come again")
+    os.write(terminal, b"\x1b[B")
+    wait_until(lambda: demanded() < -0.05, what="it drives backward")
+    first.terminate()
+    first.wait(60)
+    assert termios.tcgetattr(end) == before
+    wait_until(lambda: demanded() == 0.0, what="it stops: nobody drives it")
+
+    second = begin()
+    os.write(terminal, b"w ")
+    wait_until(lambda: robot.states[-1].mode == "fault", what="space stops it")
+    assert second.wait(60) == 1
+    assert termios.tcgetattr(end) == before
+    os.close(terminal)
+    os.close(end)
+
+
+COMMISSIONED = {
+    "lay-back": ("lay", "r0", "back"),
+    "lay-in-sight": ("lay", "r0", "back"),
+    "lay-front": ("lay", "r0", "front"),
+    "lift-upright": ("lift", "r0"),
+    "tip-forward": ("lift", "r0", "--tilt", "90"),
+    "turn-left": ("lift", "r0", "--turn", "90"),
+    "roll-left": ("roll", "r0", "left"),
+    "roll-right": ("roll", "r0", "right"),
+    "tip-a-bit-forward": ("lift", "r0", "--tilt", "15"),
+    "tip-a-bit-backward": ("lift", "r0", "--tilt", "-15"),
+    "stand-on-floor": ("lift", "r0", "--down"),
+    "press-a": ("press", "r0", "A"),
+    "press-b": ("press", "r0", "B"),
+    "press-c": ("press", "r0", "C"),
+}
+"""What a person does, in the words of `swarm hand`."""
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_a_robot_of_real_processes_is_commissioned(robot: Robot, tmp_path: Path) -> None:
+    (robot.run / "swarm.toml").write_text(robot.processes.config.read_text())
+    words = ("-m", "laptop.cli", "commission", "r0", "--run-dir", str(robot.run), "--json")
+    command = robot.processes.start(*words)
+    reports = []
+    for line in command.stdout:
+        said = json.loads(line)
+        reports += [said["report"]] if "report" in said else []
+        if (what := said.get("ask", "")) in COMMISSIONED:
+            robot.hand(*COMMISSIONED[what])
+            time.sleep(1.5)  # the hand takes its time, and the person looks
+        if what and what != "again" and not what.startswith(("press", "roll", "tip-a-bit")):
+            command.stdin.write("a")
+            command.stdin.flush()
+        assert what != "again", reports or said
+    assert command.wait(60) == 0
+    assert reports[0]["verdict"] == "passed"

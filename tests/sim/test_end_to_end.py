@@ -64,6 +64,17 @@ def test_a_run_through_a_cut_link_is_the_undisturbed_one_bit_for_bit():
         assert simulation.trajectory("r0").value(0, "value") == 0.5
 
 
+@pytest.mark.slow
+def test_a_run_over_a_hub_whose_mesh_ends_is_the_undisturbed_one_bit_for_bit():
+    """The robots are a line; the first one carries what the other two tell each other, and starts anew meanwhile."""
+    with Simulation(*RUN, "--links", "star", "--kill", "r0.mesh@0.5s", **FORKED) as simulation:
+        report = simulation.finish()
+        assert report["problems"] == []
+        assert report["restarts"] == 1
+        for name, path in undisturbed().items():
+            assert simulation.trajectory(name).rows == path.rows
+
+
 def test_killed_services_and_a_stopped_app_change_no_bit():
     """Who is stopped is named by those who wait for it. Lockstep needs its apps and meshes alone, so the others are
     killed while it stands, for the run not to end before they are back."""
@@ -80,9 +91,10 @@ def test_killed_services_and_a_stopped_app_change_no_bit():
             what="they are started again",
         )
         simulation.kill("r1", "app", "CONT")
-        for at, (robot, service) in ((20, ("r1", "mesh")), (30, ("r2", "app"))):
+        for at, (robot, service) in ((20, ("r1", "mesh")), (30, ("r2", "app/consensus"))):
             simulation.wait_for(robot, at)
-            simulation.kill(robot, service)
+            # Without the command: the run could be over before that has started.
+            os.kill(pid_of(simulation.run_dir, robot, service), signal.SIGKILL)
         report = simulation.finish()
         assert report["restarts"] == 5
         for name, path in undisturbed().items():

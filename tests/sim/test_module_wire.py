@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from services.dwm.core.tlv import LOC_GET, AnchorRange, Location, Position, encode_location
+from services.dwm.core.module.tlv import LOC_GET, AnchorRange, Location, Position, encode_location
 from sim.core.module_line import TTY, ModuleLine
-from sim.wiring import RETRY_S, ModuleWire
+from sim.devices.wiring import RETRY_S, ModuleWire
 
 ANSWER = encode_location(Location(Position(1.0, 2.0, 0.0, 80), (AnchorRange("C933", 1.5, 90, Position(0, 0, 0, 100)),)))
 

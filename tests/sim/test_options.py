@@ -4,8 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim import options, quantities
-from sim.quantities import Cut, Off, ScheduledPress, Setting
+from sim import disturbances, options, quantities
+from sim.disturbances import Cut, Kill, Off, ScheduledPress, ScheduledPush, Span
+from swarm.app.settings import Setting
 from swarm.errors import ConfigError
 
 
@@ -15,10 +16,14 @@ def test_durations_and_rates_have_units():
     assert quantities.duration("1.5") == 1.5
     assert quantities.rate("78kB") == 78000
     assert quantities.loss("5%") == quantities.loss("0.05") == 0.05
-    assert quantities.off("r2@5s,10s") == Off("r2", 5.0, 10.0)
-    assert quantities.off("r2@start,1min") == Off("r2", None, 60.0)
-    assert quantities.cut("r0-r1@12s,3s") == Cut("r0", "r1", 12.0, 3.0)
-    assert quantities.press("r4.a@1500ms") == ScheduledPress("r4", "A", 1.5)
+    assert disturbances.off("r2@5s,10s") == Off("r2", 5.0, 10.0)
+    assert disturbances.off("r2@start,1min") == Off("r2", None, 60.0)
+    assert disturbances.cut("r0-r1@12s,3s") == Cut("r0", "r1", 12.0, 3.0)
+    assert disturbances.press("r4.a@1500ms") == ScheduledPress("r4", "A", 1.5)
+    assert disturbances.cut("r0-r1@2s..5s,3s") == Cut("r0", "r1", 2.0, 3.0, Span(2.0, 5.0))
+    assert disturbances.kill("r4.app@1s") == Kill("r4", "app", 1.0)
+    assert disturbances.push("r4@1s") == ScheduledPush("r4", 1.0, 0.1)
+    assert disturbances.push("any@1s..2s,-0.5") == ScheduledPush("any", 1.0, -0.5, Span(1.0, 2.0))
     assert quantities.velocity("0.1, -0.03") == (0.1, -0.03)
     assert quantities.setting("value=0.5") == ("", Setting(None, "value", 0.5))
     assert quantities.setting("r2.value=3") == ("", Setting("r2", "value", 3))
@@ -34,14 +39,20 @@ def test_durations_and_rates_have_units():
         (quantities.duration, "30parsec"),
         (quantities.duration, "1.2.3s"),
         (quantities.rate, "0kB"),
-        (quantities.cut, "r0r1@12s,3s"),
-        (quantities.cut, "r0-r1@12s"),
+        (disturbances.cut, "r0r1@12s,3s"),
+        (disturbances.cut, "r0-r1@12s"),
         (quantities.loss, "95%"),
         (quantities.loss, "5kB"),
-        (quantities.off, "r2@5s"),
-        (quantities.off, "r2@5s,0s"),
-        (quantities.press, "r4.D@1s"),
-        (quantities.press, "r4@1s"),
+        (disturbances.off, "r2@5s"),
+        (disturbances.off, "r2@5s,0s"),
+        (disturbances.press, "r4.D@1s"),
+        (disturbances.press, "r4@1s"),
+        (disturbances.off, "r2@5s..2s,1s"),
+        (disturbances.kill, "r2@5s"),
+        (disturbances.kill, "r2.sshd@5s"),
+        (disturbances.push, "r2@5s,0"),
+        (disturbances.push, "r2@5s,9"),
+        (disturbances.push, "r2@5s,hard"),
         (quantities.setting, "value"),
         (quantities.setting, "a b=3"),
         (quantities.setting, "value=[1,x]"),
@@ -61,10 +72,12 @@ def test_any_text_is_a_value_or_refused(text):
     for convert in (
         quantities.duration,
         quantities.rate,
-        quantities.cut,
+        disturbances.cut,
         quantities.loss,
-        quantities.off,
-        quantities.press,
+        disturbances.off,
+        disturbances.press,
+        disturbances.kill,
+        disturbances.push,
         quantities.setting,
     ):
         try:

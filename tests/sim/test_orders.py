@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.simulation import Simulation
-from sim.app_requests_server import Orders
 from sim.control import app_requests
+from sim.control.app_requests_server import Orders
 from sim.processes import Processes
 from swarm import clock
 from swarm.errors import LocalError, PayloadError

@@ -131,7 +131,6 @@ def test_a_parameter_is_that_of_the_app_it_names():
     [
         (("consensus", "consensus"), "consensus is there twice"),
         (("consensus", "--set", "goto/speed=0.1"), "the apps are consensus"),
-        (("consensus", str(EXAMPLES / "button_count.py"), "--off", "r1@1s,1s"), "button_count has no lockstep"),
     ],
 )
 def test_what_cannot_be_is_said(arguments, words):

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from services.mesh.core.radio_model import AirModel
-from sim.core.actions import Lay, Press, Push
+from sim.core.actions import BodyPlace, Lay, Press, Push
 from sim.options import parse
 from sim.scenario import build
 from sim.virtual.bus import VirtualBus
@@ -54,7 +54,7 @@ def test_posture_battery_and_buttons(rig):
     rig.run(2.0)
     assert rig.devices.posture == "standing"
     assert rig.devices.battery is None
-    rig.world.act("r0", rig.time.now + 0.5, Press("B", 0.2))
+    rig.time.at(rig.time.now + 0.5, rig.world.act, "r0", Press("B", 0.2))
     rig.run(0.6)
     assert rig.devices.buttons == ("b",)
     rig.run(1.0)
@@ -65,7 +65,7 @@ def test_posture_battery_and_buttons(rig):
     assert rig.devices.posture == "lying_down"
     rig.run(1.0)
     assert rig.devices.posture == "front"
-    rig.world.act("r0", rig.time.now, Lay("back"))
+    rig.world.act("r0", Lay("back"))
     rig.run(0.1)
     assert rig.devices.posture == "back"
     rig.devices.mode("stand")
@@ -114,9 +114,21 @@ def test_a_stop_holds_and_refusals_are_told(rig):
     assert all(robot.balancer.body.fault for robot in rig.world.robots.values())
 
 
-def test_a_body_without_physics_cannot_be_pushed(rig):
-    with pytest.raises(LocalError, match="no physics"):
-        rig.world.robots["r0"].balancer.act(Push(0.5))
+def test_a_body_without_physics_bears_a_push_or_falls(rig):
+    balancer = rig.world.robots["r0"].balancer
+    rig.run(1.0)
+    x = balancer.body.x
+    balancer.act(Push(0.4))
+    assert (balancer.body.mode, balancer.body.x) == ("balancing", x)
+    rig.run(2.0)
+    balancer.act(Push(-0.5))
+    assert (balancer.body.mode, balancer.body.posture, balancer.body.fault) == ("fault", "back", "fell")
+    assert balancer.body.x == pytest.approx(x - 0.5)
+    balancer.command("stand", rig.world.time.now)
+    rig.run(3.0)
+    assert balancer.body.mode == "balancing"
+    with pytest.raises(LocalError, match="cannot be put elsewhere"):
+        balancer.act(BodyPlace(0.0, 0.0, 0.0, 0.0, held=False))
 
 
 def test_the_pose_comes_through_module_calibration_and_filter(rig):

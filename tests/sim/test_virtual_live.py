@@ -16,8 +16,8 @@ from conftest import wait_until
 pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 from aiohttp.test_utils import TestClient, TestServer
 
+from laptop.view.feeds.virtual_feed import BEHIND_S, LAST_S, VirtualFeed
 from laptop.view.server import application
-from laptop.view.virtual_feed import BEHIND_S, LAST_S, VirtualFeed
 from sim import options as arguments
 from sim.report import RunOutcome
 from sim.scenario import build

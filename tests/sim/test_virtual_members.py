@@ -174,13 +174,9 @@ def test_changes_of_members_are_the_same_bytes_whatever_the_hashes_are(tmp_path)
     assert files("a", "1") == files("b", "2")
 
 
-def test_what_cannot_be_switched_off_is_refused():
-    with pytest.raises(ConfigError, match="--off r9: the robots are r0"):
+def test_a_robot_that_is_none_cannot_be_switched_off():
+    with pytest.raises(ConfigError, match="--off r9@1s,2s: the robots are r0"):
         simulate(*LOOP, "--off", "r9@1s,2s")
-    with pytest.raises(ConfigError, match="led_sync has no lockstep"):
-        simulate("led_sync", "--off", "r1@1s,2s")
-    with pytest.raises(ConfigError, match="--off is for --virtual"):
-        parse([*LOOP, "--off", "r1@1s,2s"])
 
 
 def test_a_lone_robot_goes_on_at_its_pace_after_a_change_of_members():

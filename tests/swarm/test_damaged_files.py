@@ -1,6 +1,6 @@
-"""What a restart makes of each file that the process before, or a power cut, has left damaged (docs/deploy.md has the
-table). The votes are in tests/services/apps/test_ballots.py, recordings in tests/recording, the installed release in
-tests/deploy/test_install_cut.py."""
+"""What a restart makes of each file that the process before, or a power cut, has left damaged
+(docs/reference/robot/services.md has the table). The votes are in tests/services/apps/test_ballots.py, recordings in
+tests/recording, the installed release in tests/deploy/test_install_cut.py."""
 
 import logging
 import os
@@ -14,9 +14,9 @@ import pytest
 from laptop.fleet.journal import JournalMark
 from services.apps import topology
 from services.apps.changes import Changes
-from services.apps.claim import AppLock
-from services.apps.snapshot import SnapshotFile
-from services.balancer.core.gyro import Zero
+from services.apps.persistence.claim import AppLock
+from services.apps.persistence.snapshot import SnapshotFile
+from services.balancer.core.control.gyro import Zero
 from services.balancer.zero_file import ZeroFile
 from services.dwm.localizer import load_calibration
 from services.mesh import topology_file

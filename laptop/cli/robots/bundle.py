@@ -1,17 +1,18 @@
 """`swarm bundle FOLDER`: all that `swarm provision` brings to robots that have no internet."""
 
 import argparse
-import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 
-import swarm
 from laptop.fleet import bundle
 from laptop.fleet.core.wish import PACKAGES, SUITES
 from laptop.fleet.install import read_release
-from swarm.errors import LocalError
+from laptop.fleet.release import build
+from swarm.config import load
+from swarm.config.find import LOOKED_IN, find
 from swarm.onboard.arguments import add_json, show
 
-HELP = "gather what robots without internet need, for swarm provision: packages, releases"
+HELP = "download packages and releases that swarm provision needs for robots without internet"
 
 MACHINES = {"arm64": "aarch64", "amd64": "x86_64"}
 
@@ -19,25 +20,32 @@ MACHINES = {"arm64": "aarch64", "amd64": "x86_64"}
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Where to, and what for."""
     parser.add_argument(
-        "folder", type=Path, metavar="FOLDER", help="is made; what is there of the same kind is replaced"
+        "folder", type=Path, metavar="FOLDER", help="folder to write; packages and releases in it are replaced"
     )
-    parser.add_argument("--suite", action="append", choices=[*SUITES], help="Debian of the robots; all of them")
-    parser.add_argument("--architecture", default="arm64", choices=[*MACHINES], help="of the robots (arm64)")
-    parser.add_argument("--mirror", default=bundle.DEBIAN, metavar="URL", help="of Debian (%(default)s)")
     parser.add_argument(
-        "--pi-key", type=Path, metavar="FILE", help=f"of Raspberry Pi's archive, a robot's {bundle.PI_KEYS[0]}"
+        "--suite", action="append", choices=[*SUITES], help="Debian release of the robots (default: all)"
+    )
+    parser.add_argument("--architecture", default="arm64", choices=[*MACHINES], help="processor of the robots (arm64)")
+    parser.add_argument("--mirror", default=bundle.DEBIAN, metavar="URL", help="Debian's archive (%(default)s)")
+    parser.add_argument(
+        "--pi-key",
+        type=Path,
+        metavar="FILE",
+        help=f"key of Raspberry Pi's archive: a robot has it as {bundle.PI_KEYS[0]}",
     )
     add_json(parser)
-    parser.add_argument("--no-releases", action="store_true", help="packages only")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help=f"swarm.toml with [robot] packages (default: {LOOKED_IN})"
+    )
+    parser.add_argument("--no-releases", action="store_true", help="leave the releases out")
 
 
 def run(args: argparse.Namespace) -> int:
     """One folder of packages and one release for each Debian."""
     key = args.pi_key or next((path for path in bundle.PI_KEYS if path.exists()), None)
     packages = [*PACKAGES, *(bundle.PI_PACKAGES if key is not None else ())]
-    script = Path(swarm.__file__).parents[1] / "deploy/release"
-    if not args.no_releases and not script.exists():
-        raise LocalError(f"there is no {script}: call this from a checkout, or with --no-releases")
+    path = args.config or find()
+    wanted = () if path is None else load(path, addressed=False).packages
     folders, releases, lines = {}, [], []
     for suite in dict.fromkeys(args.suite or SUITES):
         folder = args.folder / f"{suite}-{args.architecture}"
@@ -46,7 +54,8 @@ def run(args: argparse.Namespace) -> int:
         folders[str(folder)] = {"packages": count, "bytes": size}
         lines.append(f"{folder}: {count} packages, {size / 1e6:.0f} MB")
         if not args.no_releases:
-            releases.append(str(_release(script, args.folder, MACHINES[args.architecture], SUITES[suite])))
+            made = _release(args.folder, MACHINES[args.architecture], SUITES[suite], wanted)
+            releases.append(str(made))
             lines.append(releases[-1])
     if key is None:
         lines.append(
@@ -56,13 +65,9 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _release(script: Path, folder: Path, machine: str, python: str) -> Path:
+def _release(folder: Path, machine: str, python: str, packages: Sequence[str]) -> Path:
     """Make it there, in place of an older one for the same robots; returns its path."""
-    words = [str(script), "--machine", machine, "--python", python, str(folder)]
-    done = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=False)
-    if done.returncode != 0:
-        raise LocalError(f"{script} failed, see above")
-    made = read_release(Path(done.stdout.split()[-1]))
+    made = read_release(build(folder, machine, python, packages))
     for path in folder.glob("balboa-swarm-*.tar.gz"):
         other = read_release(path)
         if (other.machine, other.python) == (machine, python) and other.identity != made.identity:

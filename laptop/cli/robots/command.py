@@ -11,7 +11,7 @@ HELP = "run a shell command on every robot, over ssh"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command, in one argument or several."""
-    parser.add_argument("command", nargs="+", metavar="COMMAND", help="for the robots' shell, quoted")
+    parser.add_argument("command", nargs="+", metavar="COMMAND", help="command for the robots' shell, in quotes")
     everyone.add_arguments(parser, timeout_s=60)
 
 

@@ -24,17 +24,19 @@ from swarm.onboard import buses
 from swarm.onboard.arguments import add_run_dir, show
 from swarm.process.simulations import CONFIG, default_run_dir, is_live, robots
 
-HELP = "test everything on robots (or simulated ones), name what is wrong and what to do"
+HELP = "test everything on robots (or simulated ones); name faults and what to do"
 
 ROBOT_PYTHON = "/opt/swarm/current/bin/python"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which robots, and how much is said."""
-    parser.add_argument("which", nargs="*", metavar="ROBOT", help="default: all of the simulation, or of the config")
+    parser.add_argument(
+        "which", nargs="*", metavar="ROBOT", help="names of robots (default: all of the simulation, or of the config)"
+    )
     add_run_dir(parser)
-    parser.add_argument("--real", action="store_true", help="the robots of the config, though a simulation runs here")
-    parser.add_argument("--all", action="store_true", help="show what is well, too")
+    parser.add_argument("--real", action="store_true", help="the robots of the config, even if a simulation runs here")
+    parser.add_argument("--all", action="store_true", help="show checks without a problem as well")
     everyone.add_arguments(parser, timeout_s=60)
 
 

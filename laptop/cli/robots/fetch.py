@@ -1,29 +1,35 @@
-"""`swarm fetch [RUN...]`: the recordings and journals of all robots into one folder on this computer."""
+"""`swarm fetch [RUN...]`: the recordings and journals of all robots into one folder on this computer.
+
+Calibrations that were made on robots come along, to where `swarm.toml` says.
+"""
 
 import argparse
 from pathlib import Path
 
 from laptop.fleet import everyone
+from laptop.fleet.calibrations import bring_back
 from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.fetch import RecordingFetch
 from laptop.fleet.ssh import Host, HostError
 from swarm.errors import LocalError
 
-HELP = "bring the recordings and logs of all robots here, over ssh"
+HELP = "copy the recordings and logs of all robots to this computer, over ssh"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which runs, where to, and whether robots keep them."""
-    parser.add_argument("runs", nargs="*", metavar="RUN", help="folders (APP-NUMBER) or apps; all")
-    parser.add_argument("--into", type=Path, default=Path("runs"), metavar="DIR", help="where to (runs)")
-    parser.add_argument("--delete", action="store_true", help="on the robots, what has a verified copy here then")
-    parser.add_argument("--no-logs", action="store_true", help="recordings only")
+    parser.add_argument("runs", nargs="*", metavar="RUN", help="names of runs (APP-NUMBER) or of apps (default: all)")
+    parser.add_argument("--into", type=Path, default=Path("runs"), metavar="DIR", help="folder for the copies (runs)")
+    parser.add_argument(
+        "--delete", action="store_true", help="delete files on the robots once the copy here is verified"
+    )
+    parser.add_argument("--no-logs", action="store_true", help="copy recordings, not journals")
     everyone.add_arguments(parser, timeout_s=3600)
 
 
 def run(args: argparse.Namespace) -> int:
     """0 where all of every robot's is here; what broke goes on where it was the next time."""
-    _, robots, ssh = everyone.chosen(args)
+    config, robots, ssh = everyone.chosen(args)
     try:
         args.into.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -37,6 +43,8 @@ def run(args: argparse.Namespace) -> int:
         said = [f"{got.files} files of {len(got.runs)} runs, {got.received} bytes received"]
         if not args.no_logs:
             said.append(f"{await fetch.journal()} new log entries")
+        if calibration := await bring_back(ssh, host, config):
+            said.append(calibration)
         if args.delete:
             gone, running = await fetch.delete()
             said.append(f"{gone} files deleted there" + (f", not of {' '.join(running)}: it runs" if running else ""))

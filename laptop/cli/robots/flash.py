@@ -1,4 +1,4 @@
-"""`swarm flash FIRMWARE.hex` on a laptop: the Balboas of all robots over ssh, or one at a port of this computer.
+"""`swarm flash [FIRMWARE.hex]` on a laptop: the Balboas of all robots over ssh, or one at a port of this computer.
 
 Each robot's Pi is connected to its Balboa by a USB cable, and flashes it itself (`services.balancer.flash`).
 """
@@ -7,23 +7,25 @@ import argparse
 
 from laptop.fleet import everyone
 from laptop.fleet.everyone import ReportProgress
+from laptop.fleet.release import firmware
 from laptop.fleet.ssh import Host, HostError
 from services.balancer import flash
 
-HELP = "put new firmware on the Balboas, over their USB cables"
+HELP = "write new firmware to the Balboas, over their USB cables"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what a robot's command takes, and the way by ssh."""
-    flash.add_arguments(parser)
+    flash.add_arguments(parser, optional=True)
     everyone.add_arguments(parser, timeout_s=120)
 
 
 def run(args: argparse.Namespace) -> int:
     """0 where the firmware runs everywhere it was to, 1 where a robot failed."""
+    args.firmware = args.firmware or str(firmware())
     if args.here or args.port:
         return flash.run(args)
-    data, firmware = flash.read_firmware(args.firmware)
+    data, read = flash.read_firmware(args.firmware)
     _, robots, ssh = everyone.chosen(args)
 
     async def job(host: Host, tell: ReportProgress) -> str:
@@ -32,6 +34,6 @@ def run(args: argparse.Namespace) -> int:
             await ssh.follow(host, command + " --force" * args.force, tell, feed=[data])
         except HostError as error:
             raise HostError(str(error).removeprefix("swarm: ")) from None
-        return f"revision {firmware.revision} runs"
+        return f"revision {read.revision} runs"
 
     return everyone.run(args, robots, job)

@@ -1,31 +1,51 @@
-"""`swarm logs [SERVICE...]`: what the services of all robots have written to their journals."""
+"""`swarm logs [SERVICE...]`: what the services of all robots have written to their journals.
+
+`swarm logs RUN` tells what apps have printed and logged in a recorded run.
+"""
 
 import argparse
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
 
-from laptop.fleet import everyone
+from laptop.fleet import everyone, robot_command
 from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.ssh import Host
-from laptop.fleet.units import unit
+from laptop.fleet.units import SERVICES, unit
+from sim.progress import said
 from swarm.errors import LocalError
-from swarm.onboard.arguments import whole
+from swarm.messages import AppLog
+from swarm.onboard.arguments import show, whole
+from swarm.process.terminal import write_lines
+from swarm.process.text import printable
+from swarm.recording.run import Run
 
-HELP = "the logs of all robots, over ssh"
+HELP = "show the logs of all robots over ssh, or of the apps in a recorded run"
 
 FOREVER_S = 1e9
+FOLLOW_S = 0.3
+"""Between two looks into the files of a simulation."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which services, and how much."""
-    parser.add_argument("services", nargs="*", metavar="SERVICE", help="bus, mesh, balancer, dwm or an app; all")
-    parser.add_argument("-f", "--follow", action="store_true", help="and what comes, until Ctrl-C")
-    parser.add_argument("-n", "--lines", type=whole(0), default=20, help="of each robot (20)")
+    parser.add_argument("services", nargs="*", metavar="SERVICE|RUN",
+                        help="services or apps (default: all); or a run's folder or recording")  # fmt: skip
+    parser.add_argument("-f", "--follow", action="store_true", help="also show new lines, until Ctrl-C")
+    parser.add_argument("-n", "--lines", type=whole(0), default=20, help="number of lines of each robot (20)")
+    robot_command.add_simulation(parser)
     everyone.add_arguments(parser, timeout_s=30)
 
 
 def run(args: argparse.Namespace) -> int:
     """Lines as they come, each with its robot's name."""
+    if args.services and Path(args.services[0]).exists():
+        return _of_run(args)
     if args.follow and args.json:
         raise LocalError("--follow and --json do not go together: there is no end to report")
+    if (there := robot_command.simulated(args)) is not None:
+        return _simulated(args, there)
     _, robots, ssh = everyone.chosen(args)
     which = " ".join(f"--unit={name}" for name in map(unit, args.services)) or "--unit='swarm*'"
     command = f"journalctl --no-pager --output=short-iso --lines={args.lines} {which}"
@@ -36,3 +56,51 @@ def run(args: argparse.Namespace) -> int:
         return f"{await ssh.follow(host, command, tell)} lines"
 
     return everyone.run(args, robots, job)
+
+
+def _of_run(args: argparse.Namespace) -> int:
+    """What apps have printed and logged, in the order of time; of the robots named by --robots alone."""
+    recorded = Run(Path(args.services[0]))
+    wanted = set(args.robots or recorded.robots)
+    if odd := wanted - set(recorded.robots):
+        raise LocalError(f"{recorded.path}: no robot {min(odd)} is recorded; there are: {', '.join(recorded.robots)}")
+    lines = []
+    for sample in recorded.samples("swarm/*/app/*/log"):
+        robot = sample.topic.split("/")[1]
+        if robot in wanted:
+            message = sample.message
+            lines.append((robot, AppLog(sample.t, str(message.get("level", "")), str(message.get("text", "")))))
+    rows = [{"robot": robot, "t": line.t, "level": line.level, "text": line.text} for robot, line in lines]
+    text = [said(robot, line) for robot, line in lines] or ["no app has printed or logged anything in this run"]
+    show(args, {"lines": rows}, text)
+    return 0
+
+
+def _simulated(args: argparse.Namespace, there: Mapping[str, Path]) -> int:
+    """What the services of simulated robots have written into their files."""
+    wanted = {f"{name}.log" if name in SERVICES else f"app.{name}.log" for name in args.services}
+    files = [
+        (name, path)
+        for name, runtime in there.items()
+        for path in sorted(runtime.glob("*.log"))
+        if not wanted or path.name in wanted
+    ]
+    found: dict[str, list[str]] = {name: [] for name in there}
+    places: dict[Path, int] = {}
+    for name, path in files:
+        text = path.read_text(errors="replace")
+        places[path] = path.stat().st_size
+        found[name] += text.splitlines()[-args.lines :] if args.lines else []
+    shown = [f"{name}: {printable(line)}" for name, lines in found.items() for line in lines]
+    show(args, {"robots": {name: {"ok": True, "lines": lines} for name, lines in found.items()}}, shown)
+    while args.follow:
+        sys.stdout.flush()
+        time.sleep(FOLLOW_S)
+        for name, path in files:
+            with path.open("rb") as file:
+                file.seek(places[path])
+                data = file.read()
+            whole = data[: data.rfind(b"\n") + 1]
+            places[path] += len(whole)
+            write_lines([f"{name}: {printable(line)}" for line in whole.decode(errors="replace").splitlines()])
+    return 0

@@ -20,8 +20,8 @@ HELP = "pair all neighbours over Bluetooth; write missing addresses into swarm.t
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Look only, or pair."""
-    parser.add_argument("--check", action="store_true", help="say which links are paired, and change nothing")
-    parser.add_argument("--again", action="store_true", help="forget all pairings of these links, and pair anew")
+    parser.add_argument("--check", action="store_true", help="show which links are paired, and change nothing")
+    parser.add_argument("--again", action="store_true", help="delete all pairings of these links, and pair again")
     everyone.add_arguments(parser, timeout_s=180)
 
 

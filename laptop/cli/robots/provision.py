@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from laptop.fleet import bundle, everyone
+from laptop.fleet.calibrations import with_calibration
 from laptop.fleet.core.wish import DesiredRobot, wish
 from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.install import install, read_files, read_release
@@ -16,18 +17,26 @@ from swarm.config import Config, load
 from swarm.config.keyfile import read_keys
 from swarm.errors import ConfigError, LocalError
 
-HELP = "make robots of fresh Raspberry Pis, over ssh: each step ok, changed or failed"
+HELP = "turn fresh Raspberry Pis into robots, over ssh"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which robots, and what they get."""
-    parser.add_argument("which", nargs="*", metavar="ROBOT[=USER@ADDRESS]", help="default: all of the config")
+    parser.add_argument(
+        "which", nargs="*", metavar="ROBOT[=USER@ADDRESS]", help="names of robots (default: all of the config)"
+    )
     parser.add_argument("--bundle", type=Path, metavar="FOLDER", help="packages and releases (swarm bundle makes it)")
     parser.add_argument("--key", type=Path, metavar="FILE", help="the swarm's key (swarm key new makes one)")
-    parser.add_argument("--wifi", metavar="NAME", help="a network that they join from now on; asks for its password")
-    parser.add_argument("--wifi-password", type=Path, metavar="FILE", help="in place of the question")
-    parser.add_argument("--check", action="store_true", help="say what would be changed, and change nothing")
-    parser.add_argument("--no-reboot", action="store_true", help="leave the reboot, and the release after it, to you")
+    parser.add_argument(
+        "--wifi", metavar="NAME", help="Wi-Fi network that the robots join; the command asks for its password"
+    )
+    parser.add_argument(
+        "--wifi-password", type=Path, metavar="FILE", help="file with the Wi-Fi password, in place of the question"
+    )
+    parser.add_argument("--check", action="store_true", help="show what would be changed, and change nothing")
+    parser.add_argument(
+        "--no-reboot", action="store_true", help="do not reboot; the release is then not installed either"
+    )
     everyone.add_arguments(parser, timeout_s=1800)
 
 
@@ -40,6 +49,7 @@ def run(args: argparse.Namespace, rig: Rig | None = None, architecture: str = "a
     if args.key is not None:
         read_keys(args.key)  # a wrong one is better known now than on eight robots
     files = read_files(config.path, args.key)
+    whole = {host.robot: with_calibration(files, config, host.robot) for host in robots}
     unaddressed = _unaddressed(config)
     wifi = _wifi(args)
 
@@ -58,7 +68,7 @@ def run(args: argparse.Namespace, rig: Rig | None = None, architecture: str = "a
             return f"{robot.changed} steps changed; no release yet: swarm pair first ({unaddressed})"
         if not releases:
             return f"{robot.changed} steps changed; no release was given: --bundle with one, or swarm deploy"
-        said, _ = await install(ssh, host, releases, files, tell)
+        said, _ = await install(ssh, host, releases, whole[host.robot], tell)
         fresh = "nothing to do" not in said
         tell(f"release: {'changed' if fresh else 'ok'}: {said}")
         return f"{robot.changed + fresh} steps changed, all others were ok"

@@ -1,63 +1,102 @@
-"""`swarm run APP`: start an app on all robots. It goes on without the laptop; `swarm services stop APP` ends it."""
+"""`swarm run APP...`: start apps on all robots. They go on without the laptop; `swarm services stop APP` ends one."""
 
 import argparse
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from laptop.fleet import apps, everyone
 from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.ssh import Host
+from services.apps import sources
+from sim.quantities import setting
 from swarm.app import run_options
+from swarm.config import Config
 from swarm.errors import LocalError
-from swarm.onboard.arguments import whole
+from swarm.onboard.arguments import number, whole
+from swarm.onboard.command_line import complain
 
-HELP = "start an app on all robots, over ssh (swarm services stop APP ends it)"
+HELP = "start apps on all robots, over ssh (swarm services stop APP ends one)"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The app, and how it runs."""
-    parser.add_argument("app", help="the name of a built-in app, or a Python file of yours")
-    parser.add_argument("--iterations", type=whole(0), metavar="K", help="the last iteration (without: no last one)")
+    """The apps, and how they run: the words of `swarm sim APP`."""
+    parser.add_argument("app", nargs="+", metavar="APP", help="names of built-in apps, or Python files of yours")
+    parser.add_argument("--algorithm", metavar="NAME", help="algorithm of the first app")
+    parser.add_argument("--iterations", type=whole(0), metavar="K", help="end after K iterations (default: no end)")
     run_options.add_arguments(parser)
     parser.add_argument(
         "--set",
         dest="settings",
         action="append",
+        type=setting,
         default=[],
-        metavar="[ROBOT.]NAME=VALUE",
-        help="a parameter of the app, of all robots or one: --set gain=0.5 --set r2.value=3",
+        metavar="[APP/][ROBOT.]NAME=VALUE",
+        help="a parameter of the first app or of the one named, for all robots or for one: --set r2.value=3",
     )
-    parser.add_argument("--no-record", action="store_true", help="keep no recording (swarm fetch brings them)")
-    parser.add_argument("--force", action="store_true", help="even where release, config or firmware differ")
+    parser.add_argument(
+        "--step-size", type=number(0, above=True), metavar="G", help="gradient step in the thesis' unit, 1/cm^2"
+    )
+    parser.add_argument("--no-record", action="store_true", help="write no recording")
+    parser.add_argument("--force", action="store_true", help="start even if release, config or firmware differ")
     everyone.add_arguments(parser, timeout_s=60)
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 where it was started on every robot; on none of them where they do not all run the same."""
-    name, source = _app(args.app)
+    """0 where all have a first state on every robot; started nowhere where robots do not all run the same."""
+    found = dict(map(_app, args.app))
     config, robots, ssh = everyone.chosen(args)
-    apps.check_settings(args.settings, config, name)
+    settings = settings_of(args, list(found))
+    for name in found:
+        apps.check_settings(settings[name], config, name)
     if not args.force:
         # Who is not there is told by the start.
-        _, found = everyone.gather(robots, lambda host: apps.ask_versions(ssh, host), args.timeout)
-        if wrong := apps.differences(found, config):
+        _, versions = everyone.gather(robots, lambda host: apps.ask_versions(ssh, host), args.timeout)
+        if wrong := apps.differences(versions, config):
             raise LocalError(f"{wrong} (or --force)")
-    arguments = [] if args.no_record else ["--record"]
-    start = apps.AppStart(name, source, arguments=[*arguments, *run_options.of(args).arguments], settings=args.settings)
+    _warn(args.app, config)
+    options = [*([] if args.no_record else ["--record"]), *run_options.of(args).arguments]
+    starts = [apps.AppStart(name, files, arguments=options, settings=settings[name]) for name, files in found.items()]
 
-    async def job(host: Host, tell: ReportProgress) -> str:
-        return await start.on(ssh, host)
+    async def job(host: Host, _: ReportProgress) -> str:
+        return ", ".join([await start.until_first_state(ssh, host) for start in starts])
 
     return everyone.run(args, robots, job)
 
 
-def _app(text: str) -> tuple[str, bytes | None]:
-    """Its name, and its source where it is a file."""
+def settings_of(args: argparse.Namespace, names: Sequence[str]) -> dict[str, list[str]]:
+    """The settings of each app, as `swarm sim` understands them; raises `LocalError` for an app that is not started."""
+    first: list[str] = []
+    if args.algorithm is not None:
+        first.append(f"algorithm={args.algorithm}")
+    if args.step_size is not None:
+        first.append(f"step_size={args.step_size * 1e4!r}")  # 1/cm^2 in 1/m^2
+    found = {name: (first if name == names[0] else []) for name in names}
+    for given in args.settings:
+        name = given.app or names[0]
+        if name not in found:
+            raise LocalError(f"--set {name}/{given.setting.text}: there is no app {name!r}, but {', '.join(names)}")
+        found[name].append(given.setting.text)
+    return found
+
+
+def _app(text: str) -> tuple[str, Mapping[str, bytes] | None]:
+    """Its name, and its files where it is one of the user."""
     path = Path(text)
     name = path.stem if path.suffix == ".py" else text
     apps.check_name(name, text)
     if path.suffix != ".py":
         return name, None
     try:
-        return name, path.read_bytes()
+        return name, sources.of_app(path.resolve())
     except OSError as error:
         raise LocalError(f"{path}: the app cannot be read: {error.strerror}") from None
+
+
+def _warn(given: Sequence[str], config: Config) -> None:
+    """Say what robots lack of what the apps import."""
+    from sim import imports
+
+    for each in given:
+        if each.endswith(".py"):
+            for line in imports.lacking(str(Path(each).resolve()), config.packages):
+                complain("swarm", f"warning: {line}")

@@ -1,11 +1,17 @@
 """`swarm services start|stop|restart`: systemd units of all robots."""
 
 import argparse
+from collections.abc import Mapping
+from pathlib import Path
 
-from laptop.fleet import apps, everyone
+from laptop.cli import hand
+from laptop.fleet import apps, everyone, robot_command
 from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.ssh import Host
-from laptop.fleet.units import units
+from laptop.fleet.units import SERVICES, units
+from sim.control import app_requests
+from swarm.errors import LocalError
+from swarm.onboard.arguments import show
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -14,15 +20,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "services", nargs="*", metavar="SERVICE", help="bus, mesh, balancer, dwm or an app (default: all services)"
     )
+    robot_command.add_simulation(parser)
     everyone.add_arguments(parser, timeout_s=60)
 
 
 def run(args: argparse.Namespace) -> int:
     """Return 0 where it succeeded on every robot."""
     names = units(args.services)
+    if (there := robot_command.simulated(args)) is not None:
+        return _simulated(args, there)
     _, robots, ssh = everyone.chosen(args)
 
-    async def job(host: Host, tell: ReportProgress) -> str:
+    async def job(host: Host, _: ReportProgress) -> str:
         return await apps.systemctl(ssh, host, args.action, names)
 
     return everyone.run(args, robots, job)
+
+
+def _simulated(args: argparse.Namespace, there: Mapping[str, Path]) -> int:
+    """Restart services of simulated robots, which the simulation does whenever one ends; start or stop their apps."""
+    done: dict[str, str] = {}
+    for name, runtime in there.items():
+        said = []
+        for service in args.services or SERVICES:
+            if args.action == "restart":
+                full = service if service in SERVICES else f"app/{service}"
+                said.append(f"restart {hand.end_service(runtime, full, 'KILL')[0]}")
+            elif service in SERVICES:
+                raise LocalError(f"a simulation runs every service: restart {service}, or swarm hand reboot {name}")
+            else:
+                said.append(app_requests.give(runtime.parent, args.action, service, [name]))
+        done[name] = ", ".join(said)
+    show(args, {"robots": done}, [f"{name}: {text}" for name, text in done.items()])
+    return 0

@@ -5,24 +5,29 @@ import json
 import re
 import sys
 import time
+from collections.abc import Mapping
 from dataclasses import asdict
 from functools import partial
+from pathlib import Path
 from typing import Any
 
-from laptop.fleet import everyone
+from laptop.fleet import everyone, robot_command
 from laptop.fleet.collect import RUNS
 from laptop.fleet.everyone import RobotOutcome
 from laptop.fleet.ssh import Host, Ssh
 from laptop.fleet.units import SERVICES
+from swarm.config import load
 from swarm.errors import PayloadError
 from swarm.frozen import frozen
 from swarm.messages import type_of
 from swarm.messages.fields import check_fields
 from swarm.messages.json_input import read_json
+from swarm.onboard.listen import listen
+from swarm.process.simulations import CONFIG
 from swarm.process.terminal import columns, steer, write_lines
 from swarm.recording.budget import shown
 
-HELP = "services, battery, links, pose, app, recordings and versions of all robots, over ssh"
+HELP = "show services, battery, links, pose, apps and versions of all robots, over ssh"
 
 WATCH_EVERY_S = 2.0
 LISTEN_S = 1.3
@@ -45,6 +50,8 @@ class StatusRow:
     battery_left_s: float | None
     mode: str | None
     fault: str | None
+    next: str | None
+    """What makes it stand: the command, or what has to be done before; None while it stands or is about to."""
     links: dict[str, str]
     """State by neighbour."""
     clashes: list[str]
@@ -61,15 +68,24 @@ class StatusRow:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """`--watch`."""
-    parser.add_argument("--watch", action="store_true", help=f"again every {WATCH_EVERY_S:g} s, until Ctrl-C")
+    parser.add_argument("--watch", action="store_true", help=f"repeat every {WATCH_EVERY_S:g} s, until Ctrl-C")
+    robot_command.add_simulation(parser)
     everyone.add_arguments(parser, timeout_s=20)
 
 
 def run(args: argparse.Namespace) -> int:
     """0 where every robot answers and all of its services run."""
-    config, robots, ssh = everyone.chosen(args)
+    there = robot_command.simulated(args)
+    if there is None:
+        config, robots, ssh = everyone.chosen(args)
+    else:
+        config = load(next(iter(there.values())).parent / CONFIG)
     while True:
-        outcomes, rows = everyone.gather(robots, partial(_look, ssh), args.timeout)
+        if there is None:
+            outcomes, rows = everyone.gather(robots, partial(_look, ssh), args.timeout)
+        else:
+            rows = _simulated(there)
+            outcomes = [RobotOutcome(name, True, "", 0.0) for name in there]
         if args.json:
             answer = {o.robot: asdict(rows[o.robot]) if o.robot in rows else {"problem": o.text} for o in outcomes}
             sys.stdout.write(json.dumps({"robots": answer}) + "\n")
@@ -81,6 +97,22 @@ def run(args: argparse.Namespace) -> int:
         if not args.watch:
             return 0 if all(o.ok and not rows[o.robot].failed for o in outcomes) else 1
         time.sleep(WATCH_EVERY_S)
+
+
+def _simulated(there: Mapping[str, Path]) -> dict[str, StatusRow]:
+    """Rows of simulated robots: what their services say, in the words of a real robot's answer."""
+    rows = {}
+    for name, said in listen(there).items():
+        runs = [each for each in SERVICES if (said.get("bus") if each == "bus" else f"{each}/status" in said)]
+        units = "".join(f"swarm-{each}.service loaded active running\n" for each in runs)
+        samples = (
+            json.dumps({"key": f"swarm/{name}/{topic}", "value": value}, default=str)
+            for topic, value in said.items()
+            if isinstance(value, dict)
+        )
+        text = f"{_MARK}release\nsimulated\n{_MARK}units\n{units}{_MARK}bus\n" + "\n".join(samples)
+        rows[name] = parse(name, text)
+    return rows
 
 
 async def _look(ssh: Ssh, host: Host) -> StatusRow:
@@ -145,6 +177,7 @@ def parse(robot: str, text: str) -> StatusRow:
         battery_left_s=body.get("battery_left"),
         mode=body.get("mode") or None,
         fault=body.get("fault") or None,
+        next=_next(body, newest.get("balancer/fault", {}), newest.get("mesh/stopped", {})),
         links={link["peer"]: link["state"] for link in links.get("links", ()) if link.keys() >= {"peer", "state"}},
         clashes=sorted(links.get("clashes", ())),
         pose=[pose["x"], pose["y"]] if pose.get("quality") and pose.keys() >= {"x", "y"} else None,
@@ -152,6 +185,21 @@ def parse(robot: str, text: str) -> StatusRow:
         recorded=int(runs) if _BYTES.fullmatch(runs) else None,
         misunderstood=sorted(wrong),
     )
+
+
+def _next(body: dict[str, Any], fault: dict[str, Any], stopped: dict[str, Any]) -> str | None:
+    """Return what a person does to have the robot stand, by its messages; a stop that is taken back needs no `arm`."""
+    name = fault.get("name")
+    if body.get("mode") == "idle" or (name == "stopped" and not stopped.get("stopped")):
+        return "swarm balance stand"
+    return fault.get("recovery") or None if name else None
+
+
+def _body(row: StatusRow) -> str:
+    if row.mode == "idle" and not row.fault:
+        return f"idle, no fault: {row.next}"
+    told = row.fault or row.mode or "-"
+    return f"{told}: {row.next}" if row.next else told
 
 
 def _time(seconds: float) -> str:
@@ -177,7 +225,7 @@ def table(outcomes: list[RobotOutcome], rows: dict[str, StatusRow], budget: floa
                 (f"not running: {' '.join(row.failed)}" if row.failed else "all run")
                 + (f"; not understood: {' '.join(row.misunderstood)}" if row.misunderstood else ""),
                 "-" if row.battery_v is None else f"{row.battery_v:.1f} V{left}",
-                row.fault or row.mode or "-",
+                _body(row),
                 f"{up} of {len(row.links)}" + "".join(f", two robots are called {name}" for name in row.clashes),
                 "-" if row.pose is None else f"{row.pose[0]:.2f} {row.pose[1]:.2f}",
                 " ".join(f"{app}:{value['phase']}@{value['k']}" for app, value in row.apps.items()) or "-",

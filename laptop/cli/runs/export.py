@@ -1,13 +1,18 @@
 """`swarm export RUN`: a recorded run as CSV files, in the thesis' layouts or as plain tables, or as one MCAP file."""
 
 import argparse
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from laptop.cli.runs.import_csv import FILES
+from laptop.foxglove.recorded import RecordedScenes
+from laptop.runs import tables
+from laptop.view.feeds.feed import config_of
 from swarm.errors import LocalError, RecordingError
 from swarm.onboard.arguments import add_json, show
 from swarm.recording import thesis_csv
+from swarm.recording.core.mcap import McapSchema
 from swarm.recording.core.writer import Writer
 from swarm.recording.file import LIBRARY
 from swarm.recording.reader import EPOCH, RUN
@@ -15,17 +20,23 @@ from swarm.recording.run import Run
 from swarm.recording.trajectory import Trajectory
 from swarm.recording.virtual_file import finish
 
-HELP = "a recorded run as CSV files, or as one MCAP file on one time axis"
+HELP = "write a recorded run as CSV files, or as one MCAP file on one time axis"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The run, and what to make of it."""
-    parser.add_argument("run", type=Path, metavar="RUN", help="its folder, or one recording (.mcap)")
-    parser.add_argument("--csv", type=Path, metavar="DIR", help="the thesis' layouts: <k>.csv of each robot, no header")
-    parser.add_argument("--table", type=Path, metavar="DIR", help="tables with a header: k, t, states, results")
-    parser.add_argument("--mcap", type=Path, metavar="FILE", help="all robots in one file, on one time axis")
+    parser.add_argument("run", type=Path, metavar="RUN", help="folder of a run, or one recording (.mcap)")
     parser.add_argument(
-        "--app", default="", metavar="NAME", help="where robots ran several (the one that the run is about)"
+        "--csv", type=Path, metavar="DIR", help="write the thesis' layouts: <k>.csv for each robot, without a header"
+    )
+    parser.add_argument("--table", type=Path, metavar="DIR", help="write tables with a header: k, t, states, results")
+    parser.add_argument("--topic", action="append", default=[], metavar="TOPIC",
+                        help="a table of this in place of the states: dwm/pose, balancer/state (tilt, battery), "
+                        "mesh/links, sim/leds, sim/truth, ...; may be repeated")  # fmt: skip
+    parser.add_argument("--format", choices=tables.FORMATS, default="csv", help="file format of the tables (csv)")
+    parser.add_argument("--mcap", type=Path, metavar="FILE", help="write all robots into one file, on one time axis")
+    parser.add_argument(
+        "--app", default="", metavar="NAME", help="app to export, if robots ran several (default: the run's first app)"
     )
     add_json(parser)
 
@@ -39,7 +50,9 @@ def run(args: argparse.Namespace) -> int:
     if args.csv:
         made += _write(args.csv, _lines(recorded) or _layouts(recorded))
     if args.table:
-        made += _write(args.table, _tables(recorded))
+        for name, table in _tables(recorded, args.topic).items():
+            made.append(args.table / f"{name}.{args.format}")
+            tables.write(made[-1], table)
     if args.mcap:
         _merge(recorded, args.mcap)
         made.append(args.mcap)
@@ -101,22 +114,34 @@ def _measured(recorded: Run, robot: str) -> dict[int, tuple[float, float, float]
     return found
 
 
-def _tables(recorded: Run) -> dict[str, str]:
-    files = {}
-    for channel in recorded.states():
-        for robot, path in recorded.trajectories(channel=channel).items():
-            files[".".join(filter(None, (robot, recorded.app, channel, "csv")))] = _table(path)
-    return files
+def _tables(recorded: Run, topics: Sequence[str]) -> dict[str, tables.Table]:
+    """By the name of the file: of topics one each, else of the states of each robot."""
+    if topics:
+        return {topic.replace("/", "."): tables.of_topic(recorded, topic) for topic in topics}
+    found = {
+        ".".join(filter(None, (robot, recorded.app, channel))): _table(path)
+        for channel in recorded.states()
+        for robot, path in recorded.trajectories(channel=channel).items()
+    }
+    if not found:
+        raise RecordingError("no app's states are recorded in this run")
+    return found
 
 
-def _table(path: Trajectory) -> str:
-    lines = [",".join(("k", "t", *path.columns))]
-    lines += [",".join((str(k), repr(path.times[k]), *map(_quoted, path.rows[k]))) for k in sorted(path.rows)]
-    return "\n".join(lines) + "\n"
+def _table(path: Trajectory) -> tables.Table:
+    ks = sorted(path.rows)
+    cells = {name: [_value(path.rows[k][at]) for k in ks] for at, name in enumerate(path.columns)}
+    return {"k": list(ks), "t": [path.times[k] for k in ks], **cells}
 
 
-def _quoted(cell: str) -> str:
-    return f'"{cell.replace(chr(34), 2 * chr(34))}"' if set(cell) & set(',"\n\r') else cell
+def _value(text: str) -> object:
+    """A cell as what it was written from."""
+    if text in ("True", "False"):
+        return text == "True"
+    for convert in (int, float):
+        with contextlib.suppress(ValueError):
+            return convert(text)
+    return text
 
 
 def _merge(recorded: Run, path: Path) -> None:
@@ -125,7 +150,12 @@ def _merge(recorded: Run, path: Path) -> None:
     writer = Writer(LIBRARY, epoch_ns=epoch_ns)
     writer.metadata(RUN, {**recorded.info, EPOCH: str(epoch_ns)})
     with path.open("x+b") as file:
+        config = config_of(recorded.path)
+        scenes = None if config is None else RecordedScenes(config, epoch_ns)
         for sample in recorded.samples():
             writer.write_text(sample.topic, sample.t, sample.data, recorded.schemas[sample.topic])
+            for made in () if scenes is None else scenes.after(sample):
+                schema = McapSchema(0, made.schema_name, "jsonschema", made.schema)
+                writer.write_text(made.topic, sample.t, made.data, schema)
             file.write(writer.take())
         finish(writer, file)

@@ -26,20 +26,35 @@ SPEED = (0.001, 1000.0)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the verb."""
     parser.add_argument("recording", type=Path, metavar="RUN", help="folder or file of a recorded run")
-    parser.add_argument("film", type=Path, metavar="FILE.mp4", help="replaced if it is there")
+    parser.add_argument(
+        "film",
+        type=Path,
+        metavar="FILE",
+        help=".mp4 or .webp (an animated picture for a page of text); replaced if it is there",
+    )
     parser.add_argument("--size", default="1280x720", metavar="WxH", help="pixels, even numbers (1280x720)")
     parser.add_argument("--fps", type=number(*FPS), default=30.0, metavar="N", help="pictures a second (30)")
-    parser.add_argument("--speed", type=number(*SPEED), default=1.0, metavar="X", help="times as fast as it was (1)")
-    parser.add_argument("--from", type=float, dest="begin", metavar="S", help="second of the recording (the first)")
-    parser.add_argument("--to", type=float, dest="end", metavar="S", help="second of the recording (the last)")
-    parser.add_argument("--dark", action="store_true", help="in dark colours")
+    parser.add_argument(
+        "--speed", type=number(*SPEED), default=1.0, metavar="X", help="how many times faster than the run (1)"
+    )
+    parser.add_argument(
+        "--from",
+        type=float,
+        dest="begin",
+        metavar="S",
+        help="start of the film, in seconds of the recording (its start)",
+    )
+    parser.add_argument(
+        "--to", type=float, dest="end", metavar="S", help="end of the film, in seconds of the recording (its end)"
+    )
+    parser.add_argument("--dark", action="store_true", help="use dark colours")
     add_json(parser)
     parser.add_argument(
         "--chart",
         action="append",
         default=[],
         metavar="TOPIC:FIELD",
-        help="with a chart, e.g. app/consensus/state:state.value; several, if you like",
+        help="add a chart, e.g. app/consensus/state:state.value; may be repeated",
     )
 
 
@@ -54,8 +69,8 @@ def run(args: argparse.Namespace) -> int:
     # What is missing is said before the recording is read, which may take a while.
     film.encoder()
     chromium.browser()
-    if args.film.suffix != ".mp4":
-        raise LocalError(f"{args.film}: expected a name that ends in .mp4")
+    if args.film.suffix not in film.FORMATS:
+        raise LocalError(f"{args.film}: expected a name that ends in {' or '.join(film.FORMATS)}")
     if not args.film.absolute().parent.is_dir():
         raise LocalError(f"{args.film.absolute().parent}: no such folder")
     feed = ViewedRecording(args.recording)

@@ -11,7 +11,7 @@ from swarm.recording import folder, thesis_csv
 from swarm.recording.reader import SUFFIX
 from swarm.recording.virtual_file import DirectRecording
 
-HELP = "make a recorded run of a folder of the thesis' CSV files"
+HELP = "convert a folder of the thesis' CSV files into a recorded run"
 
 FILES = "csv"
 """Name of the metadata record that lists the files, each with its topic."""
@@ -21,7 +21,9 @@ UNIX = "unix"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The folder, and where the run goes."""
-    parser.add_argument("source", type=Path, metavar="CSVDIR", help="<k>.csv of each robot, or folders of such")
+    parser.add_argument(
+        "source", type=Path, metavar="CSVDIR", help="folder with <k>.csv of each robot, or with such folders"
+    )
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="the run's folder (runs/<name of CSVDIR>)")
     add_json(parser)
 

@@ -1,7 +1,7 @@
 """`swarm plot RUN`: a picture of a recorded run."""
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -42,21 +42,31 @@ OF_APP = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The run, what to draw, and where."""
-    parser.add_argument("run", type=Path, metavar="RUN", help="its folder, or one recording (.mcap)")
-    parser.add_argument("--kind", choices=KINDS, help="what to draw (by the app)")
+    parser.add_argument("run", type=Path, metavar="RUN", help="folder of a run, or one recording (.mcap)")
+    parser.add_argument("--kind", choices=KINDS, help="kind of picture (default: the app chooses)")
     parser.add_argument(
-        "--app", default="", metavar="NAME", help="where robots ran several (the one that the run is about)"
+        "--app", default="", metavar="NAME", help="app to plot, if robots ran several (default: the run's first app)"
     )
-    parser.add_argument("--column", action="append", default=[], metavar="NAME", help="of the states, may be repeated")
+    parser.add_argument(
+        "--column",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="name of a state or result to draw; may be repeated",
+    )
     parser.add_argument(
         "--label",
         action="append",
         default=[],
         metavar="NAME=TEXT",
-        help='what stands at the axis of a state, e.g. "value=x / m"',
+        help='label at the axis of a state, e.g. "value=x / m"',
     )
-    parser.add_argument("--between", nargs=2, type=float, metavar=("FROM", "TO"), help="only this time of the run, s")
-    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="PNG, PDF or SVG (RUN-KIND.png)")
+    parser.add_argument(
+        "--between", nargs=2, type=float, metavar=("FROM", "TO"), help="draw only this part of the run, in s"
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="FILE", help="file to write: PNG, PDF or SVG (RUN-KIND.png)"
+    )
     add_json(parser)
 
 
@@ -78,11 +88,27 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def draw(run: Path, app: str, path: Path) -> None:
-    """Draw what is drawn of a recorded run of an app where nothing else is asked for."""
+def draw(run: Path, app: str, path: Path, references: Mapping[str, Sequence[places.Place]] | None = None) -> None:
+    """Draw what is drawn of a recorded run of an app where nothing else is asked for; beside estimates of a target the
+    `references`, by robot."""
     recorded = Run(run, app)
     with figure(path, settings=style.RC, layout="constrained") as made:
-        KINDS[_of(recorded)](made, recorded)
+        if references and _of(recorded) == "map":
+            places.scene(made, recorded, references)
+        else:
+            draw_on(made, recorded, None, ())
+
+
+def draw_on(made: Any, recorded: Run, kind: str | None, columns: Sequence[str]) -> None:
+    """Draw a run on a figure: these columns of its states, a picture of this kind, or what suits its app. Raises
+    `LocalError`."""
+    if kind is not None and kind not in KINDS:
+        raise LocalError(f"there is no picture of kind {kind!r}; there are: {', '.join(KINDS)}")
+    kind = kind or ("states" if columns else _of(recorded))
+    if kind == "states":
+        states.states(made, recorded, columns)
+    else:
+        KINDS[kind](made, recorded)
 
 
 def _label(text: str) -> tuple[str, str]:

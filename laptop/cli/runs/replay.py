@@ -18,7 +18,7 @@ from swarm.recording.reader import RecordedSample
 from swarm.recording.restore import published
 from swarm.recording.run import Run
 
-HELP = "play a recorded run back on a bus, for z_sub and others to watch"
+HELP = "publish a recorded run on a bus again, for z_sub and other viewers"
 
 NAME = "replay"
 """What its bus is called: all robots' keys are on it."""
@@ -30,14 +30,22 @@ SETTLE_S = 0.3
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The run, what of it, how fast, and where to."""
-    parser.add_argument("run", type=Path, metavar="RUN", help="its folder, or one recording (.mcap)")
-    parser.add_argument("keys", nargs="*", metavar="KEY", help="only these, as z_sub takes them (all)")
-    parser.add_argument("--speed", type=number(0, above=True), default=1.0, metavar="F", help="times as fast (1)")
-    parser.add_argument("--start", type=float, metavar="S", help="from this time of the run on (its first message)")
+    parser.add_argument("run", type=Path, metavar="RUN", help="folder of a run, or one recording (.mcap)")
+    parser.add_argument(
+        "keys", nargs="*", metavar="KEY", help="key expressions to publish, as for z_sub (default: all)"
+    )
+    parser.add_argument(
+        "--speed", type=number(0, above=True), default=1.0, metavar="F", help="how many times faster than the run (1)"
+    )
+    parser.add_argument("--start", type=float, metavar="S", help="start at this second of the run (its first message)")
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--json", action="store_true", help="to the terminal, one JSON object a line, at once")
-    where.add_argument("--on", type=Path, metavar="DIR", help="on the bus with this runtime directory")
-    where.add_argument("--run-dir", type=Path, metavar="DIR", help="where its own bus lives, as of swarm sim")
+    where.add_argument(
+        "--json", action="store_true", help="print one JSON object a line, without waiting, in place of publishing"
+    )
+    where.add_argument("--on", type=Path, metavar="DIR", help="publish on the bus of this runtime directory")
+    where.add_argument(
+        "--run-dir", type=Path, metavar="DIR", help="runtime directory of the replay's own bus, as for swarm sim"
+    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -13,10 +13,11 @@ from pathlib import Path
 from sim import options as arguments
 from sim import report, scenario
 from sim.options import Options
+from sim.progress import said
 from sim.report import RunOutcome
-from sim.run import ProcessRun
 from sim.scenario import Scenario
 from swarm.errors import LocalError
+from swarm.messages import AppLog
 from swarm.process import log, service
 from swarm.process.simulations import claim, default_run_dir
 
@@ -55,7 +56,7 @@ def _virtual(options: Options) -> int:
     plan = scenario.build(options, virtual.PLACE)
     for note in plan.notes:
         sys.stderr.write(note + "\n")
-    run = virtual.VirtualRun(options, plan)
+    run = virtual.VirtualRun(options, plan, said=_say)
     tell = partial(_tell, options, plan, options.record or Path())
     if options.view:
         from laptop.view import virtual_page  # the server is heavy, and of the extra `lab`
@@ -64,9 +65,15 @@ def _virtual(options: Options) -> int:
     return tell(run.go())
 
 
+def _say(robot: str, line: AppLog) -> None:
+    sys.stderr.write(said(robot, line) + "\n")
+
+
 def _run(options: Options, run_dir: Path) -> int:
     _clear(run_dir)
     plan = scenario.build(options, run_dir)
+    from sim.run import ProcessRun  # virtual time runs where processes cannot: on Windows
+
     with ProcessRun(options, plan, run_dir, sys.stderr) as run:
         outcome = run.watch()
     return _tell(options, plan, options.record or run_dir / "records", outcome)
@@ -78,11 +85,12 @@ def _tell(options: Options, plan: Scenario, records: Path, outcome: RunOutcome) 
     if options.plot is not None and plan.app is not None:
         from laptop.cli.runs import plot  # matplotlib's helpers are wanted here alone
 
-        plot.draw(records, plan.app, options.plot)
+        references = {name: recorded.estimates for name, recorded in plan.recorded.items()}
+        plot.draw(records, plan.app, options.plot, references)
         print(f"plot        {options.plot}")
     if options.json:
         print(json.dumps(found))
-    return 1 if outcome.problems else 0
+    return 1 if found["problems"] else 0
 
 
 def _clear(run_dir: Path) -> None:

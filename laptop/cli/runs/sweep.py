@@ -28,7 +28,7 @@ def parser() -> argparse.ArgumentParser:
     p = argparse.ArgumentParser(
         prog="swarm sweep",
         description="Run an app under virtual time over robots, topologies, parameters and seeds, on all cores.",
-        epilog="Every other option of swarm sim holds for all runs: --iterations 200 --jitter 10ms --noise thesis ...",
+        epilog="All other options of swarm sim apply to every run: --iterations 200 --jitter 10ms --noise thesis ...",
     )
     p.add_argument("app", metavar="APP", help="a built-in app, or a file with one")
     p.add_argument("--robots", type=values_of, metavar="N,N", help="numbers of robots")
@@ -49,17 +49,25 @@ def parser() -> argparse.ArgumentParser:
         type=float,
         default=WITHIN,
         metavar="X",
-        help=f"how near its last value a result has settled, in its unit ({WITHIN:g})",
+        help=f"a result counts as settled this near to its last value, in its unit ({WITHIN:g})",
     )
     p.add_argument(
         "--limit",
         metavar="NAME=LOW,HIGH",
-        help="find the largest value of a parameter between these with which all runs settle",
+        help="find the largest value between LOW and HIGH with which all runs settle",
     )
     where = p.add_argument_group("where it is computed")
-    where.add_argument("--jobs", type=whole(1), default=os.cpu_count() or 1, metavar="N", help="processes (all cores)")
-    where.add_argument("--engine", choices=ENGINES, default="local", help="local processes, or Dask")
-    where.add_argument("--scheduler", metavar="ADDRESS", help="of a running Dask cluster, e.g. tcp://big:8786")
+    where.add_argument(
+        "--jobs",
+        type=whole(1),
+        default=os.cpu_count() or 1,
+        metavar="N",
+        help="number of processes (default: one for each core)",
+    )
+    where.add_argument(
+        "--engine", choices=ENGINES, default="local", help="where runs are computed: local processes, or Dask"
+    )
+    where.add_argument("--scheduler", metavar="ADDRESS", help="address of a running Dask cluster, e.g. tcp://big:8786")
     out = p.add_argument_group("what comes out")
     out.add_argument("--json", action="store_true", help="one JSON object as the last line of the output")
     out.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the results")

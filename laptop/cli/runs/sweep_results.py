@@ -3,13 +3,18 @@
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from laptop.plotting import style
 from laptop.plotting.style import figure
 from sim.sweep.limit import Bracket
 from sim.sweep.measure import Summary, SweptRun, summarize
 from sim.sweep.plan import Point
+from swarm.errors import LocalError
 from swarm.process.terminal import columns
+
+_UNITS = {"consensus": " from the mean", "localization": " / cm"}
+"""Of the errors of our own apps."""
 
 _NUMBERS = {
     "runs": "runs",
@@ -39,10 +44,14 @@ def table(points: Sequence[Point], found: Sequence[SweptRun]) -> str:
     for point, each in zip(points, sums, strict=True):
         rows.append([*(value for _, value in point.choices), *(_shown(getattr(each, name)) for name in _NUMBERS)])
     text = _aligned(rows)
+    touched = [
+        f"contacts {_named(point)}: {each.contacts}" for point, each in zip(points, sums, strict=True) if each.contacts
+    ]
     problems = [
         f"failed {_named(point)}: {each.problem}" for point, each in zip(points, sums, strict=True) if each.problem
     ]
-    return "\n".join([text, *([""] if problems else []), *problems])
+    notes = [*problems, *touched]
+    return "\n".join([text, *([""] if notes else []), *notes])
 
 
 def limits(points: Sequence[Point], name: str, brackets: Sequence[Bracket]) -> str:
@@ -62,6 +71,12 @@ def as_json(points: Sequence[Point], found: Sequence[SweptRun]) -> list[dict[str
 
 
 def draw(app: str, points: Sequence[Point], found: Sequence[SweptRun], path: Path) -> None:
+    """Write the picture of a sweep to a file."""
+    with figure(path, settings=style.RC, layout="constrained") as made:
+        draw_on(made, app, points, found)
+
+
+def draw_on(made: Any, app: str, points: Sequence[Point], found: Sequence[SweptRun]) -> None:
     """Iterations to settle and error over the first list of numbers, a line for each combination of the others."""
     sums = [summarize(runs) for runs in by_point(points, found)]
     along = _along(points)
@@ -70,25 +85,40 @@ def draw(app: str, points: Sequence[Point], found: Sequence[SweptRun], path: Pat
         choices = dict(point.choices)
         x = float(choices.pop(along)) if along is not None else float(index)
         lines.setdefault(", ".join(f"{name} {value}" for name, value in choices.items()), []).append((x, each))
-    with figure(path, settings=style.RC, figsize=(9, 4), layout="constrained") as made:
-        left, right = made.subplots(1, 2)
-        for index, (label, each_line) in enumerate(lines.items()):
-            look = {"color": style.colour(index, len(lines)), "marker": style.mark(index), "markersize": 4}
-            for axes, middle, most in ((left, "settled", "settled_most"), (right, "error", "error_most")):
-                drawn = [
-                    (x, getattr(s, middle), getattr(s, most)) for x, s in each_line if getattr(s, middle) is not None
-                ]
-                if drawn:
-                    xs, ys, tops = zip(*drawn, strict=True)
-                    axes.plot(xs, ys, "-", label=label or None, **look)
-                    axes.plot(xs, tops, ":", color=look["color"])
-        unit = {"consensus": " from the mean", "localization": " / cm"}.get(app, "")
-        for axes, what in ((left, "iterations to settle"), (right, f"error{unit}")):
-            axes.set(xlabel=along or "combination", ylabel=what, title=f"{app}: median, and worst (dotted)")
-            axes.grid(alpha=0.3)
-        right.set_yscale("log", nonpositive="mask")  # exact to the last bit: no point
-        if any(lines):
-            made.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=2, fontsize="small")
+    kinds = {"settled": "iterations to settle", "error": f"error{_UNITS.get(app, '')}"}
+    kinds = {name: what for name, what in kinds.items() if any(getattr(each, name) is not None for each in sums)}
+    if not kinds:
+        raise LocalError(
+            f"{app}: there is nothing to draw: no result settled (--within says how near its end it must stay), and "
+            "the app has no error: give it `def error(self, truth)` (docs/how-to/apps/measure-the-error.md)"
+        )
+    made.set_size_inches(4.5 * len(kinds), 4)
+    panels = dict(zip(kinds, made.subplots(1, len(kinds), squeeze=False)[0], strict=True))
+    for index, (label, each_line) in enumerate(lines.items()):
+        look = {"color": style.colour(index, len(lines)), "marker": style.mark(index), "markersize": 4}
+        for name, axes in panels.items():
+            known = [(x, s) for x, s in each_line if getattr(s, name) is not None]
+            drawn = [(x, getattr(s, name), getattr(s, f"{name}_most")) for x, s in known]
+            if drawn:
+                xs, ys, tops = zip(*drawn, strict=True)
+                axes.plot(xs, ys, "-", label=label or None, **look)
+                axes.plot(xs, tops, ":", color=look["color"])
+    for name, axes in panels.items():
+        if along is None:  # nothing to be drawn along an axis of numbers
+            ticks = [", ".join(value for _, value in point.choices) for point in points]
+            axes.set_xticks(range(len(points)), ticks, rotation=20 if len(points) > 4 else 0)
+        what = along or ", ".join(each for each, _ in points[0].choices)
+        axes.set(xlabel=what, ylabel=kinds[name], title=f"{app}: median, and worst (dotted)")
+        axes.grid(alpha=0.3)
+    if "error" in panels and any((each.error or 0.0) > 0.0 for each in sums):
+        panels["error"].set_yscale("log", nonpositive="mask")  # exact to the last bit: no point
+    if any(lines) and along is not None:
+        named = {
+            label: line
+            for axes in panels.values()
+            for line, label in zip(*axes.get_legend_handles_labels(), strict=True)
+        }
+        made.legend(named.values(), named.keys(), loc="outside upper center", ncols=2, fontsize="small")
 
 
 def _along(points: Sequence[Point]) -> str | None:

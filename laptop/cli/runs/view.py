@@ -7,34 +7,30 @@ import sys
 import webbrowser
 from pathlib import Path
 
-from laptop.fleet.ssh import Ssh, hosts
-from swarm.config import load
+from laptop.view import live
 from swarm.errors import LocalError
-from swarm.onboard.arguments import add_robots, add_run_dir
-from swarm.process.simulations import default_run_dir
 
-HELP = "see the running swarm, or a recorded run, in the browser"
+HELP = "show the running swarm, or a recorded run, in the browser"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the verb."""
-    parser.add_argument("recording", nargs="?", type=Path, metavar="RUN", help="a recorded run, not a running one")
-    add_run_dir(parser)
-    add_robots(parser, "real robots, through these by ssh")
     parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="of the robots: SWARM_CONFIG or /etc/swarm/swarm.toml"
+        "recording", nargs="?", type=Path, metavar="RUN", help="show a recorded run in place of a running swarm"
     )
-    parser.add_argument("--ssh-config", type=Path, metavar="FILE", help="in place of ~/.ssh/config")
-    parser.add_argument("--port", type=int, default=0, metavar="N", help="on 127.0.0.1; any free one by default")
-    parser.add_argument("--control", action="store_true", help="let the page act: stop, cut links, press buttons ...")
-    parser.add_argument("--screenshot", type=Path, metavar="FILE.png", help="only write a picture of the page")
-    parser.add_argument("--at", type=float, metavar="S", help="of a recording: its instant that is pictured (the last)")
+    live.add_arguments(parser)
+    parser.add_argument("--port", type=int, default=0, metavar="N", help="port on 127.0.0.1 (default: any free port)")
+    parser.add_argument(
+        "--control", action="store_true", help="allow commands from the page: stop, cut links, press buttons ..."
+    )
+    parser.add_argument("--screenshot", type=Path, metavar="FILE.png", help="write a picture of the page, and end")
+    parser.add_argument("--at", type=float, metavar="S", help="second of the recording for the picture (its end)")
     parser.add_argument(
         "--chart",
         action="append",
         default=[],
         metavar="TOPIC:FIELD",
-        help="with a chart in the picture, e.g. app/consensus/state:state.value; several, if you like",
+        help="add a chart to the picture, e.g. app/consensus/state:state.value; may be repeated",
     )
     parser.add_argument("--no-open", action="store_true", help="only print the address")
 
@@ -49,15 +45,12 @@ def announce(address: str, *, browse: bool) -> None:
 def run(args: argparse.Namespace) -> int:
     """Serve the page until interrupted."""
     try:
-        from laptop.view import film, server
+        from laptop.view import server
     except ModuleNotFoundError as error:
         raise LocalError(f"swarm view needs {error.name}: pip install 'balboa-swarm[lab]'") from None
-    from laptop.view.control import Control
-    from laptop.view.feed import SimulationFeed
+    from laptop.view.feeds.feed import SimulationFeed
+    from laptop.view.feeds.robots import Robots
     from laptop.view.recording import ViewedRecording
-    from laptop.view.remote_actions import RemoteActions
-    from laptop.view.robots import Robots
-    from laptop.view.simulated_actions import SimulatedActions
 
     feed: SimulationFeed | Robots | ViewedRecording
     control = None
@@ -73,13 +66,8 @@ def run(args: argparse.Namespace) -> int:
         feed = ViewedRecording(args.recording)
         for damage in feed.damage:
             print(f"swarm: {damage}", file=sys.stderr)
-    elif args.robots:
-        config, ssh = load(args.config), Ssh(args.ssh_config)
-        feed = Robots(config, hosts(config, args.robots), ssh)
-        control = Control(feed, RemoteActions(feed, ssh) if args.control else None)
     else:
-        feed = SimulationFeed((args.run_dir or default_run_dir()).absolute())
-        control = Control(feed, SimulatedActions(feed) if args.control else None)
+        feed, control = live.open_feed(args)
 
     at = None
     if isinstance(feed, ViewedRecording):
@@ -90,6 +78,8 @@ def run(args: argparse.Namespace) -> int:
 
         async def ready(address: str) -> None:
             if args.screenshot is not None:
+                from laptop.view import film  # drives Chromium, over pipes that only Unix has
+
                 await film.take(address, args.screenshot, at, args.chart)
                 print(args.screenshot)
                 ended.set()

@@ -1,18 +1,17 @@
 """Checks of a robot's devices and radio, by what its services say of them."""
 
 from laptop.fleet.core.checkup import SIMULATED, Check, ExaminedRobot, Finding, bad, ok, skipped, warning
+from services.balancer.core.devices import balboa, imu
 
-WHO_AM_I = 0x69
-"""LSM6DS33; hardware datasheet, register 0x0F."""
-LAYOUT = 1
-"""Of the ATmega's firmware (firmware/layout.h, VERSION)."""
+LOW_SCL = 0.9
+"""Of the clock that the I2C bus is told to have: below it the Pi's core clock is not the one of its full speed."""
 
 
 def devices(robot: ExaminedRobot) -> Finding:
     """IMU and ATmega answer."""
     fault = robot.said("balancer/fault")
     if fault.get("name") in ("bus", "device"):
-        return bad(f"{fault['reason']}", "power of the Balboa, seat of the Pi on its header; then: mode stand")
+        return bad(f"{fault['reason']}", "power of the Balboa, seat of the Pi on its header; then: swarm balance stand")
     state = robot.said("balancer/state")
     if state.get("mode") == "starting":
         return bad("the balancer is still looking for IMU and ATmega", "power of the Balboa on? swarm logs balancer")
@@ -21,7 +20,8 @@ def devices(robot: ExaminedRobot) -> Finding:
         ticks = max(int(state.get("ticks") or 1), 1)
         if errors > 20 and errors > ticks / 200:
             return warning(
-                f"{errors} transfers of {ticks} ticks failed", "seat of the Pi on its header; docs/devices.md"
+                f"{errors} transfers of {ticks} ticks failed",
+                "seat of the Pi on its header; docs/reference/robot/i2c-bus.md",
             )
         return ok(f"both answer, {errors} failed transfers")
     if robot.system is None or robot.system["devices"] is None:
@@ -36,9 +36,29 @@ def _scanned(found: dict[str, object]) -> Finding:
     silent = [name for name in ("imu", "atmega") if found[name] is None]
     if silent:
         return bad(f"no answer from {' and '.join(silent)}", "power of the Balboa, seat of the Pi on its header")
-    if found["imu"] != WHO_AM_I:
-        return bad(f"the IMU says it is 0x{found['imu']:02X}, an LSM6DS33 is 0x69", "another board, or a bad contact")
+    if found["imu"] not in imu.IDENTITIES:
+        known = ", ".join(f"an {name} is 0x{identity:02X}" for identity, name in imu.IDENTITIES.items())
+        return bad(f"the IMU says it is 0x{found['imu']:02X}, {known}", "another board, or a bad contact")
     return ok("both answer")
+
+
+def bus_clock(robot: ExaminedRobot) -> Finding:
+    """The I2C bus is as fast as it was told to be, and carries all that the balancer does with it.
+
+    The balancer times the transfers of each control step, whose bytes are known.
+    """
+    state = robot.said("balancer/state")
+    clock, behind = float(state.get("scl") or 0.0), str(state.get("behind") or "")
+    if not clock:
+        return skipped("the balancer tells no clock")
+    text = f"SCL {clock / 1e3:.0f} kHz"
+    mend = "swarm provision fixes the core clock in config.txt, then reboot; docs/reference/robot/i2c-bus.md"
+    if behind:
+        return bad(f"{text}: no time for {behind}", mend)
+    wanted = robot.config.robot(robot.name).i2c_clock
+    if clock < LOW_SCL * 1e3 * wanted:
+        return warning(f"{text} in place of {wanted}", mend)
+    return ok(text)
 
 
 def firmware(robot: ExaminedRobot) -> Finding:
@@ -51,8 +71,8 @@ def firmware(robot: ExaminedRobot) -> Finding:
         layout, revision = scanned
     else:
         return warning("it does not tell", "see devices; swarm logs balancer names the revision")
-    if layout != LAYOUT:
-        return bad(f"layout {layout}, the balancer needs {LAYOUT}", "swarm flash FIRMWARE.hex")
+    if layout != balboa.LAYOUT_VERSION:
+        return bad(f"layout {layout}, the balancer needs {balboa.LAYOUT_VERSION}", "swarm flash")
     return ok(f"layout {layout}, revision {revision}")
 
 
@@ -130,7 +150,8 @@ def links(robot: ExaminedRobot) -> Finding:
     if clashes := robot.said("mesh/links").get("clashes"):
         return bad(
             "; ".join(text for _, text in sorted(clashes.items())),
-            "is an SD card a copy, or a second swarm with this key in range? docs/security.md: two robots, one name",
+            "is an SD card a copy, or a second swarm with this key in range? "
+            "docs/explanation/two-robots-with-one-name.md",
         )
     wanted = robot.config.neighbours(robot.name)
     rows = robot.said("mesh/links").get("links")
@@ -154,7 +175,8 @@ def body(robot: ExaminedRobot) -> Finding:
         return bad("the balancer says nothing", "swarm logs balancer")
     if fault.get("name") or state.get("fault"):
         text = fault.get("reason") or state.get("fault")
-        return bad(f"{fault.get('name') or 'fault'}: {text}", str(fault.get("recovery") or "docs/balancer.md, faults"))
+        recovery = str(fault.get("recovery") or "docs/reference/robot/balancer.md, faults")
+        return bad(f"{fault.get('name') or 'fault'}: {text}", recovery)
     return ok(str(state.get("mode")))
 
 
@@ -183,6 +205,7 @@ def time(robot: ExaminedRobot) -> Finding:
 
 CHECKS = (
     Check("devices", "IMU and ATmega answer on the I2C bus", devices),
+    Check("bus", "the I2C bus has its clock, and time for all tasks", bus_clock),
     Check("firmware", "the ATmega runs this project's firmware", firmware),
     Check("body", "the balancer has found its zero and has no fault", body),
     Check("battery", "the batteries are charged", battery),

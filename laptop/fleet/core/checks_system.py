@@ -149,7 +149,7 @@ _SETUP = {
     "system": "Raspberry Pi OS Lite, 64 bit, Bookworm or Trixie",
     "packages": "bluez, python3-venv, python3-bluez and rfkill are installed",
     "kernel": "a kernel of 6.12 or later runs",
-    "boot": "config.txt: I2C on at 100 kHz, the UART where the module is wired to it",
+    "boot": "config.txt: I2C on at its clock, which is fixed, the UART where the module is wired to it",
     "cmdline": "cmdline.txt: limits of memory, a core for the balancer",
     "i2c": "i2c-dev is loaded on boot",
     "radio": "the Bluetooth firmware of a Zero 2 W is in its place",

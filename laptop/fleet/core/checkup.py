@@ -59,7 +59,7 @@ class Finding:
 
 @frozen
 class Check:
-    """One line of the doctor's report, and of the checklist in docs/build-a-robot.md."""
+    """One line of the doctor's report, and of the checklist in docs/reference/robot/doctor-checks.md."""
 
     name: str
     question: str

@@ -1,7 +1,7 @@
 """Steps about settings: files of the system, each edited so that what others wrote in it stays."""
 
 from laptop.fleet.core import texts
-from laptop.fleet.core.wish import I2C_HZ, Change, DesiredRobot, Facts, Verdict, change, failed, ok
+from laptop.fleet.core.wish import Change, DesiredRobot, Facts, Verdict, change, failed, ok
 
 CONFIG_TXT = ("/boot/firmware/config.txt", "/boot/config.txt")
 CMDLINE = ("/boot/firmware/cmdline.txt", "/boot/cmdline.txt")
@@ -13,6 +13,11 @@ WIFI = "/etc/NetworkManager/system-connections/swarm.nmconnection"
 CLOUD = "/etc/cloud/cloud.cfg.d/99-swarm.cfg"
 HOSTS = "/etc/hosts"
 HOSTNAME = "/etc/hostname"
+
+CORE_MHZ = {"zero2w": 400, "pi4": 500}
+"""The core clock at full speed by board (raspberrypi/documentation, config_txt, overclocking). SCL is this
+clock over a divider that the kernel sets once; left to itself the clock drops when the Pi is idle, and SCL with it.
+`core_freq_min` at the same value keeps it (pelwell in raspberrypi/linux 4884 and 5434)."""
 
 FILES = (*CONFIG_TXT, *CMDLINE, BLUETOOTH_CONF, MODULES, LIMITS, NETWORK_CONF, WIFI, CLOUD, HOSTS, HOSTNAME)
 """All that are looked at."""
@@ -37,14 +42,17 @@ def _edited(path: str, before: str, after: str, what: str) -> Verdict:
 
 
 def boot(facts: Facts, wish: DesiredRobot) -> Verdict:
-    """config.txt: I2C on at its speed, and the UART where the DWM1001 is wired to it."""
+    """config.txt: I2C on at its speed, the core clock it comes from fixed, and the UART where the DWM1001 is wired to
+    it."""
     found = _first(facts, CONFIG_TXT)
     if found is None:
         return failed(f"there is no {CONFIG_TXT[0]}: is this Raspberry Pi OS?")
-    lines = ["[all]", "dtparam=i2c_arm=on", f"dtparam=i2c_arm_baudrate={I2C_HZ}"]
+    lines = ["[all]", "dtparam=i2c_arm=on", f"dtparam=i2c_arm_baudrate={1000 * wish.i2c_clock}"]
+    core = CORE_MHZ[wish.board]
+    lines += [f"core_freq={core}", f"core_freq_min={core}"]
     if wish.uart:
         lines.append("enable_uart=1")
-    what = f"I2C at {I2C_HZ // 1000} kHz" + (", UART on" if wish.uart else "")
+    what = f"I2C at {wish.i2c_clock} kHz, core clock fixed at {core} MHz" + (", UART on" if wish.uart else "")
     return _edited(*found, texts.with_block(found[1], lines), what)
 
 

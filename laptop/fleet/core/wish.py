@@ -24,9 +24,6 @@ MIN_KERNEL = (6, 12)
 
 KERNEL_PACKAGE = "linux-image-rpi-v8"
 
-I2C_HZ = 100_000
-"""With more the ATmega's hold times do not suffice (firmware/README.md)."""
-
 MIN_FREE = {"/": 400_000_000, "/boot/firmware": 20_000_000}
 """Bytes: a release is 60 MB unpacked, two are kept, one more is being unpacked, and packages beside."""
 
@@ -59,6 +56,8 @@ class DesiredRobot:
     """Whether its links are Bluetooth's."""
     key: bool = False
     """Whether a key is brought."""
+    i2c_clock: int = 100
+    """kHz of the I2C bus."""
     secure: bool = True
     """Whether one is needed."""
     wifi: tuple[str, str] | None = None
@@ -84,6 +83,7 @@ def wish(
         uart=port if own else None,
         bluetooth=entry.link is None,
         key=key,
+        i2c_clock=entry.i2c_clock,
         secure=config.mesh.key_file is not None,
         wifi=wifi,
     )

@@ -1,6 +1,7 @@
 // What the page knows of the swarm; filled by the steps that the server sends.
 
-export const PALETTE = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b58900", "#56b4e9", "#8a5ad6", "#7a7a7a"]; // told apart by the colour-blind too (Okabe, Ito 2008)
+import { theme } from "./theme.js";
+
 const TRAIL = 300; // places
 const STEP_MS = [40, 500]; // the way between two samples takes nearly as long as they are apart as a rule, within this
 const NEARLY = 0.8; // else a late one would be waited for twice
@@ -20,7 +21,8 @@ export class Store {
     this.live = false;
     this.pace = null; // of virtual time
     this.swarm = null;
-    this.colours = new Map(); // of robots, by name
+    this.layouts ??= null; // that the server keeps
+    this.besidePlaces = null; // of the robots of the run beside this one
     this.apps = new Map(); // name -> [topic of a state of an app, ...], e.g. "app/consensus"
     this.edges = []; // [[a, b], ...]: links that are to be, as the newest topology has them
     this.topology = -1; // its version
@@ -41,6 +43,9 @@ export class Store {
     if (step.swarm !== undefined) this.become(step.swarm);
     if (step.services) this.services = step.services;
     if (step.pace) this.pace = step.pace;
+    if (step.layouts) this.layouts = step.layouts;
+    if (step.marks) this.marks = step.marks;
+    if (step.beside_places) this.besidePlaces = step.beside_places;
     this.t = step.t;
     this.live = step.live;
     for (const [name, places] of Object.entries(step.trails ?? {})) this.trails.set(name, places);
@@ -74,7 +79,6 @@ export class Store {
   // What does not move.
   become(swarm) {
     this.swarm = swarm;
-    this.colours = new Map((swarm?.robots ?? []).map((name, index) => [name, PALETTE[index % PALETTE.length]]));
     if (swarm && this.topology < 0) this.edges = swarm.edges;
   }
 
@@ -94,9 +98,20 @@ export class Store {
     return this.edges.filter((edge) => edge.includes(name)).map(([a, b]) => (a === name ? b : a));
   }
 
-  // Apps that count iterations, by the topics of their states.
-  locksteps() {
-    return [...new Set([...this.apps.values()].flat())].filter((app) => this.names.some((name) => typeof this.get(name, `${app}/state`)?.k === "number")).sort();
+  // Since when a link is as it is, by what robots have told, s; null where they have not.
+  since(a, b, state) {
+    const told = this.events.filter(({ robot, text }) => (robot === a && text.startsWith(`link to ${b} ${state}`)) || (robot === b && text.startsWith(`link to ${a} ${state}`)));
+    return told.length ? told.at(-1).t : null;
+  }
+
+  // Links that are not as they should be, the worst first: [{a, b, state}].
+  troubled() {
+    const found = [];
+    for (const [a, b] of this.edges) {
+      const state = this.link(a, b)?.state;
+      if (state && state !== "up") found.push({ a, b, state });
+    }
+    return found.sort((x, y) => BADNESS.indexOf(y.state) - BADNESS.indexOf(x.state));
   }
 
   get names() {
@@ -111,7 +126,7 @@ export class Store {
   }
 
   colour(name) {
-    return this.colours.get(name) ?? PALETTE[(this.order.get(name) ?? 0) % PALETTE.length];
+    return theme.robot(this.order.get(name) ?? 0);
   }
 
   get(name, topic) {

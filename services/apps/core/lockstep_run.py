@@ -53,20 +53,20 @@ class LockstepRun:
 
     __slots__ = (
         "_began_at",
-        "_channel",
         "_first_save",
         "_graph",
         "_heard",
         "_history",
         "_lockstep",
         "_me",
-        "_new",
         "_program",
         "_progress_at",
         "_stopping",
+        "channel",
         "computed_at",
         "epochs",
         "lost",
+        "new",
         "phase",
         "reason",
         "rtt",
@@ -105,10 +105,12 @@ class LockstepRun:
         self._me = me
         self.terms = terms
         self._program = program
-        self._new = not vote_lost and (kept is None or (kept.run, kept.schema) != (terms.run, terms.schema))
+        self.new = not vote_lost and (kept is None or (kept.run, kept.schema) != (terms.run, terms.schema))
+        """Whether this robot has not been in the run yet, so that it begins with the app\'s first state."""
         self._stopping: Stopping | None = None
         self._lockstep: Lockstep | None = None
-        self._channel = self._channel_of(self.epochs.epoch)
+        self.channel = self._channel_of(self.epochs.epoch)
+        """What the frames travel under."""
         self._graph = graph if self.epochs.number == begin.number else self.epochs.epoch.graph
         self._history: deque[RunState] = deque()
         self._began_at = 0.0
@@ -116,11 +118,6 @@ class LockstepRun:
         self._heard: dict[str, float] = {}
         """When neighbours were heard last, where those that are not heard are given up."""
         self._first_save = True
-
-    @property
-    def channel(self) -> Channel:
-        """What the frames travel under."""
-        return self._channel
 
     @property
     def k(self) -> int:
@@ -151,11 +148,6 @@ class LockstepRun:
         found = [Snapshot.decode(page) for page in pages]
         return [one for one in found if (one.run, one.schema) == (self.terms.run, self.terms.schema)]
 
-    @property
-    def new(self) -> bool:
-        """Whether this robot has not been in the run yet, so that it begins with the app's first state."""
-        return self._new
-
     def start(self, measurement: Measurement | None) -> tuple[bytes, bytes]:
         """Let the app set its first state, which goes to `begin`."""
         return self._program.start(measurement)
@@ -176,7 +168,7 @@ class LockstepRun:
             if saved[-1].epoch == epoch.number and self.epochs.member:
                 self._resume(saved[-1], epoch, now)
             else:
-                self._channel = Channel(self.terms.run, saved[-1].epoch, self.epochs.birth, self.terms.schema)
+                self.channel = Channel(self.terms.run, saved[-1].epoch, self.epochs.birth, self.terms.schema)
                 if self.epochs.lost:
                     self.epochs.lose()
                 else:
@@ -333,7 +325,7 @@ class LockstepRun:
     @property
     def _changing(self) -> bool:
         """Whether the lockstep is of an epoch that is over."""
-        return self._channel.epoch != self.epochs.number
+        return self.channel.epoch != self.epochs.number
 
     @property
     def _stalled_at(self) -> float:
@@ -354,7 +346,7 @@ class LockstepRun:
 
     def _before(self, epoch: Epoch) -> RunState | None:
         """The state with which this robot goes over to an epoch: that of its first iteration, or the newest one."""
-        if self._me in epoch.carried and self._channel.epoch == epoch.before:
+        if self._me in epoch.carried and self.channel.epoch == epoch.before:
             for state in self._history:
                 if state.k == epoch.k:
                     return self._plain(state)
@@ -366,12 +358,12 @@ class LockstepRun:
     def _lockstep_of(self, epoch: Epoch) -> Lockstep:
         rule = self.terms.rule
         self._stopping = Stopping(rule, self._graph) if rule is not None else None
-        self._channel = self._channel_of(epoch)
+        self.channel = self._channel_of(epoch)
         size = self._program.size + (Stopping.size if self._stopping is not None else 0)
         neighbours = self._graph.neighbours(self._me)
         # An epoch may begin behind the last iteration where a robot has told a wrong one: there is nothing left to do.
         last = None if self.terms.last is None else max(self.terms.last, epoch.k)
-        return Lockstep(self._me, neighbours, self._channel, size, last=last, rtt=self.rtt)
+        return Lockstep(self._me, neighbours, self.channel, size, last=last, rtt=self.rtt)
 
     def _enter(self, epoch: Epoch, own: bytes, private: bytes, now: float) -> None:
         """Begin an epoch."""

@@ -7,35 +7,36 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from services.dwm.calibrate import making, plots
-from services.dwm.calibrate.making import CalibrationData
+from services.dwm.calibrate.making import CalibrationData, LearnedOffset
 from services.dwm.calibrate.session import Hearing, hold
-from services.dwm.core import calibration_file, fitting
-from services.dwm.core.calibration_file import CalibrationFile
-from services.dwm.core.filters import Place
-from services.dwm.core.guide import QUARTERS, SAMPLES, Guide, grid
-from services.dwm.core.samples import Point, RangeSample, groups, of_recording
-from services.dwm.localizer import calibration_path, load_calibration
+from services.dwm.core.calibration import calibration_file, fitting, limits, samples
+from services.dwm.core.calibration.calibration_file import CalibrationFile
+from services.dwm.core.calibration.guide import QUARTERS, SAMPLES, Guide, grid
+from services.dwm.core.calibration.samples import Point, RangeSample, groups, of_recording
+from services.dwm.core.estimation.filters import Place
+from services.dwm.localizer import calibration_path, load_calibration, uncalibrated
 from swarm import clock
 from swarm import config as configuration
 from swarm.bus.zenoh_bus import Bus
 from swarm.config import Config
 from swarm.errors import BusError, LocalError
-from swarm.files import atomic_write
+from swarm.files import atomic_write, make_folder
 from swarm.onboard import buses
 from swarm.process import log, service
 from swarm.process.simulations import CONFIG, default_run_dir, is_live
 from swarm.recording.thesis_ranges import read_recording
 
 EPILOG = """\
-distance and position lead you: put the robot at the place and in the orientation it names (0 degrees = along x, 90 =
-along y), press button A or the space bar, and go on to the next. Pipe lines in (start, next, redo, quit) to script it.
+distance and position lead you through a session: put the robot at the named place and orientation (0 degrees = along
+x, 90 = along y), press button A or the space bar, and go on to the next. A script may pipe in the lines start, next,
+redo and quit.
 """
 
 
-def main() -> int:
+def main(argv: list[str] | None = None) -> int:
     """Run one command; 0 = done, and for `check` that the calibration still holds."""
     log.setup("calibrate")
-    options = _options(sys.argv[1:])
+    options = options_of(sys.argv[1:] if argv is None else argv)
     config = _config(options)
     (robot,) = options.robots
     if robot not in config.names:
@@ -51,16 +52,22 @@ def main() -> int:
 
 def guided(options: argparse.Namespace, config: Config, robot: str) -> int:
     """`distance` and `position`: a session, a fit, the file."""
-    data = CalibrationData.of(_session(options, config, robot, _places(options, config)), _modules(options, config))
+    data = CalibrationData.of(_session(options, config, robot, places_of(options, config)), _modules(options, config))
     return _make(options, config, robot, data, (options.command,))
+
+
+def measure(options: argparse.Namespace, config: Config, robot: str) -> int:
+    """`samples`: a session alone. Its file is for a fit elsewhere."""
+    _session(options, config, robot, places_of(options, config))
+    return 0
 
 
 def fit(options: argparse.Namespace, config: Config, robot: str) -> int:
     """Fit samples that were recorded before: what they hold of ranges and places."""
-    found = making.read(options.samples)
     if options.thesis:
-        print(making.thesis_text(found))
+        print(making.thesis_text(making.read(options.samples, samples.THESIS_PLACES, None)))
         return 0
+    found = _recorded(options, config)
     data = CalibrationData.of(found, _modules(options, config))
     wanted = [name for name, there in (("distance", data.groups), ("position", data.spots)) if there]
     return _make(options, config, robot, data, (options.only,) if options.only else tuple(wanted) or ("distance",))
@@ -68,43 +75,65 @@ def fit(options: argparse.Namespace, config: Config, robot: str) -> int:
 
 def check(options: argparse.Namespace, config: Config, robot: str) -> int:
     """Compare fresh samples, or a file of them, with the calibration in use."""
+    if problem := uncalibrated(config, robot):
+        raise LocalError(problem)
     path = calibration_path(config, robot)
     models = load_calibration(config, robot)
     file = calibration_file.parse(path.read_text("utf-8"), str(path)) if path is not None else None
     if options.samples is not None and options.samples.exists():
-        found = making.read(options.samples)
+        found = _recorded(options, config)
     else:
-        found = _session(options, config, robot, _places(options, config))
+        found = _session(options, config, robot, places_of(options, config))
     lines, good = making.verdict(models, file, CalibrationData.of(found, _modules(options, config)))
     print("\n".join(lines))
     return 0 if good else 1
 
 
 def offset(options: argparse.Namespace, config: Config, robot: str) -> int:
-    """Learn by how much a robot's ranges are too long, from a localization run at a known place."""
+    """Take over by how much a robot's ranges are too long: from its commissioning, or a run at a known place."""
+    learned = _commissioned(options, robot) if options.recording.is_file() else _of_run(options, config, robot)
+    limits.check_offset(learned.offset)
+    path = calibration_path(config, robot)
+    if options.write:
+        if path is None:
+            raise LocalError('there is no place for it: put  calibration = "calibration/{robot}.toml"  into [dwm]')
+        text = path.read_text("utf-8") if path.exists() else None
+        before = None if text is None else calibration_file.parse(text, str(path))
+        made = datetime.now(UTC).isoformat(timespec="seconds")
+        file = making.with_offset(before, learned, made, robot, config)
+        make_folder(path.parent)
+        atomic_write(path, calibration_file.text_of(file).encode())
+        print(f"added to {path}; swarm deploy brings it to the robot")
+    return 0
+
+
+def _commissioned(options: argparse.Namespace, robot: str) -> LearnedOffset:
+    """Read what `swarm commission` has learned from its report."""
+    learned = making.offset_of(options.recording, robot)
+    print(f"{robot}: ranges {100 * learned.offset:+.2f} cm too long under the model in use, at {learned.places} places")
+    return learned
+
+
+def _of_run(options: argparse.Namespace, config: Config, robot: str) -> LearnedOffset:
+    """Learn it from a recorded localization run."""
     recording = read_recording(options.recording, options.index)
+    if options.place is None:
+        raise LocalError("where did the robot stand in this run? give it with --place X Y")
     modules = _modules(options, config)
     target = config.dwm.target or ""
     if target not in modules:
         raise LocalError("where is the target? give it with --target X Y, and its address as [dwm] target")
     models = load_calibration(config, robot).ranges
-    of = groups(of_recording(recording, (options.place[0], options.place[1]), target), modules)
+    found = of_recording(recording, (options.place[0], options.place[1]), target)
+    of = groups(found, modules)
     learned = fitting.robot_offset(models, of)
     print(
         f"{robot}: ranges {100 * learned:+.2f} cm too long under the model in use, {recording.steps} at one place.\n"
         "The robot's own offset and this place's error (multipath, a place measured wrongly) are one number here:\n"
         "only another place can tell them apart."
     )
-    path = calibration_path(config, robot)
-    if options.write:
-        if path is None or not path.exists():
-            raise LocalError("there is no calibration file to write it to: run swarm calibrate distance or fit first")
-        file = calibration_file.parse(path.read_text("utf-8"), str(path))
-        if file.distance is None:
-            raise LocalError(f"{path}: holds no model of ranges to add it to")
-        atomic_write(path, calibration_file.text_of(making.with_offset(file, learned)).encode())
-        print(f"added to {path}")
-    return 0
+    left = making.rms([fitting.error_of(models, group, group.mean) - learned for group in of])
+    return LearnedOffset(learned, 1, len(found), left, samples.digest(found))
 
 
 def _make(
@@ -162,7 +191,13 @@ def _modules(options: argparse.Namespace, config: Config) -> dict[str, Point]:
     return known
 
 
-def _places(options: argparse.Namespace, config: Config) -> list[Place]:
+def _recorded(options: argparse.Namespace, config: Config) -> list[RangeSample]:
+    """The samples of `options.samples`; files in the thesis' layout have their places of `--places`."""
+    return making.read(options.samples, _read_places(options.places) if options.places else None, config.dwm.target)
+
+
+def places_of(options: argparse.Namespace, config: Config) -> list[Place]:
+    """Where to measure: as `--places` says, else a grid over the anchors. Raises `LocalError`."""
     if options.places is not None:
         return _read_places(options.places)
     if len(config.anchors) < 2:
@@ -171,7 +206,9 @@ def _places(options: argparse.Namespace, config: Config) -> list[Place]:
 
 
 def _read_places(text: str) -> list[Place]:
-    """`x,y x,y ...` or the path of a file with a place a line, in m."""
+    """`x,y x,y ...` or the path of a file with a place a line, in m; `thesis` for those of the thesis' recording."""
+    if text == "thesis":
+        return list(samples.THESIS_PLACES)
     words = Path(text).read_text("utf-8").split() if Path(text).is_file() else text.split()
     try:
         places = [(float(x), float(y)) for x, y in (word.split(",") for word in words)]
@@ -190,7 +227,8 @@ def _config(options: argparse.Namespace) -> Config:
     return configuration.load()
 
 
-def _options(argv: list[str]) -> argparse.Namespace:
+def options_of(argv: list[str]) -> argparse.Namespace:
+    """The arguments of one command; ends the process where they are wrong."""
     parser = argparse.ArgumentParser(prog="swarm calibrate", description=__doc__, epilog=EPILOG,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)  # fmt: skip
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
@@ -204,19 +242,24 @@ def _options(argv: list[str]) -> argparse.Namespace:
 
     for name, what in (("distance", "ranges"), ("position", "the module's places")):
         found = command(name, guided, f"measure at known places and fit {what}")
-        _session_arguments(found, 0.5, "where the samples go")
+        _session_arguments(found, 0.5, "file for the samples")
         _file_arguments(found)
+    found = command("samples", measure, "measure at known places into a file, and fit nothing")
+    _session_arguments(found, 0.5, "file for the samples")
     found = command("check", check, "measure at a few known places and compare with the calibration in use")
-    _session_arguments(found, 1.0, "a file of samples to check instead, or where new ones go")
+    _session_arguments(found, 1.0, "a file of samples to check, or the file for new samples")
     found = command("fit", fit, "fit samples recorded before: ours, or in the thesis' layout")
     found.add_argument("samples", type=Path, help="a file, or a folder of *.csv")
+    found.add_argument(
+        "--places", metavar="LIST", help="places of files in the thesis' layout: x,y x,y ... in m, or thesis"
+    )
     found.add_argument("--only", choices=("distance", "position"), help="fit one of the two")
     found.add_argument("--thesis", action="store_true", help="print the thesis' figures from its own samples")
     _file_arguments(found)
-    found = command("offset", offset, "a robot's own range offset, from a localization run at a known place")
-    found.add_argument("recording", type=Path, help="folder of the run, uncalibrated ranges")
+    found = command("offset", offset, "a robot's own range offset, from its commissioning or a run at a known place")
+    found.add_argument("recording", type=Path, help="report of swarm commission, or folder of a run")
     found.add_argument("--index", type=int, default=0, help="number of the robot's file in it (0)")
-    found.add_argument("--place", nargs=2, type=float, metavar=("X", "Y"), required=True, help="where it stood, m")
+    found.add_argument("--place", nargs=2, type=float, metavar=("X", "Y"), help="place of the robot in that run, m")
     found.add_argument("--write", action="store_true", help="add it to the robot's calibration file")
     options = parser.parse_args(argv)
     if len(options.robots or ()) != 1:
@@ -226,9 +269,11 @@ def _options(argv: list[str]) -> argparse.Namespace:
 
 def _session_arguments(parser: argparse.ArgumentParser, step: float, samples: str) -> None:
     parser.add_argument("--places", metavar="LIST", help="x,y x,y ... in m, or a file (a grid over the anchors)")
-    parser.add_argument("--step", type=float, default=step, metavar="M", help=f"of the grid ({step})")
-    parser.add_argument("--orientations", type=int, default=4, choices=(1, 2, 3, 4), help="quarter turns a place (4)")
-    parser.add_argument("--count", type=int, default=SAMPLES, help=f"reports an orientation ({SAMPLES})")
+    parser.add_argument("--step", type=float, default=step, metavar="M", help=f"spacing of the grid ({step})")
+    parser.add_argument(
+        "--orientations", type=int, default=4, choices=(1, 2, 3, 4), help="orientations at each place (4)"
+    )
+    parser.add_argument("--count", type=int, default=SAMPLES, help=f"reports for each orientation ({SAMPLES})")
     parser.add_argument("--samples", type=Path, metavar="FILE", help=samples)
 
 

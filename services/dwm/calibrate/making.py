@@ -1,22 +1,45 @@
 """From samples to a calibration file, to tables for people, and to a verdict on one that is in use."""
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from math import sqrt
 from pathlib import Path
 
-from services.dwm.core import calibration_file, fitting, samples, thesis
-from services.dwm.core.calibration import Calibration
-from services.dwm.core.calibration_file import CalibrationFile, Evidence
-from services.dwm.core.filters import mean
-from services.dwm.core.samples import Point, RangeSample, SampleGroup, Spot
+from services.dwm.core.calibration import calibration_file, fitting, samples
+from services.dwm.core.calibration.calibration_file import CalibrationFile, Evidence
+from services.dwm.core.calibration.models import Calibration, RangeModel
+from services.dwm.core.calibration.samples import Point, RangeSample, SampleGroup, Spot
+from services.dwm.core.estimation import thesis
+from services.dwm.core.estimation.filters import Place, mean
+from swarm.config import Config
 from swarm.config.types import Anchor
-from swarm.errors import LocalError, RecordingError
+from swarm.errors import ConfigError, LocalError, PayloadError, RecordingError
 from swarm.files import atomic_write, make_folder
 from swarm.frozen import frozen
+from swarm.messages.json_input import read_json
 
 SLACK = 0.01
 """m: a check may err half as much again as the fit did at places left out, and by this more: it has fewer samples."""
+
+
+_LONGEST_REPORT = 1 << 20
+"""Bytes of a report that is read."""
+
+
+@frozen
+class LearnedOffset:
+    """By how much a robot's ranges are too long, and what that was learned from."""
+
+    offset: float
+    """m."""
+    places: int
+    samples: int
+    left: float
+    """rms of what is left of the errors, m."""
+    sha256: str
+    """Of the samples, or of the report."""
 
 
 @frozen
@@ -33,11 +56,15 @@ class CalibrationData:
         return cls(tuple(found), tuple(samples.groups(found, modules)), tuple(samples.spots(found)))
 
 
-def read(path: Path) -> list[RangeSample]:
-    """The samples of a file, or of all `*.csv` of a folder. Places of different files are different places."""
+def read(path: Path, places: Sequence[Place] | None, target: str | None) -> list[RangeSample]:
+    """The samples of a file, or of all `*.csv` of a folder. Places of different files are different places.
+
+    `places` (m) and `target` (its address) go with files in the thesis' layout.
+    """
     files = sorted(path.glob("*.csv")) if path.is_dir() else [path]
     if not files:
         raise RecordingError(f"{path}: holds no *.csv")
+    read_one = partial(samples.read, places=places, module=target or samples.TARGET)
     found: list[RangeSample] = []
     for file in files:
         try:
@@ -45,7 +72,7 @@ def read(path: Path) -> list[RangeSample]:
         except OSError as error:
             raise RecordingError(f"{file}: cannot be read: {error.strerror}") from None
         first = 1 + max((sample.place for sample in found), default=-1)
-        found += [sample._replace(place=sample.place + first) for sample in samples.read(text, str(file))]
+        found += [sample._replace(place=sample.place + first) for sample in read_one(text, str(file))]
     return found
 
 
@@ -81,16 +108,64 @@ def save(part: CalibrationFile, path: Path, robot: str, anchors: Sequence[Anchor
         before = calibration_file.parse(path.read_text("utf-8"), str(path))
         if (before.robot, before.layout) == (robot, layout):
             file = before.with_parts(file)
+    text = calibration_file.text_of(file)
+    try:
+        calibration_file.parse(text, str(path))
+    except ConfigError as error:
+        raise LocalError(f"this fit would be refused when it is read ({error}): nothing is written") from None
     make_folder(path.parent)
-    atomic_write(path, calibration_file.text_of(file).encode())
+    atomic_write(path, text.encode())
     return file
 
 
-def with_offset(file: CalibrationFile, offset: float) -> CalibrationFile:
-    """The file with its robot's ranges shorter by `offset` m more. It must hold a model of ranges."""
-    assert file.distance is not None
+def with_offset(
+    file: CalibrationFile | None, learned: LearnedOffset, made: str, robot: str, config: Config
+) -> CalibrationFile:
+    """The file with its robot's ranges shorter by an offset more; where it has no model of ranges, with the one of
+    swarm.toml. Raises `ConfigError` where the file is another robot's, or the anchors stand elsewhere now."""
+    anchors = config.anchors
+    if file is None:
+        layout = calibration_file.layout_of(anchors)
+        file = CalibrationFile(robot, layout, calibration_file.described(anchors))
+    calibration_file.check(file, "the calibration", robot, anchors)
+    if file.distance is None:
+        evidence = Evidence(
+            "[dwm.distance]", made, learned.places, learned.samples, learned.sha256, {}, learned.left, ()
+        )
+        return replace(file, distance=(replace(RangeModel.of(config.dwm.distance), robot=learned.offset), evidence))
     model, evidence = file.distance
-    return replace(file, distance=(replace(model, robot=model.robot + offset), evidence))
+    return replace(file, distance=(replace(model, robot=model.robot + learned.offset), evidence))
+
+
+def offset_of(path: Path, robot: str) -> LearnedOffset:
+    """Read the offset from a report of `swarm commission`; raises `RecordingError` where it holds none of `robot`."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(_LONGEST_REPORT)
+        report = read_json(data)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
+    except PayloadError as error:
+        raise RecordingError(f"{path}: {error}") from None
+    steps = report.get("steps") if isinstance(report, dict) else None
+    if not isinstance(report, dict) or not isinstance(steps, list):
+        raise RecordingError(f"{path}: no report of swarm commission")
+    if report.get("robot") != robot:
+        raise RecordingError(f"{path}: is of {str(report.get('robot'))[:40]}, not of {robot}")
+    step = next((each for each in steps if isinstance(each, dict) and each.get("name") == "offset"), {})
+    figures = step.get("figures") if step.get("verdict") == "passed" else None
+    found = figures if isinstance(figures, dict) else {}
+    offset, errors, places = (found.get(name) for name in ("range_offset_m", "anchor_errors_m", "places"))
+    values = list(errors.values()) if isinstance(errors, dict) else []
+    if not (isinstance(places, int) and values and all(map(_is_number, [offset, *values]))):
+        raise RecordingError(f"{path}: no offset was learned; swarm commission {robot} does it in its step `offset`")
+    assert isinstance(offset, float | int)
+    left = rms([value - offset for value in values])
+    return LearnedOffset(float(offset), places, len(values) * places, left, hashlib.sha256(data).hexdigest())
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e6
 
 
 def fit_text(what: str, name: str, left_out: Mapping[str, float], nested: float, places: int, count: int) -> str:
@@ -132,7 +207,7 @@ def verdict(models: Calibration, file: CalibrationFile | None, data: Calibration
         nested = file.distance[1].nested if file and file.distance else None
         good &= _judge(lines, "ranges", errors, nested)
         offset = mean(errors)
-        if abs(offset) > 0.5 * _rms(errors) and not good:
+        if abs(offset) > 0.5 * rms(errors) and not good:
             lines.append(
                 f"  all are {100 * abs(offset):.1f} cm too {'long' if offset > 0 else 'short'} on the mean: another "
                 "module, or an anchor that was moved?"
@@ -147,14 +222,14 @@ def verdict(models: Calibration, file: CalibrationFile | None, data: Calibration
 
 
 def _judge(lines: list[str], what: str, errors: Sequence[float], nested: float | None) -> bool:
-    rms = _rms(errors)
+    error = rms(errors)
     if nested is None:
-        lines.append(f"{what}: rms error {100 * rms:.1f} cm; no calibration file to compare with")
+        lines.append(f"{what}: rms error {100 * error:.1f} cm; no calibration file to compare with")
         return True
     limit = 1.5 * nested + SLACK
-    words = "as when it was made" if rms <= limit else f"more than {100 * limit:.1f}: calibrate anew"
-    lines.append(f"{what}: rms error {100 * rms:.1f} cm, {100 * nested:.1f} when it was made: {words}")
-    return rms <= limit
+    words = "as when it was made" if error <= limit else f"more than {100 * limit:.1f}: calibrate anew"
+    lines.append(f"{what}: rms error {100 * error:.1f} cm, {100 * nested:.1f} when it was made: {words}")
+    return error <= limit
 
 
 def _evidence(
@@ -168,5 +243,6 @@ def _with(evidence: Evidence, residuals: Sequence[tuple[float, ...]]) -> Evidenc
     return replace(evidence, residuals=rounded)
 
 
-def _rms(values: Sequence[float]) -> float:
+def rms(values: Sequence[float]) -> float:
+    """Return the root of the mean square."""
     return sqrt(mean([value * value for value in values]))

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from services.dwm.calibrate.making import CalibrationData
-from services.dwm.core.calibration import RangeModel, position
-from services.dwm.core.filters import inliers, inlying_places
-from services.dwm.core.fitting import error_of, place_error
+from services.dwm.core.calibration.fitting import error_of, place_error
+from services.dwm.core.calibration.models import RangeModel, position
+from services.dwm.core.estimation.filters import inliers, inlying_places
 from swarm.config.types import Affine
 from swarm.errors import LocalError
 

@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TextIO
 
-from services.dwm.core.guide import Guide, GuideButton
-from services.dwm.core.samples import HEADER, write
+from services.dwm.core.calibration.guide import Guide, GuideButton
+from services.dwm.core.calibration.samples import HEADER, write
 from swarm.bus.zenoh_bus import Bus
 from swarm.errors import BusError, LocalError, PayloadError
 from swarm.files import atomic_write

@@ -1,4 +1,4 @@
-"""What the mesh's cores ask for: `Transmit`, `Connect` and `Disconnect` of the node, the other actions of its shell.
+"""What the mesh's cores ask for: the first four actions of the node, the others of its shell.
 
 A node also hands `events.Received` on among its actions: a message to be published on the own bus.
 """
@@ -39,6 +39,12 @@ class Disconnect(NamedTuple):
     """Of BYE: why."""
 
 
+class Neighbours(NamedTuple):
+    """Send what is for neighbours to these robots, whichever links lead to them."""
+
+    robots: frozenset[str]
+
+
 @frozen
 class Dial:
     """Make a connection to this neighbour, then call `dialled` or `dial_failed`."""
@@ -51,6 +57,15 @@ class Close:
     """Send what the session still has, as far as that needs no waiting, then close its transport."""
 
     session: Session
+
+
+@frozen
+class Supervise:
+    """The connection of a session that we made is given up after so much silence, s: its transport need not keep what
+    it could not deliver for longer."""
+
+    session: Session
+    seconds: float
 
 
 @frozen
@@ -73,9 +88,9 @@ class Write:
 
 
 Emit = Callable[[Transmit], None]
-LinkAction = Connect | Disconnect | Write | LogLine
+LinkAction = Connect | Disconnect | Neighbours | Write | LogLine
 """What a topology asks of its node."""
-Action = Dial | Close | LinksChanged | LogLine | Write | Received
+Action = Dial | Close | Supervise | LinksChanged | LogLine | Write | Received
 """What a node asks of its shell."""
 
 MAX_LOGGED = 256

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from functools import partial
 
-from services.mesh.core.actions import Actions, Close, Dial, LinksChanged, Transmit
+from services.mesh.core.actions import Actions, Close, Dial, LinksChanged, Supervise, Transmit
 from services.mesh.core.events import Event, HandshakeFailed, LinkDown, LinkRecovered, LinkSuspect, LinkUp, Received
 from services.mesh.core.link import neighbour
 from services.mesh.core.link.calls import REFUSED, Caller, Callers, Local
@@ -20,6 +20,9 @@ from services.mesh.core.overlays.robot_overlays import RobotOverlays
 from services.mesh.core.wire import frames
 from swarm.errors import FrameError
 from swarm.messages import Echo, EchoRequest, HoldLink, LinkState
+
+SUPERVISED = 1.25
+"""Factor by which a link's end of patience must have changed until its transport is told again."""
 
 _NEVER = float("inf")
 
@@ -80,7 +83,10 @@ class Connections:
 
     def open(self, peer: str | None, now: float, expected: str | None = None) -> Session:
         """Begin a handshake; `peer` is whom we called, `expected` the robot that a caller's address belongs to."""
-        session = self._session(self._nonce(), now, dialled=peer, expected=expected)
+        local, link = self._local, self.links.get(peer or "")
+        doubled = 0 if link is None else min(link.unanswered, 16)
+        patience = min(local.handshake * 2.0**doubled, max(local.patience, local.handshake))
+        session = self._session(self._nonce(), now, dialled=peer, expected=expected, patience=patience)
         self._sessions.append(session)
         self._ready.append(session)
         return session
@@ -141,8 +147,19 @@ class Connections:
         """End young links with the second robot of a name, and tell the overlays the round trips of the others."""
         self._look_for_clashes(now)
         for peer, link in self.links.items():
-            if link.session is not None and (rtt := link.session.pulse.rtt) is not None:
+            if (session := link.session) is None:
+                continue
+            if (rtt := session.pulse.rtt) is not None:
                 self._overlays.measured(peer, rtt, now)
+            if session.dialled is not None:
+                self._supervise(session)
+
+    def _supervise(self, session: Session) -> None:
+        """Have the transport of a link that we made know how long silence may last, where that has changed by much."""
+        seconds = session.dead_after
+        if not seconds / SUPERVISED <= session.supervised <= seconds * SUPERVISED:
+            session.supervised = seconds
+            self._actions.add(Supervise(session, seconds))
 
     def close(self, now: float) -> None:
         """End all connections: this robot's mesh stops."""
@@ -190,6 +207,11 @@ class Connections:
             self._links_changed()
 
     # -- outputs ---------------------------------------------------------------------------------------------
+
+    @property
+    def robots(self) -> frozenset[str]:
+        """All of the swarm."""
+        return self._local.robots
 
     def ready(self) -> list[Session]:
         """Sessions that have had something to send since the last call."""
@@ -272,7 +294,10 @@ class Connections:
                     self._end(old, old.session, frames.REPLACED, "replaced by a newer connection", now)
                 link = self.links.setdefault(name, Link(name))
                 link.session = session
+                link.unanswered = 0
                 link.since = now
+                if session.dialled is not None:
+                    self._supervise(session)
                 link.attempt = False
                 link.connection += 1
                 if link.dialler is not None:
@@ -361,6 +386,8 @@ class Connections:
         if frames.CLASH in (code, said):
             self._name_clashes(now)
         if session.dialled is not None:
+            if code == frames.SILENT and (called := self.links.get(session.dialled)) is not None:
+                called.unanswered += 1
             self.dial_failed(session.dialled, reason, now)
 
     def _end(self, link: Link, session: Session, code: int, reason: str, now: float) -> None:

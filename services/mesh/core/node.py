@@ -6,7 +6,7 @@ shell moves bytes between sessions and transports, carries out `actions()`, and 
 """
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from services.mesh.core.actions import (
     Action,
@@ -14,6 +14,7 @@ from services.mesh.core.actions import (
     Connect,
     Disconnect,
     LogLine,
+    Neighbours,
     Transmit,
     Write,
 )
@@ -22,7 +23,7 @@ from services.mesh.core.events import Received
 from services.mesh.core.link.calls import REFUSED, UNKNOWN, Caller, Local
 from services.mesh.core.link.clock import ClockState
 from services.mesh.core.link.session import SENT, Session
-from services.mesh.core.overlays import flood, robot_overlays, unicast
+from services.mesh.core.overlays import carried, flood, robot_overlays, unicast
 from services.mesh.core.overlays.robot_overlays import RobotOverlays
 from services.mesh.core.relay import KeyRelay, RelaySend
 from services.mesh.core.wire import frames
@@ -30,7 +31,8 @@ from swarm.messages import EchoRequest, HoldLink, LinkState
 
 COUNTERS = (*REFUSED.values(), *SENT, *robot_overlays.COUNTERS, "byes", "half_open", "inbound_refused", "incomplete",
             "no_link", "overflowed", "pushed_back", "replaced", "too_large", "transport_lost")  # fmt: skip
-"""What the mesh of a robot counts; docs/frames.md and docs/overlays.md say what."""
+"""What the mesh of a robot counts; docs/reference/network/frames.md and docs/reference/network/overlay-packets.md say
+what."""
 
 
 def longest(overlay: int, priority: int) -> int:
@@ -55,14 +57,17 @@ class MeshNode:
     ) -> None:
         """`random` gives uniform numbers from 0 up to 1, `nonce` 16 bytes nobody can foresee. Which links there are
         is said by `overlays.linking`."""
+        assert overlays.linking is not None
         self._relay = relay
         self.overlays = overlays
+        self._carried = overlays.linking.carried
+        """Whether neighbours are reached over links of others, too: then the topology says who they are."""
         self._counters = counters
         counters.update(dict.fromkeys(COUNTERS, 0))
         self._actions = Actions()
         self.connections = Connections(
             local, overlays, self._actions,
-            admit=self._admit, serve=self._serve_overlays, set_peers=relay.set_peers, random=random, nonce=nonce,
+            admit=self._admit, serve=self._serve_overlays, set_peers=self._set_linked, random=random, nonce=nonce,
             counters=counters,
         )  # fmt: skip
         self._deadline = 0.0
@@ -168,18 +173,31 @@ class MeshNode:
         held = self._relay.next_deadline()
         return earliest if held is None else min(earliest, held)
 
+    def _set_linked(self, peers: Iterable[str]) -> None:
+        """These are the robots with links now."""
+        if not self._carried:
+            self._relay.set_peers(peers)
+
+    def _longest(self, overlay: int, priority: int) -> int:
+        """The longest payload of a relayed value, bytes."""
+        if overlay == frames.NEIGHBOURS and self._carried:
+            return carried.limit_of(priority, self.connections.robots)
+        return longest(overlay, priority)
+
     def _send(self, send: RelaySend, now: float) -> None:
         leg, payload = send
-        if len(payload) > (largest := longest(leg.overlay, leg.priority)):
+        if len(payload) > (largest := self._longest(leg.overlay, leg.priority)):
             self._counters["too_large"] += 1
             text = f"{leg.key}: {len(payload)} bytes, the mesh carries at most {largest} in its class"
             self._actions.log_once(leg.key, text)
             return
-        if leg.overlay == frames.NEIGHBOURS:
+        if leg.overlay == frames.NEIGHBOURS and not self._carried:
             for peer in leg.peers:
                 self.connections.send(peer, leg.priority, leg.key, payload, latest=leg.latest)
             return
-        if leg.overlay == frames.FLOOD:
+        if leg.overlay == frames.NEIGHBOURS:
+            self.overlays.carry(leg.key, payload, leg.priority, leg.peers, now, latest=leg.latest)
+        elif leg.overlay == frames.FLOOD:
             self.overlays.flood(leg.key, payload, leg.priority, now, latest=leg.latest)
         else:
             for peer in leg.peers:
@@ -200,6 +218,8 @@ class MeshNode:
                     self.connections.connect(peer, once=once)
                 case Disconnect(peer, code):
                     self.connections.disconnect(peer, code)
+                case Neighbours(robots):
+                    self._relay.set_peers(robots)
                 case LogLine(text, True):
                     self._actions.log_once(text, text)
                 case LogLine(text):
@@ -210,7 +230,8 @@ class MeshNode:
 
     def _admit(self, peer: str, overlay: int, key: str) -> bool:
         if overlay == frames.NEIGHBOURS:
-            admitted = self._relay.admits(peer, key) or self.connections.prober.sender(key) == peer
+            admitted = self.connections.prober.sender(key) == peer
+            admitted = admitted or (not self._carried and self._relay.admits(peer, key))
         else:
             admitted = self.overlays.admits(peer, overlay, key)
         if not admitted:

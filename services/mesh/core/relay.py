@@ -143,6 +143,17 @@ class KeyRelay:
             for rule in self._rules
         )
 
+    def admits_neighbour(self, robot: str, key: str) -> bool:
+        """Whether a key of `robot`, which links of others carry, may appear on our bus."""
+        return robot in self._peers and self.admits(robot, key)
+
+    def carries(self, key: str) -> bool:
+        """Whether a key is for the neighbours of the robot that it belongs to."""
+        for rule in self._rules:
+            if rule.overlay == NEIGHBOURS and (found := match(rule.config.keys, key)) is not None:
+                return may_cross(key, found["self"])
+        return False
+
     def admits_flood(self, key: str) -> bool:
         """Whether a key may be flooded by the robot it belongs to."""
         for rule in self._rules:

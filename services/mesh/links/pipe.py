@@ -1,13 +1,14 @@
 """A connected stream socket that never waits: one thread reads when select says so, any thread writes under a lock.
 
-The rules come from what RFCOMM sockets do (docs/frames.md, sockets): the end of a connection may be an empty read or
-any error, and a read after it may never return. So a socket is not read again after either, and a fault while writing
-only shuts it down: the reading thread finds out, says why, and closes it. It finds out even where the socket does not
-become readable (RFCOMM gives an error once, to whoever comes first).
+The rules come from what RFCOMM sockets do (docs/reference/network/frames.md, sockets): the end of a connection may be
+an empty read or any error, and a read after it may never return. So a socket is not read again after either, and a
+fault while writing only shuts it down: the reading thread finds out, says why, and closes it. It finds out even where
+the socket does not become readable (RFCOMM gives an error once, to whoever comes first).
 """
 
 import contextlib
 import socket
+from collections.abc import Callable
 
 from services.mesh.core.link.calls import UNKNOWN, Caller
 
@@ -21,6 +22,9 @@ class Pipe:
         """`caller` is what is known of the other end where it called us."""
         sock.setblocking(False)
         self.caller = caller
+        self.limit: Callable[[float], None] | None = None
+        """Has the radio give the connection up shortly before a silence of so many s; None where there is none, or
+        where it is the other end's to say."""
         self._sock = sock
         self._arrived: bytes | None = None
         self._rest = b""

@@ -50,7 +50,10 @@ HINTS = {
     errno.EAFNOSUPPORT: "this kernel has no Bluetooth",
     errno.EPROTONOSUPPORT: "this kernel has no RFCOMM (modprobe rfcomm)",
 }
-"""What an error of an RFCOMM socket means for us, as measured on Linux 6.12 (docs/frames.md, sockets)."""
+"""What an error of an RFCOMM socket means for us, as measured on Linux 6.12.
+
+See docs/reference/network/frames.md, sockets.
+"""
 
 
 @frozen

@@ -14,9 +14,6 @@ from swarm.bluetooth import hci
 from swarm.bluetooth.adapter import Adapter, check
 from swarm.errors import LocalError
 
-SHARE = 2 / 3
-"""Of the mesh's own time-out: others that wait for a buffer meanwhile must not be taken for dead."""
-
 _log = logging.getLogger("mesh")
 _told: set[str] = set()
 _lock = threading.Lock()
@@ -33,7 +30,7 @@ def try_limit(own: str, peer: str, dead: float) -> None:
     be done the reason is logged, once."""
     try:
         with contextlib.closing(Adapter(own)) as adapter:
-            limit(adapter, peer, SHARE * dead)
+            limit(adapter, peer, hci.SUPERVISION_SHARE * dead)
     except (LocalError, OSError) as error:
         text = str(error) if isinstance(error, LocalError) else hci.explained(error)
         with _lock:

@@ -7,10 +7,13 @@ them.
 """
 
 import argparse
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
+from swarm import clock
 from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError
 from swarm.messages import GraphRobot
@@ -26,25 +29,38 @@ SIZES = (50, 200, 500, 750, 1000)
 
 ALL = "all"
 
+SAY_EVERY_S = 5.0
+"""s between two words of how far a measurement is."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare `rtt|throughput ROBOT [ROBOT]`, then options. What is measured is part of the command's name."""
     parser.add_argument("what", choices=("rtt", "throughput"), help=argparse.SUPPRESS)
     add_ends(parser)
-    parser.add_argument("--overlay", choices=(*OVERLAYS, ALL), help="neighbours for a link, unicast for a path; all")
+    parser.add_argument(
+        "--overlay",
+        choices=(*OVERLAYS, ALL),
+        help="default: neighbours for a link, unicast for a path; all compares them",
+    )
     # How long a message may be is the mesh's matter: it refuses, and says why.
     parser.add_argument(
-        "--sizes", type=arguments.sizes(), default=SIZES, metavar="N,N,...", help="payload bytes (50,...,1000)"
+        "--sizes", type=arguments.sizes(), default=SIZES, metavar="N,N,...", help="payload sizes in bytes (50,...,1000)"
     )
     parser.add_argument(
         "--count", type=arguments.whole(1, 10_000), default=20, metavar="N", help="messages of each size (20)"
     )
-    parser.add_argument("--priority", choices=("sync", "bulk"), help="class of the messages; sync unless they are many")
+    parser.add_argument(
+        "--priority",
+        choices=("sync", "bulk"),
+        help="class of the messages (default: sync for rtt, bulk for throughput)",
+    )
 
 
 def add_ends(parser: argparse.ArgumentParser) -> None:
     """Declare the ends of the path that is measured, and how the result is told."""
-    parser.add_argument("ends", nargs="+", metavar="ROBOT", help="r0 r3: from r0 to r3; on a robot also just r3")
+    parser.add_argument(
+        "ends", nargs="+", metavar="ROBOT", help="r0 r3: from r0 to r3; on a robot r3 alone means from this robot to r3"
+    )
     arguments.add_json(parser)
     buses.add_arguments(parser)
 
@@ -93,12 +109,29 @@ def ends(args: argparse.Namespace) -> tuple[str, str, Path]:
 def _measure(bus: Bus, robot: str, peer: str, args: argparse.Namespace) -> list[Series]:
     series = []
     for sender, overlay, to, hops in _ways(bus, robot, peer, args.overlay, args.priority):
+        look = partial(_look, bus, robot, f"{overlay} to {to}", _Pace())
         if args.what == "rtt":
-            figures = sender.rtt(args.sizes, args.count)
+            figures = sender.rtt(args.sizes, args.count, look)
         else:
-            figures = sender.throughput(args.sizes, max(1, args.count // 10))
+            figures = sender.throughput(args.sizes, max(1, args.count // 10), look)
         series.append(Series(overlay, to, hops, figures))
     return series
+
+
+class _Pace:
+    """When something was said last: a measurement that takes no longer says nothing but its figures."""
+
+    def __init__(self) -> None:
+        self.said_at = clock.now()
+
+
+def _look(bus: Bus, robot: str, way: str, pace: _Pace, done: int, total: int) -> None:
+    """Say how far a measurement is, each `SAY_EVERY_S`; raise `LocalError` where the robot's bus is gone."""
+    if not bus.connected:
+        raise LocalError(f"the bus of {robot} is gone after {done} of {total} messages: has its simulation ended?")
+    if clock.now() >= pace.said_at + SAY_EVERY_S:
+        pace.said_at = clock.now()
+        sys.stderr.write(f"{robot}: {way}: {done} of {total}\n")
 
 
 def _ways(

@@ -19,7 +19,7 @@ from swarm.onboard.arguments import show, whole
 from swarm.onboard.measure import links
 from swarm.process.simulations import CONFIG, is_live
 
-HELP = "signal strength of a Bluetooth link"
+HELP = "measure the signal strength of a Bluetooth link"
 
 PERIOD = 0.1
 """s between two readings."""
@@ -51,7 +51,7 @@ class Signal:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare `ROBOT [ROBOT] [--count N]`."""
     links.add_ends(parser)
-    parser.add_argument("--count", type=whole(1, 10_000), default=20, metavar="N", help="readings (20)")
+    parser.add_argument("--count", type=whole(1, 10_000), default=20, metavar="N", help="number of readings (20)")
 
 
 def run(args: argparse.Namespace) -> int:

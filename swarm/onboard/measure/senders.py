@@ -4,7 +4,7 @@ import contextlib
 import itertools
 import queue
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from swarm import clock
@@ -31,6 +31,10 @@ APP = "measure"
 """Under whose name messages travel: nobody listens to them, so only the meshes are measured."""
 
 
+Look = Callable[[int, int], None]
+"""Called before each message or burst with how many are done, and how many there are."""
+
+
 class Sender(ABC):
     """One way of sending. `LocalError` where the mesh refuses a message, with its reason."""
 
@@ -45,21 +49,26 @@ class Sender(ABC):
     def many(self, size: int, count: int) -> list[float]:
         """Messages that follow each other: when each was answered, s."""
 
-    def rtt(self, sizes: Sequence[int], count: int) -> tuple[Figures, ...]:
+    def rtt(self, sizes: Sequence[int], count: int, look: Look) -> tuple[Figures, ...]:
         """`count` messages of each size, the sizes in turn, so that what changes meanwhile changes all alike."""
         found: dict[int, list[float]] = {size: [] for size in sizes}
-        for _ in range(count):
-            for size in sizes:
+        for turn in range(count):
+            for place, size in enumerate(sizes):
+                look(turn * len(sizes) + place, count * len(sizes))
                 if (time := self.one(size)) is not None:
                     found[size].append(time)
         return tuple(of_times(size, times, count, both_ways=self.both_ways) for size, times in found.items())
 
-    def throughput(self, sizes: Sequence[int], count: int) -> tuple[Figures, ...]:
+    def throughput(self, sizes: Sequence[int], count: int, look: Look) -> tuple[Figures, ...]:
         """`count` bursts of each size."""
         found = []
-        for size in sizes:
+        for place, size in enumerate(sizes):
             at_once = max(2, min(AT_ONCE, BURST // size))
-            found.append(of_bursts(size, [self.many(size, at_once) for _ in range(count)], at_once))
+            bursts = []
+            for turn in range(count):
+                look(place * count + turn, count * len(sizes))
+                bursts.append(self.many(size, at_once))
+            found.append(of_bursts(size, bursts, at_once))
         return tuple(found)
 
 

@@ -1,6 +1,6 @@
 """`swarm mesh epoch show|drop|add|renew`: who is in an app's lockstep, and changing that by an operator's word.
 
-Any one member takes the order; the robots agree on it among themselves (docs/lockstep.md).
+Any one member takes the order; the robots agree on it among themselves (docs/explanation/epochs.md).
 """
 
 import argparse
@@ -19,20 +19,22 @@ HELP = "show or change which robots an app's lockstep runs on"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """`show`, `drop ROBOT...`, `add ROBOT...` or `renew`, then options."""
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="show|drop|add|renew")
-    look = verbs.add_parser("show", help="the members on each robot; code 1 where robots tell different ones")
-    drop = verbs.add_parser("drop", help="go on without these robots, until they are added again")
-    add = verbs.add_parser("add", help="take robots in again that were dropped so")
-    renew = verbs.add_parser("renew", help="take in who is there, with the links in force, and leave out who is not")
+    look = verbs.add_parser("show", help="show the members as each robot knows them; exit code 1 if they differ")
+    drop = verbs.add_parser("drop", help="continue without these robots until they are added again")
+    add = verbs.add_parser("add", help="admit robots again that were dropped by this command")
+    renew = verbs.add_parser("renew", help="form a new epoch of all robots that are present, with the links in force")
     for each in (drop, add):
         each.add_argument("which", nargs="+", metavar="ROBOT")
     for each in (drop, add, renew):
         each.add_argument(
             "--force",
             action="store_true",
-            help="even without a majority of the members: only where the "
-            "others are known to have stopped, else both parts go on",
+            help="continue even without a majority of the members. Use it only if the "
+            "others are known to have stopped; otherwise both parts continue",
         )
-        each.add_argument("--timeout", type=number(0), default=10.0, metavar="S", help="seconds to wait for it (10)")
+        each.add_argument(
+            "--timeout", type=number(0), default=10.0, metavar="S", help="seconds to wait for the result (10)"
+        )
     for each in (look, drop, add, renew):
         each.add_argument("--app", required=True, metavar="NAME")
         buses.add_arguments(each)

@@ -18,7 +18,7 @@ from swarm.onboard.ask import PATIENCE, Views, opened
 from swarm.onboard.mesh import tables
 from swarm.onboard.mesh.collected import CollectedMesh, MeshView
 
-HELP = "the robots of the swarm, their links, and the graph they make"
+HELP = "show the robots of the swarm, their links and the graph"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

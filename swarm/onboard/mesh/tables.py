@@ -22,7 +22,7 @@ OVERLAYS = (
     ("not let in", "unicast_refused"),
     ("bad", "bad_packets"),
 )
-"""Columns and counters of the table of overlays (docs/overlays.md)."""
+"""Columns and counters of the table of overlays (docs/reference/network/overlay-packets.md)."""
 
 
 def text(mesh: CollectedMesh) -> list[str]:

@@ -18,7 +18,7 @@ from swarm.onboard.arguments import add_json, number, show
 from swarm.onboard.ask import PATIENCE, Answers, new_ticket, opened, request
 from swarm.process.terminal import columns
 
-HELP = "show or change who is linked with whom, while the swarm runs"
+HELP = "show or change the topology while the swarm runs"
 
 AUTO = "auto"
 
@@ -26,16 +26,16 @@ AUTO = "auto"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """`show` or `set WANTED...`, then options."""
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="show|set")
-    look = verbs.add_parser("show", help="the topology in force on each robot; code 1 where a link is not up")
-    change = verbs.add_parser("set", help="another topology for the whole swarm")
+    look = verbs.add_parser("show", help="show the topology in force on each robot; exit code 1 if a link is not up")
+    change = verbs.add_parser("set", help="change the topology of the whole swarm")
     change.add_argument(
         "wanted",
         nargs="+",
         metavar="SHAPE|A-B",
-        help=f"{', '.join(SHAPES)}, {AUTO} (robots find their neighbours), or all links: r0-r1 r1-r2 ... (a:b where a "
+        help=f"{', '.join(SHAPES)}, {AUTO} (robots find their neighbours), or all links: r0-r1 r1-r2 ... (a:b if a "
         "name has a dash)",
     )
-    change.add_argument("--after", type=int, metavar="VERSION", help="only if this version is in force")
+    change.add_argument("--after", type=int, metavar="VERSION", help="change it only if this version is in force")
     change.add_argument(
         "--timeout", type=number(0), default=20.0, metavar="S", help="seconds to wait for the links (20)"
     )
@@ -88,8 +88,14 @@ def table(answers: Answers[Topology]) -> list[str]:
         lists = (" ".join(each.up), " ".join(down), " ".join(each.kept), ", ".join(missing))
         rows.append((name, _version(each), each.issuer or "-", *(text or "-" for text in lists)))
     newest = max(answers.newest.values(), key=lambda each: (each.version, each.step, each.issuer))
-    links = " ".join(f"{a}-{b}" if "-" not in a + b else f"{a}:{b}" for a, b in newest.edges) or "none yet"
-    return [*columns(rows), "", f"version {_version(newest)}{', automatic' if newest.auto else ''}: {links}"]
+    end = [f"version {_version(newest)}{', automatic' if newest.auto else ''}: {_pairs(newest.edges) or 'none yet'}"]
+    if newest.links:
+        end.append(f"carried by: {_pairs(newest.links)}")
+    return [*columns(rows), "", *end]
+
+
+def _pairs(edges: tuple[tuple[str, ...], ...]) -> str:
+    return " ".join(f"{a}-{b}" if "-" not in a + b else f"{a}:{b}" for a, b in edges)
 
 
 def _version(topology: Topology) -> str:

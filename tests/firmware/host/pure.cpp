@@ -67,6 +67,9 @@ void report_fill(uint8_t value)
     for (auto& range : report.ranges)
         for (uint8_t& byte : range)
             byte = value;
+    for (auto& place : report.places)
+        for (uint8_t& byte : place)
+            byte = value;
 }
 void report_publish(uint32_t now) { reports::publish(now); }
 

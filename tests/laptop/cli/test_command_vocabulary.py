@@ -21,10 +21,13 @@ MAKES_ROBOTS = {"sim", "demo", "sweep", "new", "check"}
 NOTHING_FOR_PROGRAMS = {
     "new": "it writes a file that a person goes on with",
     "view": "its page is for people; the address ends with Ctrl-C",
+    "foxglove": "it serves a program of its own until Ctrl-C",
     "completion": "it prints a script",
     "flash here": "a robot tells how far it is, line by line; the laptop's command has the outcome of all",
+    "drive": "a person drives",
     "calibrate distance": "a person is led through a session",
     "calibrate position": "a person is led through a session",
+    "calibrate samples": "a person is led through a session",
     "calibrate check": "a person is led through a session",
     "calibrate fit": "what it finds is written into a file",
     "calibrate offset": "what it finds is written into a file",
@@ -99,5 +102,7 @@ def test_a_laptop_has_every_command_of_a_robot() -> None:
 
 def test_hands_and_measurements_are_complete() -> None:
     groups = {name: each for name, each in command_line.commands_of(SECTIONS).items() if isinstance(each, CommandGroup)}
-    assert list(groups["hand"].commands) == ["press", "push", "lay", "place", "unplug", "kill", "cut", "reboot"]
+    assert list(groups["hand"].commands) == [
+        "press", "push", "lay", "place", "lift", "roll", "miswire", "unplug", "kill", "cut", "reboot",
+    ]  # fmt: skip
     assert list(groups["measure"].commands) == ["rtt", "throughput", "radio", "i2c"]

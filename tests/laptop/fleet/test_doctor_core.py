@@ -36,7 +36,9 @@ source = "balancer"
 )
 
 FILES = {
-    "/boot/firmware/config.txt": with_block("", ["[all]", "dtparam=i2c_arm=on", "dtparam=i2c_arm_baudrate=100000"]),
+    "/boot/firmware/config.txt": with_block(
+        "", ["[all]", "dtparam=i2c_arm=on", "dtparam=i2c_arm_baudrate=100000", "core_freq=400", "core_freq_min=400"]
+    ),
     "/boot/firmware/cmdline.txt": "root=x cgroup_enable=memory isolcpus=3\n",
     "/etc/bluetooth/main.conf": "[Policy]\nAutoEnable = true\n",
     MODULES: "i2c-dev\n", LIMITS: LIMITS_TEXT, NETWORK_CONF: NETWORK_TEXT,
@@ -65,8 +67,9 @@ def system(**other: Any) -> dict[str, Any]:
 def bus(**other: Any) -> dict[str, Any]:
     topics: dict[str, Any] = {
         "mesh/status": {"state": "ready"}, "dwm/status": {"state": "ready"}, "balancer/status": {"state": "ready"},
-        "balancer/state": {"mode": "idle", "fault": "", "ticks": 1000, "bus_errors": 0, "battery_left": 3000.0},
-        "balancer/battery": {"voltage": 7.4}, "balancer/firmware": {"layout": 1, "revision": 1},
+        "balancer/state": {"mode": "idle", "fault": "", "ticks": 1000, "bus_errors": 0, "battery_left": 3000.0,
+                           "scl": 98e3, "behind": ""},
+        "balancer/battery": {"voltage": 7.4}, "balancer/firmware": {"layout": 2, "revision": 1},
         "dwm/ranges": {"ranges": [{"anchor": "D001"}]}, "mesh/links": {"links": [{"peer": "r1", "state": "up"}]},
         "mesh/clock": {"root": "r0", "hop": 0}, "bus": True,
     }  # fmt: skip
@@ -114,8 +117,19 @@ def test_a_robot_that_is_well() -> None:
         ("devices", "bad", "no answer from imu", replace(
             WELL, bus=None, system=system(devices={"problem": "", "imu": None, "atmega": [1, 1], "display": True})
         )),
-        ("devices", "bad", "the IMU says it is 0x6C", replace(
-            WELL, bus=None, system=system(devices={"problem": "", "imu": 0x6C, "atmega": [1, 1], "display": True})
+        ("bus", "warning", "SCL 62 kHz in place of 100", replace(WELL, bus=bus(
+            balancer_state={"mode": "idle", "ticks": 1000, "scl": 62.5e3, "behind": ""}
+        ))),
+        ("bus", "bad", "SCL 40 kHz: no time for uwb, display", replace(WELL, bus=bus(
+            balancer_state={"mode": "idle", "ticks": 1000, "scl": 40e3, "behind": "uwb, display"}
+        ))),
+        ("boot", "bad", "core clock fixed at 400 MHz", replace(WELL, system=system(files={
+            **FILES, "/boot/firmware/config.txt": with_block("", [
+                "[all]", "dtparam=i2c_arm=on", "dtparam=i2c_arm_baudrate=100000"
+            ])
+        }))),
+        ("devices", "bad", "the IMU says it is 0x6A, an LSM6DS33 is 0x69, an LSM6DSO is 0x6C", replace(
+            WELL, bus=None, system=system(devices={"problem": "", "imu": 0x6A, "atmega": [1, 1], "display": True})
         )),
         ("firmware", "bad", "layout 9", replace(WELL, bus=bus(balancer_firmware={"layout": 9, "revision": 1}))),
         ("module", "bad", "it does not answer", replace(WELL, bus=bus(
@@ -168,7 +182,7 @@ def test_a_robot_of_which_nothing_is_known() -> None:
 def test_what_must_be_the_same_on_all() -> None:
     other = replace(
         WELL, name="r1", system=system(current="1-b"), key={**(WELL.key or {}), "ids": ["00000002"]},
-        bus=bus(balancer_firmware={"layout": 1, "revision": 2}),
+        bus=bus(balancer_firmware={"layout": 2, "revision": 2}),
     )  # fmt: skip
     assert doctor.compare([WELL, replace(WELL, name="r1")]) == []
     assert doctor.compare([WELL, other]) == [
@@ -193,6 +207,6 @@ def test_keys_differ_where_two_robots_have_none_in_common() -> None:
 
 
 def test_the_checklist_is_the_doctors() -> None:
-    text = (Path(__file__).parents[3] / "docs/build-a-robot.md").read_text()
+    text = (Path(__file__).parents[3] / "docs/reference/robot/doctor-checks.md").read_text()
     rows = re.findall(r"^\| `(\w+)` \| (.+) \|$", text, re.M)
     assert rows == [(check.name, check.question) for check in doctor.CHECKS]

@@ -1,5 +1,6 @@
 """`swarm flash` over ssh: what each robot is told to run, and what it says."""
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -7,7 +8,8 @@ from fake_robots import FakeRobots, outcomes
 from needs import needs_ssh
 
 from laptop.cli import main
-from services.balancer.core import balboa, image
+from services.balancer.core.devices import balboa
+from services.balancer.core.flashing import image
 
 pytest_plugins = ["fleet_fixtures"]
 pytestmark = needs_ssh
@@ -54,3 +56,25 @@ def test_a_wrong_file_reaches_no_robot(robots: FakeRobots, firmware: Path, capsy
     assert run(robots, "missing.hex") == 2
     assert "missing.hex cannot be read" in capsys.readouterr().err
     assert not (home / "asked").exists()
+
+
+@pytest.mark.skipif(shutil.which("avr-g++") is None, reason="needs gcc-avr: sudo apt-get install gcc-avr avr-libc")
+def test_flash_without_a_file_makes_the_firmware_of_what_runs_here(
+    robots: FakeRobots, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    robots.add("r0")
+    robots.script("r0", "sudo", "cat > $HOME/got")
+    assert run(robots) == 0
+    found = image.read((robots.folder / "r0/got").read_text())
+    assert found.layout == balboa.LAYOUT_VERSION
+
+
+def test_flash_names_what_making_the_firmware_needs(
+    robots: FakeRobots, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    robots.add("r0")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert run(robots) == 2
+    assert "apt-get install make gcc-avr binutils-avr avr-libc, or name a FIRMWARE.hex" in capsys.readouterr().err

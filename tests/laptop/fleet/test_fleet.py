@@ -1,6 +1,7 @@
 """Commands for all robots, over real ssh servers: every robot has its outcome, none waits for another."""
 
 import io
+import json
 import os
 import re
 import tarfile
@@ -12,6 +13,7 @@ from needs import needs_ssh
 
 from laptop.cli.robots import status
 from laptop.fleet.everyone import RobotOutcome
+from services.balancer.core import faults
 from swarm.config.keyfile import new_key_file
 
 pytest_plugins = ["fleet_fixtures"]
@@ -257,9 +259,7 @@ def test_a_robot_with_another_python_is_named(robots: FakeRobots, run: Run, caps
     release = make_release(robots.folder / "a.tar.gz", "1-a", {})
     assert run("deploy", str(release), "--json") == 1
     machine = os.uname().machine
-    said = (
-        f"it is {machine} without any Python that we know, the releases are for {machine} Python 3.11: deploy/release"
-    )
+    said = f"it is {machine} without any Python that we know, the releases are for {machine} Python 3.11: swarm deploy"
     assert str(outcomes(capsys)["r0"]["text"]).startswith(said)
 
 
@@ -323,6 +323,51 @@ def test_an_app_is_started_with_one_number_for_all(robots: FakeRobots, run: Run)
     assert re.fullmatch(r"APP=consensus\nARGUMENTS=--run [0-9a-f]{16}\n", said)
 
 
+def test_an_app_goes_with_the_modules_beside_it_and_settings_with_spaces_arrive_whole(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    home = add_robot(robots, "r0")
+    app = robots.folder / "mine.py"
+    app.write_text("import numpy\nfrom helper import h\nclass Mine: ...\n")
+    (robots.folder / "helper").mkdir()
+    (robots.folder / "helper/__init__.py").write_text("from other import h\n")
+    (robots.folder / "other.py").write_text("h = 1\n")
+    (robots.folder / "unused.py").write_text("")
+    arguments = ("--algorithm", "fast", "--set", "text=a 'b'", "--set", "led_sync/gain=2", "--step-size", "4e-6")
+    assert run("run", str(app), "led_sync", *arguments) == 0
+    assert f"warning: {app}, line 1: import of numpy: robots lack it" in capsys.readouterr().err
+    sent = {name.partition("/")[2].partition("/")[2] for name in files(home / "lib")}
+    assert sent == {"mine.py", "helper/__init__.py", "other.py"}
+    said = files(home / "etc")["apps/mine.env"]
+    assert " --set algorithm=fast --set step_size=0.04 --escaped text=a%20%27b%27" in said
+    assert said.endswith("\n")
+    assert files(home / "etc")["apps/led_sync.env"].endswith(" --set gain=2\n")
+    (before,) = {name.split("/")[1] for name in files(home / "lib")}
+    (robots.folder / "other.py").write_text("h = 2\n")
+    assert run("run", str(app)) == 0
+    (after,) = {name.split("/")[1] for name in files(home / "lib")}
+    assert before != after  # the digest is of all of it
+
+
+def test_run_names_the_robot_whose_app_has_no_first_state_with_its_last_words(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    homes = [add_robot(robots, name) for name in ("r0", "r1")]
+    (homes[1] / "state").write_text("failed\n")
+    for name in ("r0", "r1"):
+        robots.script(name, "journalctl", "echo first; echo 'ModuleNotFoundError: No module named numpy'")
+        text = (
+            (robots.folder / name / "bin/sudo").read_text().replace("case $1 in", "case $1 in journalctl) exec $* ;;")
+        )
+        (robots.folder / name / "bin/sudo").write_text(text)
+    assert run("run", "consensus", "--json") == 1
+    found = outcomes(capsys)
+    assert found["r0"]["text"] == "swarm-app@consensus.service runs"
+    assert found["r1"]["text"] == (
+        "swarm-app@consensus.service has failed: first | ModuleNotFoundError: No module named numpy"
+    )
+
+
 def test_a_start_that_breaks_changes_nothing(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     """The disk is full when the app comes; what ran before is still what would run again."""
     homes = [add_robot(robots, name) for name in ("r0", "r1")]
@@ -337,7 +382,7 @@ def test_a_start_that_breaks_changes_nothing(robots: FakeRobots, run: Run, capsy
     found = outcomes(capsys)
     assert (found["r0"]["ok"], found["r1"]["ok"]) == (False, True)
     assert "No space left on device" in str(found["r0"]["text"])
-    now = {name: text for name, text in files(homes[0] / "lib").items() if not name.endswith("/new")}
+    now = {name: text for name, text in files(homes[0] / "lib").items() if ".new/" not in name}
     assert (now, files(homes[0] / "etc")) == before
     assert (homes[0] / "systemctl.log").read_text().count("restart") == 1
 
@@ -370,7 +415,7 @@ def test_robots_that_differ_run_nothing(
         (["consensus", "--iterations", "-1"], "expected 0 or more"),
         (["consensus", "--set", "value"], "'value' is not a setting"),
         (["consensus", "--set", "r9.value=1"], "the robots are r0"),
-        (["consensus", "--set", "text=a b"], "no spaces and quotes"),
+        (["consensus", "--set", "led_sync/value=1"], "there is no app 'led_sync', but consensus"),
     ],
 )
 def test_what_cannot_be_run_reaches_no_robot(
@@ -424,6 +469,7 @@ def test_the_status_of_a_robot_is_read() -> None:
         battery_left_s=9000,
         mode="balancing",
         fault=None,
+        next=None,
         links={"r1": "up", "r2": "down"},
         clashes=[],
         pose=[1.5, 2.0],
@@ -452,6 +498,28 @@ def test_a_row_for_people() -> None:
         "r0     not running: dwm mesh  7.4 V 2 h 30 min  balancing  1 of 2  1.50 2.00  "
         "consensus:running@12  312.0 MB of 2.00 GB  0.1.0-abc  1.4"
     )
+
+
+@pytest.mark.parametrize(
+    ("mode", "fault", "stopped", "body"),
+    [
+        ("idle", "", False, "idle, no fault: swarm balance stand"),
+        ("fault", "stopped", True, "stopped: take the stop back (swarm arm), then swarm balance stand"),
+        ("fault", "stopped", False, "stopped: swarm balance stand"),
+        ("fault", "fell", False, "fell: swarm balance stand: it stands up from front or back by itself"),
+        ("balancing", "", False, "balancing"),
+    ],
+)
+def test_the_status_says_what_makes_a_robot_stand(mode: str, fault: str, stopped: bool, body: str) -> None:
+    said = [
+        {"key": "swarm/r0/balancer/state", "value": {"mode": mode, "fault": fault}},
+        {"key": "swarm/r0/balancer/fault", "value": {"name": fault, "recovery": faults.RECOVERY.get(fault, "")}},
+    ]
+    if stopped:
+        said.append({"key": "swarm/r0/mesh/stopped", "value": {"stopped": True}})
+    answer = "== bus\n" + "\n".join(map(json.dumps, said))
+    rows = {"r0": status.parse("r0", answer)}
+    assert body in re.split("  +", status.table([RobotOutcome("r0", True, "", 1.0)], rows, 2e9)[1])
 
 
 def test_a_robot_that_is_away_has_its_row_too(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:

@@ -103,6 +103,7 @@ def test_a_fresh_pi_becomes_a_robot_and_stays_one(robots: FakeRobots, run: Provi
     root = home / "root"
     assert (root / "etc/hostname").read_text() == "r0\n"
     assert "dtparam=i2c_arm_baudrate=100000\n" in (root / "boot/firmware/config.txt").read_text()
+    assert "core_freq=400\ncore_freq_min=400\n" in (root / "boot/firmware/config.txt").read_text()
     assert (root / "boot/firmware/config.txt").read_text().startswith("# For more options")
     words = (root / "boot/firmware/cmdline.txt").read_text().split()
     assert "cgroup_enable=memory" in words

@@ -150,3 +150,18 @@ def test_any_index_is_read_or_refused(text: str) -> None:
         bundle.entries(text)
     except LocalError:
         return
+
+
+@pytest.mark.parametrize(("board", "core"), [("zero2w", 400), ("pi4", 500)])
+@pytest.mark.parametrize("uart", [None, "/dev/serial0"])
+@pytest.mark.parametrize("clock", [100, 400])
+def test_the_core_clock_of_the_i2c_bus_is_fixed_for_every_wiring(
+    board: str, core: int, uart: str | None, clock: int
+) -> None:
+    wish = replace(WISH, board=board, uart=uart, i2c_clock=clock)
+    facts = {"files": {"/boot/firmware/config.txt": "# mine\n"}, "modes": {}}
+    verdict = settings.boot(facts, wish)
+    text = verdict.changes[0]["text"].splitlines()
+    assert text[0] == "# mine"
+    assert {f"dtparam=i2c_arm_baudrate={clock}000", f"core_freq={core}", f"core_freq_min={core}"} <= set(text)
+    assert ("enable_uart=1" in text) == (uart is not None)

@@ -11,9 +11,9 @@ from remote_units import Units, scripts
 
 from bench.fake_robots import FakeRobots
 from laptop.fleet.ssh import Ssh, hosts
-from laptop.view.control import Control
-from laptop.view.remote_actions import RemoteActions
-from laptop.view.robots import Robots
+from laptop.view.actions.control import Control
+from laptop.view.actions.remote_actions import RemoteActions
+from laptop.view.feeds.robots import Robots
 from swarm.bus.zenoh_bus import Bus, Router
 from swarm.config import load
 from swarm.process.paths import bus_endpoint

@@ -21,9 +21,9 @@ from test_reach import CONFIG  # noqa: E402
 from test_server import Bus  # noqa: E402
 
 from laptop.view import server  # noqa: E402
-from laptop.view.control import Control  # noqa: E402
-from laptop.view.feed import SimulationFeed  # noqa: E402
-from laptop.view.simulated_actions import SimulatedActions  # noqa: E402
+from laptop.view.actions.control import Control  # noqa: E402
+from laptop.view.actions.simulated_actions import SimulatedActions  # noqa: E402
+from laptop.view.feeds.feed import SimulationFeed  # noqa: E402
 from swarm.config import parse  # noqa: E402
 from swarm.messages import topics  # noqa: E402
 from swarm.process.simulations import claim  # noqa: E402

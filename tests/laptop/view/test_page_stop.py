@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 from test_server import Bus, said, talk
 
 from laptop.view import server
-from laptop.view.control import Control
-from laptop.view.feed import SimulationFeed
+from laptop.view.actions.control import Control
+from laptop.view.actions.simulated_actions import SimulatedActions
+from laptop.view.feeds.feed import SimulationFeed
 from laptop.view.questions import MAX_WAITING, Questions
-from laptop.view.simulated_actions import SimulatedActions
 from swarm.errors import LocalError
 from swarm.messages import Stop
 from swarm.messages.codec import encode
@@ -53,7 +53,9 @@ def test_stop_overtakes_acts_that_hang_on_this_page_and_on_others(
     feed: SimulationFeed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     go_on = threading.Event()
-    monkeypatch.setattr("laptop.view.simulated_actions.app_requests.give", lambda *_: go_on.wait(60.0) and "done")
+    monkeypatch.setattr(
+        "laptop.view.actions.simulated_actions.app_requests.give", lambda *_: go_on.wait(60.0) and "done"
+    )
 
     async def act(client: TestClient) -> None:
         sockets = [await client.ws_connect(LIVE) for _ in range(40)]  # more than there are threads for acts
@@ -79,8 +81,8 @@ def test_stop_of_a_page_that_reads_nothing_is_given_behind_a_flood_of_questions(
 
     async def act(client: TestClient) -> None:
         socket = await client.ws_connect(LIVE, max_msg_size=0)
-        for _ in range(3 * MAX_WAITING):  # 1 MB each, which nobody takes
-            await socket.send_json({"history": {"robot": "r0", "topic": "app/x/own"}})
+        for _ in range(3 * MAX_WAITING):  # 60 kB each, which nobody takes
+            await socket.send_json({"look": {"t": 1e9}})
         await socket.send_json({"do": {"act": "stop"}})
         await until(lambda: stops(feed) == [1, 1])
 
@@ -154,12 +156,44 @@ def test_stop_is_repeated_by_the_server_though_something_else_fails_there(
     asyncio.run(main())
 
 
+QUESTIONS = [
+    "do",
+    "pace",
+    "series",
+    "fields",
+    "look",
+    "layout",
+    "name",
+    "panels",
+    "act",
+    "robot",
+    "topic",
+    "speed",
+    "t",
+]
 ANYTHING = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
     lambda inner: (
         st.lists(inner, max_size=3)
         | st.dictionaries(
-            st.sampled_from(["do", "pace", "history", "seek", "act", "robot", "topic", "speed", "paused", "t", "since"])
+            st.sampled_from(
+                [
+                    "do",
+                    "pace",
+                    "series",
+                    "fields",
+                    "look",
+                    "layout",
+                    "name",
+                    "panels",
+                    "act",
+                    "robot",
+                    "topic",
+                    "speed",
+                    "paused",
+                    "t",
+                ]
+            )
             | st.text(max_size=3),
             inner,
             max_size=3,
@@ -181,7 +215,8 @@ def test_whatever_a_page_asks_is_answered(asked: object) -> None:
             pass
 
     feed: Any = Feed()
-    answer = server._answer(feed, Control(feed, None), asked)
+    layouts = server.Layouts(Path("/proc/nowhere/view.json"))
+    answer = server._answer(feed, Control(feed, None), layouts, asked)
     assert len(answer) == 1
     assert "defect" not in str(answer)
     json.dumps(answer, allow_nan=False)
@@ -200,7 +235,7 @@ def test_whatever_a_page_asks_is_answered(asked: object) -> None:
         '{"do":{"act":"push","robot":"r0","impulse":1' + "0" * 400 + "}}",
         '{"do":{"act":"set","app":"x","name":"gain","value":"\\ud800"}}',
         '{"do":{"act":["stop"]}}',
-        '{"history":{"robot":"\\ud800","topic":"x"}}',
+        '{"series":{"topic":"\\ud800","fields":[]}}',
         "1" * 4000,
     ],
 )

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from laptop.view.history import HISTORY_S, HISTORY_STEP_S, MAX_KEY, MAX_ROBOT, History
-from laptop.view.picture import (
+from laptop.view.feeds.history import HISTORY_S, HISTORY_STEP_S, MAX_KEY, MAX_ROBOT, History
+from laptop.view.feeds.picture import (
     MAX_EVENTS,
     MAX_HOPS,
     MAX_SERVICES,
@@ -54,7 +54,7 @@ def test_no_sample_harms_it(samples: list[tuple[str, str, bytes]]) -> None:
 
 @given(VALUES)
 def test_whatever_a_key_holds_can_be_told_to_a_page(value: object) -> None:
-    from laptop.view.picture import json_value
+    from laptop.view.feeds.picture import json_value
 
     picture = Picture()
     picture.put("r0", "mesh/links", json_value(value), 0.0)

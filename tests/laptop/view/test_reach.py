@@ -10,11 +10,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from laptop.fleet.ssh import Host, Ssh
-from laptop.view import robots as module
-from laptop.view.control import Control
-from laptop.view.picture import REACH
-from laptop.view.robot_actions import PageAction
-from laptop.view.robots import Robots
+from laptop.view.actions.control import Control
+from laptop.view.actions.robot_actions import PageAction
+from laptop.view.feeds import robots as module
+from laptop.view.feeds.picture import REACH
+from laptop.view.feeds.robots import Robots
 from swarm import clock
 from swarm.config import parse
 from swarm.errors import LocalError

@@ -13,11 +13,11 @@ from test_reach import Tunnel
 
 from bench.fake_robots import FakeRobots
 from laptop.fleet.ssh import Ssh, hosts
-from laptop.view import remote_actions as module
-from laptop.view import robots as robots_module
-from laptop.view.control import Control
-from laptop.view.remote_actions import RemoteActions
-from laptop.view.robots import Robots
+from laptop.view.actions import remote_actions as module
+from laptop.view.actions.control import Control
+from laptop.view.actions.remote_actions import RemoteActions
+from laptop.view.feeds import robots as robots_module
+from laptop.view.feeds.robots import Robots
 from swarm.config import load
 from swarm.errors import LocalError
 from swarm.messages import HoldLink

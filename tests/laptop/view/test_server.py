@@ -16,12 +16,12 @@ from aiohttp.test_utils import TestClient, TestServer
 
 from laptop.cli import main
 from laptop.view import server
-from laptop.view.control import ANSWER_S, Control
-from laptop.view.feed import SimulationFeed
+from laptop.view.actions.control import ANSWER_S, DRIVE_S, Control
+from laptop.view.actions.simulated_actions import SimulatedActions
+from laptop.view.feeds.feed import SimulationFeed
 from laptop.view.server import application
-from laptop.view.simulated_actions import SimulatedActions
 from swarm.errors import LocalError
-from swarm.messages import Status
+from swarm.messages import SetMode, SetVelocity, Status
 from swarm.messages.codec import encode
 from swarm.process.simulations import claim
 
@@ -85,7 +85,7 @@ def test_the_page_needs_the_token_and_loads_nothing_from_elsewhere(feed: Simulat
         assert "default-src 'self'" in page.headers["Content-Security-Policy"]
         text = await page.text()
         assert "http" not in text
-        for part in ("main.js", "map.js", "style.css", "vendor/uPlot.iife.min.js"):
+        for part in ("main.js", "map/map.js", "style.css", "vendor/uPlot.iife.min.js"):
             assert (await client.get(f"/page/{part}")).status == 200
 
     talk(feed, act)
@@ -130,14 +130,14 @@ def test_a_page_may_ask_for_the_history_of_a_key(feed: SimulationFeed) -> None:
 
     async def act(client: TestClient) -> None:
         socket = await client.ws_connect("/live?token=" + TOKEN)
-        await socket.send_json({"history": {"robot": "r0", "topic": "balancer/state"}})
-        history = await said(socket, "history")
-        assert [t for t, _ in history["rows"]] == [0.0, 1.0, 2.0]
+        await socket.send_json({"series": {"topic": "balancer/state", "fields": [["tilt"]]}})
+        rows = (await said(socket, "series"))["rows"]["r0"]
+        assert [t for t, *_ in rows] == [0.0, 1.0, 2.0]
 
     talk(feed, act)
 
 
-@pytest.mark.parametrize("text", ["", "[]", "1", "null", '{"history": 3}', '{"do": 3}', "{}", '"' + "x" * 100 + '"'])
+@pytest.mark.parametrize("text", ["", "[]", "1", "null", '{"series": 3}', '{"do": 3}', "{}", '"' + "x" * 100 + '"'])
 def test_what_is_no_question_is_refused_and_the_page_lives_on(feed: SimulationFeed, text: str) -> None:
     async def act(client: TestClient) -> None:
         socket = await client.ws_connect("/live?token=" + TOKEN)
@@ -225,7 +225,7 @@ def test_an_app_is_asked_again_until_it_answers_or_for_so_long(
     feed: SimulationFeed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = [100.0]
-    monkeypatch.setattr("laptop.view.control.clock.now", lambda: now[0])
+    monkeypatch.setattr("laptop.view.actions.control.clock.now", lambda: now[0])
     control = Control(feed, SimulatedActions(feed))
     control.do({"act": "set", "app": "x", "name": "gain", "value": 0.5})
     control.repeat()
@@ -258,8 +258,8 @@ def test_a_number_that_is_none_is_told_as_text(feed: SimulationFeed) -> None:
         text = ""
         while '"robots"' not in text:
             text = await socket.receive_str(timeout=60)
-        await socket.send_json({"history": {"robot": "r0", "topic": "dwm/pose"}})
-        while '"history"' not in text:
+        await socket.send_json({"look": {"t": 1e9}})
+        while '"look"' not in text:
             text += await socket.receive_str(timeout=60)
         assert "NaN" not in text
         assert "Infinity" not in text
@@ -306,3 +306,53 @@ def test_the_command_says_that_there_is_nothing_to_see(tmp_path: Path, capsys: p
             main(["view", "--no-open", *words])
         assert end.value.code == 2
         assert said in capsys.readouterr().err
+
+
+def test_a_page_looks_back_at_an_instant_of_the_last_two_minutes(feed: SimulationFeed) -> None:
+    for t in range(5):
+        feed.picture.take("r0", "swarm/r0/sim/truth", encode({"t": float(t), "x": 0.1 * t, "y": 0.0}), float(t))
+    feed.picture.note(3.5, "r0", "info", "late")
+
+    async def act(client: TestClient) -> None:
+        socket = await client.ws_connect("/live?token=" + TOKEN)
+        await socket.send_json({"look": {"t": 2.5}})
+        look = await said(socket, "look")
+        assert look["robots"]["r0"]["sim/truth"]["x"] == pytest.approx(0.2)
+        assert [x for x, _ in look["trails"]["r0"]] == pytest.approx([0.0, 0.1, 0.2])
+        assert look["events"] == []
+        await socket.send_json({"look": {"t": -1.0}})
+        assert (await said(socket, "look"))["robots"] == {}
+
+    talk(feed, act)
+
+
+def test_robots_stand_rest_and_lie_all_or_one_of_them(feed: SimulationFeed) -> None:
+    control = Control(feed, SimulatedActions(feed))
+    assert control.do({"act": "mode", "mode": "stand"}) == "stand asked of r0 r1"
+    assert control.do({"act": "mode", "mode": "lie", "robot": "r1"}) == "lie asked of r1"
+    given = [(key, message) for bus in feed.buses.values() for key, message in bus.published]
+    assert given == [
+        ("swarm/r0/balancer/set/mode", SetMode("stand")),
+        ("swarm/r1/balancer/set/mode", SetMode("stand")),
+        ("swarm/r1/balancer/set/mode", SetMode("lie")),
+    ]
+    for wrong in ({}, {"mode": "fly"}, {"mode": "calibrate"}, {"mode": "rest", "robot": "r9"}):
+        with pytest.raises(LocalError, match=r"mode|no robot"):
+            control.do({"act": "mode"} | wrong)
+
+
+def test_a_robot_drives_for_a_moment_and_no_faster_than_it_may(feed: SimulationFeed) -> None:
+    control = Control(feed, SimulatedActions(feed))
+    control.do({"act": "drive", "robot": "r1", "speed": 0.1, "turn": -1})
+    assert feed.buses["r1"].published == [("swarm/r1/balancer/set/velocity", SetVelocity(0.1, -1.0, DRIVE_S))]
+    for wrong in ({"speed": 9.0}, {"turn": math.nan}, {"speed": None}, {"robot": "r9"}, {"robot": None}):
+        with pytest.raises(LocalError, match=r"drive|no robot"):
+            control.do({"act": "drive", "robot": "r1", "speed": 0.0, "turn": 0.0} | wrong)
+    assert len(feed.buses["r1"].published) == 1
+
+
+def test_a_robot_is_put_no_further_than_a_place_can_be(feed: SimulationFeed) -> None:
+    control = Control(feed, SimulatedActions(feed))
+    for x in (1e9, math.nan, "x", None):
+        with pytest.raises(LocalError, match="place"):
+            control.do({"act": "place", "robot": "r0", "x": x, "y": 0.0})

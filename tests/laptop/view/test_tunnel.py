@@ -11,10 +11,10 @@ from conftest import wait_until
 from test_reach import CONFIG, LEDS, Nothing
 
 from laptop.fleet.ssh import Host
-from laptop.view.control import Control
-from laptop.view.picture import REACH
-from laptop.view.robots import Robots
-from laptop.view.tunnel import Tunnel
+from laptop.view.actions.control import Control
+from laptop.view.feeds.picture import REACH
+from laptop.view.feeds.robots import Robots
+from laptop.view.feeds.tunnel import Tunnel
 from swarm.config import parse
 from swarm.messages import View
 from swarm.messages.codec import encode

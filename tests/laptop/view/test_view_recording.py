@@ -12,9 +12,12 @@ pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 from aiohttp.test_utils import TestClient, TestServer
 from virtual_run import recorded
 
+from laptop.view import film
+from laptop.view.layouts import Layouts
+from laptop.view.playing import Playing
 from laptop.view.recording import ViewedRecording
 from laptop.view.server import application
-from swarm.errors import RecordingError
+from swarm.errors import LocalError, RecordingError
 
 
 @pytest.fixture(scope="module")
@@ -57,8 +60,8 @@ def test_the_values_are_those_of_the_run(recording: ViewedRecording) -> None:
         "r1": 60,
         "r2": 60,
     }
-    rows = recording.history("r0", "app/consensus/state", recording.last)
-    assert [row["k"] for _, row in rows] == list(range(61))
+    rows = recording.series("app/consensus/state", [("state", "value")])["r0"]
+    assert [k for _, k, _ in rows] == list(range(61))
     assert all(isinstance(topics["mesh/links"]["links"], list) for topics in page.values())
     assert recording.config is not None
 
@@ -90,14 +93,56 @@ def test_a_page_asks_for_instants_and_anything_else_is_refused(recording: Viewed
                 {"seek": {"t": "x"}},
                 {"do": {"act": "stop"}},
                 [],
-                {"history": {}},
+                {"series": {}},
             ):
                 await socket.send_json(asked)
                 assert "refused" in await socket.receive_json(timeout=60)
             await socket.send_json({"seek": {"since": None, "t": 1.0}})
             step = await socket.receive_json(timeout=60)
             assert (step["t"], step["fresh"], set(step["robots"])) == (1.0, True, {"r0", "r1", "r2"})
-            await socket.send_json({"history": {"robot": "r0", "topic": "app/consensus/state", "t": 1.0}})
-            assert (await socket.receive_json(timeout=60))["history"]["rows"]
+            await socket.send_json({"series": {"topic": "app/consensus/state", "fields": [["state", "value"]]}})
+            assert set((await socket.receive_json(timeout=60))["series"]["rows"]) == {"r0", "r1", "r2"}
 
     asyncio.run(main())
+
+
+def test_a_page_is_given_pictures_and_films_or_told_why_there_are_none(
+    run: Path, recording: ViewedRecording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[str, float | None, float | None]] = []
+
+    async def take(address: str, path: Path, at: float | None, _: object) -> None:
+        asked.append((address.partition("?")[2], at, None))
+        path.write_bytes(b"a picture")
+
+    async def shoot(address: str, wanted: film.Film, path: Path, _: object) -> None:
+        asked.append((address.partition("?")[2], wanted.begin, wanted.end))
+        raise LocalError("no ffmpeg found")
+
+    monkeypatch.setattr(film, "take", take)
+    monkeypatch.setattr(film, "shoot", shoot)
+
+    async def main() -> None:
+        async with TestClient(TestServer(application(recording, None, "token"), host="127.0.0.1")) as client:
+            query = {"token": "token", "theme": "dark", "run": run.name}
+            picture = await client.get("/picture", params=query | {"at": "1.5"})
+            assert (picture.status, picture.content_type) == (200, "image/png")
+            assert await picture.read() == b"a picture"
+            made = await client.get("/film", params=query | {"from": "0.5", "to": "2"})
+            assert (made.status, await made.text()) == (503, "no ffmpeg found")
+            assert (await client.get("/film", params=query | {"from": "soon"})).status == 400
+            assert (await client.get("/picture")).status == 403
+
+    asyncio.run(main())
+    shown = f"token=token&theme=dark&run={run.name}"
+    assert asked == [(shown, 1.5, None), (shown, 0.5, 2.0)]
+
+
+def test_a_page_that_is_to_show_another_recording_of_the_folder_does(run: Path, recording: ViewedRecording) -> None:
+    recorded(run.parent / "other", "consensus", "--robots", "3", "--iterations", "3")
+    layouts = Layouts(run / "layouts.json")
+    names = [
+        Playing(recording, layouts, wanted).first()["swarm"]["recording"]["name"]
+        for wanted in (None, run.name, "other", "../other", "none")
+    ]
+    assert names == [run.name, run.name, "other", run.name, run.name]

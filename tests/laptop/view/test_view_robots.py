@@ -14,8 +14,8 @@ from needs import needs_ssh
 from remote_swarm import Swarm
 
 from laptop.fleet.ssh import HostError
-from laptop.view.picture import REACH
-from laptop.view.robots import Robots
+from laptop.view.feeds.picture import REACH
+from laptop.view.feeds.robots import Robots
 from swarm.errors import LocalError
 from swarm.messages import Leds, Pose, Stop, read
 
@@ -77,7 +77,7 @@ def test_one_robot_shows_all_of_them(swarm: Swarm) -> None:
     control.do({"act": "arm"})
     wait_until(lambda: not any(newest(view, name, "mesh/stopped")["stopped"] for name in view.config.names))
     for act in ("press", "push", "lay"):
-        with pytest.raises(LocalError, match="expected an act of stop, arm, set, start, end, kill, cut"):
+        with pytest.raises(LocalError, match="expected an act of stop, arm, set, mode, drive, start, end, kill, cut"):
             control.do({"act": act, "robot": "r0"})
     with pytest.raises(LocalError, match="no robot 'r9'"):
         control.do({"act": "set", "robot": "r9", "app": "x", "name": "gain", "value": 1})

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from services.apps.goto import read_waypoints
-from services.apps.stand_up import StandUp
+from services.apps.builtin.goto import Goto, read_waypoints
+from services.apps.builtin.stand_up import StandUp
 from sim.virtual.run import simulate
 from swarm.app.robot import Robot
 from swarm.core.graph import Graph
@@ -170,6 +170,20 @@ def test_waypoints_that_are_none_are_refused(text: str) -> None:
 def test_waypoints_are_read() -> None:
     assert read_waypoints("") == ()
     assert read_waypoints(" 0.5,1.5  -1,2e-1 ") == ((0.5, 1.5), (-1.0, 0.2))
+
+
+def test_goto_takes_new_waypoints_while_it_runs_and_keeps_the_old_ones_where_they_are_no_places() -> None:
+    shown = list[str]()
+    robot = SimpleNamespace(name="r0", swarm=("r0",), display=lambda *lines: shown.extend(lines))
+    app = Goto.__new__(Goto)  # without the host's robot
+    object.__setattr__(app, "robot", robot)
+    object.__setattr__(app, "waypoints", "1,2 3,4")
+    app.on_parameter("waypoints")
+    assert app._goals == ((1.0, 2.0), (3.0, 4.0))
+    object.__setattr__(app, "waypoints", "somewhere")
+    app.on_parameter("waypoints")
+    assert app._goals == ((1.0, 2.0), (3.0, 4.0))
+    assert shown == ["waypoints", "not read"]
 
 
 def test_what_an_app_records_is_in_the_recording(tmp_path) -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from needs import fill, small_disk
 from power_cut import Disk, Killed
 
-from services.apps.ballots import BallotFile
+from services.apps.persistence.ballots import BallotFile
 from swarm.core.epoch_notes import NONE, Ballot, EpochNote, SavedEpochs, first
 from swarm.errors import LocalError
 

@@ -12,11 +12,11 @@ __all__ = ["make_rig"]
 PAIR = """
 import sys
 from services.apps import loader, topology
-from services.apps.claim import AppLock
+from services.apps.persistence.claim import AppLock
 from services.apps.host import LockstepHost, Part
-from services.apps.lockstep_driver import Place
+from services.apps.topology import Place
 from services.apps.runner import Runner
-from services.apps.storage import FileStorage
+from services.apps.persistence.storage import FileStorage
 from swarm.app.run_options import RunOptions
 from swarm.process.service import Service, run
 from swarm.process.threads import ThreadedRuntime

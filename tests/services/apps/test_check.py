@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from services.apps import loader
-from sim.rehearsal import check, examine, new, rehearse, trends
+from sim import imports
+from sim.rehearsal import check, examine, limits, new, rehearse, trends
 from swarm.errors import AppError, LocalError
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -38,8 +39,8 @@ def findings(file: str, iterations: int = 60, graphs: tuple[str, ...] = ("line",
 def short(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """One graph, little patience, and the alarms that the process of its own would have."""
     monkeypatch.setattr(examine, "GRAPHS", ("line",))
-    monkeypatch.setattr(examine, "STEP_LIMIT", 0.3)
-    before = {number: signal.signal(number, examine._alarm) for number in examine.ALARMS}
+    monkeypatch.setattr(limits, "STEP_LIMIT", 0.3)
+    before = {number: signal.signal(number, limits.alarm) for number in limits.ALARMS}
     yield
     for number, handler in before.items():
         signal.signal(number, handler)
@@ -83,7 +84,7 @@ def test_a_bad_step_is_named_with_file_and_line(tmp_path: Path, short: None, kin
 
 
 def test_a_step_that_waits_is_named_too(tmp_path: Path, short: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(examine, "WAIT_LIMIT", 0.3)
+    monkeypatch.setattr(limits, "WAIT_LIMIT", 0.3)
     file = write(tmp_path, STEP + "        __import__('time').sleep(100)\n")
     found = check.judge(findings(file), findings(file))
     assert "it hangs: a step took more than 0.3 s" in found["problems"][0]
@@ -144,6 +145,69 @@ def test_a_bad_handler_is_named(tmp_path: Path, short: None) -> None:
     found = check.judge(findings(file), findings(file))
     assert "it hangs" in found["problems"][0]
     assert f"{file}, line " in found["problems"][0]
+
+
+PERIODIC = "from swarm import PeriodicApp\nclass Mine(PeriodicApp):\n    on: bool\n    period = 0.2\n"
+
+
+@pytest.mark.parametrize(
+    "start", ["pass", "self.robot.leds(red=True)", "self.robot.after(0.1, 'x')", "self.robot.pose"]
+)
+def test_a_periodic_app_gets_all_its_steps_whatever_it_uses(tmp_path: Path, short: None, start: str) -> None:
+    text = PERIODIC + f"    def start(self):\n        {start}\n    def step(self, neighbours):\n"
+    file = write(tmp_path, text + "        self.on = not self.on\n        self.robot.leds(green=self.on)\n")
+    found = check.judge(findings(file), findings(file))
+    assert (found["graphs"][0]["seconds"], found["graphs"][0]["iterations"]) == (20.0, 100)
+    poses = "yes" if "pose" in start else "not asked for"
+    assert f"ran         20 s, 100 steps, poses: {poses}, ranges: not asked for" in check.text(found)
+
+
+def test_the_last_of_all_steps_is_rehearsed(tmp_path: Path, short: None) -> None:
+    body = "    def step(self, neighbours):\n        self.robot.leds(green=True)\n        assert self.k < 99\n"
+    file = write(tmp_path, PERIODIC + body)
+    assert f"step 99: {file}, line 7: AssertionError" in check.judge(findings(file), [])["problems"][0]
+
+
+@pytest.mark.parametrize("kind", ["SyncApp", "PeriodicApp"])
+def test_poses_and_ranges_come_in_the_rehearsal_of_every_kind(tmp_path: Path, short: None, kind: str) -> None:
+    text = f"from swarm import {kind}\nclass Mine({kind}):\n    x: float = 0.0\n    def step(self, neighbours):\n"
+    text += "        pose, ranges = self.robot.pose, self.robot.ranges\n        self.robot.drive(0.1, 0.0)\n"
+    text += "        self.x = 0.0 if pose is None or not ranges else round(pose.x, 1)\n"
+    file = write(tmp_path, text)
+    found = check.judge(findings(file), findings(file))
+    assert found["problems"] == []
+    assert "poses: yes, ranges: yes" in check.text(found)
+    swarm = rehearse(file, robots=3)
+    swarm.run(10)
+    assert swarm.result("r2")["x"] != 0.0 if kind == "SyncApp" else swarm.units["r2"].result()["x"] != 0.0
+
+
+def test_what_robots_cannot_import_is_warned_of(tmp_path: Path, short: None) -> None:
+    (tmp_path / "mine.py").write_text("")
+    file = write(
+        tmp_path, "import yaml, json\nfrom mine import *\n" + STEP.replace("import math", "import msgpack, math")
+    )
+    found = check.judge(findings(file, 5), findings(file, 5))
+    assert found["warnings"] == [
+        f"{file}, line 1: import of yaml: robots lack it, if [robot] packages of swarm.toml does not name it",
+    ]
+
+
+def test_what_robots_carry_is_what_their_packages_bring() -> None:
+    lock = Path(__file__).parents[3] / "requirements-robot.lock"
+    packages = {line.partition("==")[0].replace("-", "_") for line in lock.read_text().splitlines() if "==" in line}
+    modules = {"pyserial": "serial"}
+    assert imports.ROBOT_MODULES - {"zenoh", "swarm", "services"} == {modules.get(name, name) for name in packages}
+
+
+def test_an_app_too_slow_for_its_rehearsal_is_not_said_to_have_run_it(
+    tmp_path: Path, short: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(limits, "TIME_LIMIT", 0.05)
+    file = write(tmp_path, PERIODIC + "    def step(self, neighbours):\n        sum(range(20000))\n")
+    found = check.judge(findings(file), [])
+    assert found["graphs"][0]["seconds"] < 20.0
+    assert "graph line: broken off after 0.05 s of computing" in found["warnings"][0]
 
 
 def test_good_apps_are_told_what_they_are(short: None) -> None:
@@ -220,7 +284,7 @@ def test_rehearse_takes_parameters_and_first_values() -> None:
     swarm = rehearse("localization", robots=3)
     swarm.run(60)
     assert swarm.result("r1")["x"] == pytest.approx(0.5)
-    with pytest.raises(AppError, match="values of r9: the robots are r0, r1"):
+    with pytest.raises(AppError, match="values: r9: expected values by robot, r0, r1; got one of 'value'"):
         rehearse("consensus", robots=2, values={"r9": {"value": 1.0}})
     with pytest.raises(AppError, match="no app 'nothing'"):
         rehearse("nothing")

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from memory_swarm import THESIS_X0, MemorySwarm, config_of
 
-from services.apps.consensus import ROOM
+from services.apps.builtin.consensus import ROOM
 from swarm.errors import AppError
 
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.apps.claim import AppLock
-from services.apps.snapshot import MAX_SNAPSHOT, SnapshotFile
+from services.apps.persistence.claim import AppLock
+from services.apps.persistence.snapshot import MAX_SNAPSHOT, SnapshotFile
 from swarm.errors import AppError, LocalError
 
 # Lock and incarnation

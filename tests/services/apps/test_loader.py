@@ -187,7 +187,17 @@ def test_example_follow_leds() -> None:
 # The documentation
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/apps.md", "docs/events.md"])
+@pytest.mark.parametrize(
+    "page",
+    [
+        "README.md",
+        "docs/index.md",
+        "docs/reference/apps.md",
+        "docs/how-to/apps/react-to-events.md",
+        "docs/how-to/apps/use-arrays.md",
+        "docs/how-to/apps/talk-beyond-neighbours.md",
+    ],
+)
 def test_the_apps_of_the_documentation_are_apps(tmp_path: Path, page: str) -> None:
     text = (EXAMPLES.parent / page).read_text()
     blocks = [block for block in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL) if "class " in block]

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from localization_rig import Point, exact, measured, noisy, recorded, rounds_to_own_limit
 from memory_swarm import ANCHORS, PLACES, TARGET, MemorySwarm, config_of
 
-from services.apps.localization import ranges
-from services.apps.localization.leastsquares import refine
+from services.apps.builtin.localization import ranges
+from services.apps.builtin.localization.leastsquares import refine
 from swarm.messages import Measurement
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from localization_rig import place
 from memory_swarm import PLACES, MemorySwarm, config_of
 
-from services.apps.localization import track
+from services.apps.builtin.localization import track
 from swarm.messages import Measurement
 
 PERIOD = 0.03

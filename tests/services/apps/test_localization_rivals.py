@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from localization_rig import exact, noisy, place, rounds_to
 from memory_swarm import PLACES, TARGET, MemorySwarm, config_of
 
-from services.apps.localization import flood, ranges
-from services.apps.localization.leastsquares import refine
+from services.apps.builtin.localization import flood, ranges
+from services.apps.builtin.localization.leastsquares import refine
 from swarm.errors import AppError
 from swarm.messages import Measurement
 

@@ -8,8 +8,8 @@ import pytest
 from localization_rig import Point, exact, measured, recorded
 from memory_swarm import PLACES, TARGET, MemorySwarm, config_of
 
-from services.apps.localization import guard
-from services.apps.localization.gradient import Node, iterate
+from services.apps.builtin.localization import guard
+from services.apps.builtin.localization.gradient import Node, iterate
 from swarm.config import Anchor
 from swarm.core.graph import Graph
 from swarm.errors import AppError

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from services.apps import loader
-from services.apps.localization.leastsquares import refine
+from services.apps.builtin.localization.leastsquares import refine
 from sim.rehearsal.scene import PLACES, TARGET, scene
 from sim.rehearsal.sync import SyncRehearsal
 from swarm.core.graph import Graph

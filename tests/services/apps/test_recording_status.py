@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 from typing import Any
 
-from services.apps.recording import AppRecording
+from services.apps.persistence.recording import AppRecording
 
 
 class FakeService:

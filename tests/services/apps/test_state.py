@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swarm import Matrix, Vector, float32
-from swarm.core.state import MAX_STATE, Field, Schema, field_of, pack_private, unpack_private
+from swarm.core.snapshot_fields import pack_private, unpack_private
+from swarm.core.state import MAX_STATE, Field, Schema, field_of
 from swarm.errors import AppError, FrameError
 
 

@@ -5,12 +5,12 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from services.balancer.balancer import Balancer
-from services.balancer.core.body import BodyModel, body_model
-from services.balancer.core.gyro import Zero
-from services.balancer.core.lqr import PERIOD_S
+from services.balancer.core.control.body import BodyModel, body_model
+from services.balancer.core.control.gyro import Zero
+from services.balancer.core.control.lqr import PERIOD_S
 from sim.core.balboa import BalboaBody
 from sim.core.devices import NO_ERRORS, ImuErrors, SimulatedRobot, draw_errors
-from sim.i2c import SimulatedBus
+from sim.devices.i2c import SimulatedBus
 from swarm.config.types import Balancing, Body
 
 CONFIGURED = body_model("zero2w", Body())

@@ -6,9 +6,9 @@ Started as a process with the file's path; while `PATH.bug` exists, the bus rais
 import sys
 from pathlib import Path
 
-from services.balancer.core import balboa
+from services.balancer.core.devices import balboa
 from services.balancer.loop import main
-from sim.wiring import simulated_bus
+from sim.devices.wiring import simulated_bus
 from swarm.process.edges import run
 
 record = Path(sys.argv[1])
@@ -19,6 +19,7 @@ class RecordingBus:
         self._bus = bus
         self.write_read = bus.write_read
         self.read = bus.read
+        self.untimed = bus.untimed
         self._file = record.open("a", buffering=1)
         self._writes = 0
 

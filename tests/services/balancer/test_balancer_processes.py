@@ -204,7 +204,7 @@ def test_the_loop_needs_no_bus(processes: Processes, runtime: Path) -> None:
         # A world that does not answer costs it half a second, no more.
         assert msgpack.unpackb(world.recv(4096)) == {"robot": "r0"}
         report = msgpack.unpackb(world.recv(4096))
-        assert report.keys() == {"robot", "t", "x", "y", "heading", "tilt", "held"}
+        assert report.keys() == {"robot", "t", "x", "y", "heading", "tilt", "held", "speed"}
         assert report["robot"] == "r0"
     (bridge,) = children(body.pid)
     assert stop(body) == 0

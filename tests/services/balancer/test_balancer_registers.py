@@ -13,12 +13,12 @@ from balancer_rig import CONFIGURED, NO_ERRORS
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.balancer.core import balboa, imu
+from services.balancer.core.devices import balboa, imu
 from services.balancer.drivers import Balboa, Imu
 from services.balancer.i2c import PATIENCE_S, RETRY_S, KernelBus, open_patiently
 from sim.core.balboa import BalboaBody
-from sim.core.devices import SimulatedRobot, draw_errors
-from sim.i2c import SimulatedBus
+from sim.core.devices import ImuErrors, SimulatedRobot, draw_errors
+from sim.devices.i2c import SimulatedBus
 from swarm.errors import LocalError, RemoteError
 
 words = st.integers(-0x8000, 0x7FFF)
@@ -27,10 +27,12 @@ words = st.integers(-0x8000, 0x7FFF)
 class Bench:
     """The simulated devices and drivers on a clock set by hand."""
 
-    def __init__(self, *, tilt: float = 0.0, held: bool = True, trim: float = 0.0) -> None:
+    def __init__(
+        self, *, tilt: float = 0.0, held: bool = True, trim: float = 0.0, errors: ImuErrors = NO_ERRORS
+    ) -> None:
         self.now = 10.0
         self.body = BalboaBody(CONFIGURED, self.now, tilt=tilt, held=held)
-        self.robot = SimulatedRobot(self.body, random.Random(1), errors=NO_ERRORS, trim=trim)
+        self.robot = SimulatedRobot(self.body, random.Random(1), errors=errors, trim=trim)
         self.bus = SimulatedBus(self.robot, lambda: self.now)
         self.imu = Imu(self.bus)
         self.slept: list[float] = []
@@ -121,14 +123,16 @@ def test_sensor_errors_are_drawn_from_the_seed() -> None:
 
 
 def test_another_imu_is_refused_by_name() -> None:
-    with pytest.raises(RemoteError, match=r"0x6C \(an LSM6DSO\?\), expected 0x69"):
-        imu.check_identity(0x6C)
+    with pytest.raises(RemoteError, match=r"0x6A, expected 0x69 \(LSM6DS33\) or 0x6C \(LSM6DSO\)"):
+        imu.check_identity(0x6A)
+    for identity in (0x69, 0x6C):
+        imu.check_identity(identity)
 
 
 def test_another_layout_is_refused() -> None:
     bench = Bench()
     bench.robot.atmega._buffer[balboa.VERSION] = 9
-    with pytest.raises(RemoteError, match="layout version 9, expected 1"):
+    with pytest.raises(RemoteError, match="layout version 9, expected 2"):
         bench.balboa.set_up()
 
 
@@ -304,3 +308,33 @@ def test_a_library_that_is_missing_is_not_waited_for(monkeypatch: pytest.MonkeyP
     with pytest.raises(LocalError, match="smbus2"):
         open_patiently(waited.append)
     assert waited == []
+
+
+@pytest.mark.parametrize(("control", "torn"), [(imu.SETUP[0][1], False), (0x04, True)], ids=["BDU", "no BDU"])
+def test_words_are_torn_by_a_sample_within_the_read_unless_block_data_update_is_on(control: int, torn: bool) -> None:
+    """The rate stands at a border of the high byte, where noise of a count makes a torn word wrong by 256."""
+    bench = Bench(errors=NO_ERRORS._replace(gyro_noise=imu.GYRO_SCALE, gyro_offset=256 * imu.GYRO_SCALE))
+    bench.imu.set_up()
+    bench.bus.write(imu.ADDRESS, bytes((imu.CTRL3_C, control)))
+    rates = []
+    for _ in range(2000):
+        bench.now += 0.01
+        rates.append(bench.imu.read().pitch_rate / imu.GYRO_SCALE - 256)
+    assert any(abs(each) > 100 for each in rates) == torn
+
+
+def test_an_lsm6dso_is_taken_as_well() -> None:
+    bench = Bench()
+    bench.robot.imu.identity = imu.LSM6DSO
+    bench.robot.imu.reset()
+    bench.imu.set_up()
+    assert bench.imu.read().up == pytest.approx(imu.STANDARD_GRAVITY, rel=0.05)
+
+
+@pytest.mark.parametrize("flipped", [(False, False), (True, False), (False, True), (True, True)])
+def test_a_flipped_motor_is_commanded_the_other_way_round(flipped: tuple[bool, bool]) -> None:
+    bench = Bench()
+    driver = Balboa(bench.bus, lambda: bench.now, lambda seconds: None, flipped)
+    driver.write_motors(0.5, 0.25)
+    signs = [-1 if each else 1 for each in flipped]
+    assert bench.robot.atmega.motors == (0.5 * signs[0], 0.25 * signs[1])

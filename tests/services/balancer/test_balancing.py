@@ -9,7 +9,7 @@ from balancer_rig import CONFIGURED, OTHER, PLANTS, Rig, scaled, upright
 from conftest import examples
 
 from services.balancer.balancer import RETRY_S, TOLERATED_ERRORS
-from services.balancer.core import balboa, imu
+from services.balancer.core.devices import balboa, imu
 
 
 def on_its_feet(rig: Rig) -> bool:
@@ -263,9 +263,9 @@ def test_devices_that_come_late_are_waited_for() -> None:
 
 def test_a_wrong_imu_keeps_the_robot_at_rest() -> None:
     rig = Rig()
-    rig.robot.imu._registers[imu.WHO_AM_I] = 0x6C
+    rig.robot.imu._registers[imu.WHO_AM_I] = 0x6A
     rig.run(2)
-    assert rig.balancer.fault.reason.startswith("IMU at 0x6B: WHO_AM_I is 0x6C")
+    assert rig.balancer.fault.reason.startswith("IMU at 0x6B: WHO_AM_I is 0x6A")
     assert rig.body.held
 
 
@@ -276,3 +276,11 @@ def test_the_same_seed_gives_the_same_run() -> None:
         second.body.tilt,
         second.balancer.duty,
     )
+
+
+def test_a_robot_with_a_motor_wired_the_other_way_round_stands_once_the_config_says_so() -> None:
+    rig = Rig(flip_left_motor=True)
+    rig.robot.miswire("left-motor", back=False)
+    rig.run(8.0)
+    assert (rig.balancer.mode, rig.balancer.fault) == ("balancing", None)
+    assert abs(rig.body.tilt) < 0.1

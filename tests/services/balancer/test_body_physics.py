@@ -8,7 +8,7 @@ from balancer_rig import CONFIGURED, OTHER
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.balancer.core.body import GRAVITY
+from services.balancer.core.control.body import GRAVITY
 from sim.core.balboa import LONGEST_S, REST_TILT, BalboaBody
 
 

@@ -7,7 +7,7 @@ import pytest
 from balancer_rig import Rig, upright
 
 from services.balancer.balancer import LEDS_AGAIN_S
-from services.balancer.core import balboa, imu
+from services.balancer.core.devices import balboa, imu
 from services.balancer.drivers import Balboa, Imu
 from services.balancer.slack_tasks import SlackTasks
 
@@ -128,7 +128,7 @@ def test_an_imu_that_did_not_take_its_setup_is_named() -> None:
     rig.robot.imu.write = deaf
     rig.run(1.0)
     assert rig.balancer.fault.name == "device"
-    assert rig.balancer.fault.reason == "IMU at 0x6B: CTRL1_XL to CTRL3_C hold 50 00 04, 50 58 04 was written"
+    assert rig.balancer.fault.reason == "IMU at 0x6B: CTRL1_XL to CTRL3_C hold 50 00 44, 50 58 44 was written"
     assert rig.body.held
     rig.robot.imu.write = write
     rig.run(4.0)
@@ -159,7 +159,7 @@ def test_an_atmega_that_was_reset_shines_again_and_the_robot_stands() -> None:
 
 def test_another_layout_of_the_firmware_is_named_and_nothing_is_driven() -> None:
     rig = Rig()
-    rig.robot.atmega._buffer[balboa.VERSION] = 2
+    rig.robot.atmega._buffer[balboa.VERSION] = 1
     rig.run(3.0)
-    assert rig.balancer.fault == ("device", "ATmega: its buffer has layout version 2, expected 1: flash the firmware")
+    assert rig.balancer.fault == ("device", "ATmega: its buffer has layout version 1, expected 2: flash the firmware")
     assert rig.body.held

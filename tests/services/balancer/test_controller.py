@@ -7,14 +7,14 @@ from balancer_rig import CONFIGURED
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.balancer.core import controller as c
-from services.balancer.core import stand_up as su
-from services.balancer.core.choice import make_controller
-from services.balancer.core.drive import TURN_LIMIT
-from services.balancer.core.estimator import BodyEstimate
+from services.balancer.core.control import controller as c
+from services.balancer.core.control import stand_up as su
+from services.balancer.core.control.choice import make_controller
+from services.balancer.core.control.drive import TURN_LIMIT
+from services.balancer.core.control.estimator import BodyEstimate
+from services.balancer.core.control.regulator import DUTY_LIMIT
 from services.balancer.core.faults import FELL, STOPPED, MotorFault
 from services.balancer.core.lateness import Lateness
-from services.balancer.core.regulator import DUTY_LIMIT
 from swarm.config.types import Balancing
 from swarm.errors import LocalError
 

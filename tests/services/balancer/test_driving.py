@@ -7,7 +7,7 @@ from balancer_rig import CONFIGURED, OTHER, Rig, scaled, upright
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.balancer.core.drive import HEADING_LAG, TURN_LIMIT, WAY_LAG, Drive, DriveLimits
+from services.balancer.core.control.drive import HEADING_LAG, TURN_LIMIT, WAY_LAG, Drive, DriveLimits
 from swarm.errors import LocalError
 
 BODIES = pytest.mark.parametrize("plant", [CONFIGURED, OTHER], ids=["configured", "other"])

@@ -7,9 +7,9 @@ from balancer_rig import CONFIGURED
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.balancer.core import imu
-from services.balancer.core.estimator import Estimator
-from services.balancer.core.gyro import KEPT_CHECK_S, SETTLE_S, STILL_SAMPLES, GyroZero, Zero
+from services.balancer.core.control.estimator import Estimator
+from services.balancer.core.control.gyro import KEPT_CHECK_S, SETTLE_S, STILL_SAMPLES, GyroZero, Zero
+from services.balancer.core.devices import imu
 from swarm.errors import RemoteError
 
 G = imu.STANDARD_GRAVITY

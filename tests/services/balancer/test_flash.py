@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from test_intel_hex import firmware, to_hex
 
 from services.balancer import flash, usb_port
-from services.balancer.core import avr109, balboa, image
-from services.balancer.core.image import Image
+from services.balancer.core.devices import balboa
+from services.balancer.core.flashing import avr109, image
+from services.balancer.core.flashing.image import Image
 from swarm.errors import LocalError, RemoteError
 
 IMAGE = image.read(to_hex(firmware(size=3000)))
@@ -121,7 +122,7 @@ def test_at_a_port_of_this_computer() -> None:
         flash.at_port(IMAGE, port.path, say)
         assert port.caterina.flash[: len(IMAGE.data)] == IMAGE.data
     assert words[0] == f"flashing 3072 bytes at {port.path}"
-    assert words[-1] == "written and read back: revision 7 (layout 1)"
+    assert words[-1] == "written and read back: revision 7 (layout 2)"
     assert "50 %" in words
 
 

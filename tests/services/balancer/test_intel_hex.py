@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.balancer.core import balboa, image, intel_hex
+from services.balancer.core.devices import balboa
+from services.balancer.core.flashing import image, intel_hex
 from swarm.errors import LocalError
 
 GOLDEN = ":0400000001020304F2\n:00000001FF\n"
@@ -103,7 +104,7 @@ def test_a_firmware_says_what_it_is() -> None:
         (firmware()[:275], "no firmware of Balboa Swarm"),
         (firmware(signature=b"\x1e\x95\x0f"), "made for ATmega328P, a Balboa 32U4 has an ATmega32U4"),
         (firmware(signature=b"\x01\x02\x03"), "made for a chip with signature 01 02 03"),
-        (firmware(layout=9), "layout version 9, this release needs 1"),
+        (firmware(layout=9), "layout version 9, this release needs 2"),
         (firmware(size=image.ROOM + 1), "room for 28672 bytes: too large"),
     ],
 )

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_loop import VirtualLoop
 
-from services.balancer.core.leds import (
+from services.balancer.core.devices.leds import (
     CONTROL_S,
     LONGEST_AHEAD_S,
     MARGIN_S,

@@ -8,9 +8,9 @@ from balancer_rig import CONFIGURED, OTHER, PLANTS
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.balancer.core import lqr
-from services.balancer.core.body import bare_body_model, body_model
-from services.balancer.core.estimator import SPEED_TIME_S
+from services.balancer.core.control import lqr
+from services.balancer.core.control.body import bare_body_model, body_model
+from services.balancer.core.control.estimator import SPEED_TIME_S
 from sim.core.balboa import STEP_S, BalboaBody
 from swarm.config.types import Body
 from swarm.errors import LocalError

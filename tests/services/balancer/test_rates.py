@@ -6,12 +6,11 @@ from pathlib import Path
 
 import pytest
 from test_balancer_registers import Bench
-from test_slack_tasks import Ticking
+from test_slack_tasks import AT_100_KHZ, Ticking
 
 from services.balancer import measure_i2c as i2c
-from services.balancer.core.rates import FAILURES, check_measurement
-from services.balancer.core.transfers import duration
-from sim.i2c import SimulatedBus
+from services.balancer.core.devices.rates import FAILURES, check_measurement
+from sim.devices.i2c import SimulatedBus
 from swarm.errors import LocalError
 from swarm.messages import I2CRates, MeasureI2C, ModuleRequest
 
@@ -57,7 +56,7 @@ def test_a_balancer_measures_in_its_slack() -> None:
     assert (found.ticket, found.size, found.count, found.problem) == ("mine", 28, 20, "")
     spent: dict[int, float] = {}
     for tick, transfer in ticking.transfers:
-        spent[tick] = spent.get(tick, 0.0) + duration(transfer)
+        spent[tick] = spent.get(tick, 0.0) + AT_100_KHZ.duration(transfer)
     assert max(spent.values()) < 4.5e-3
     assert ticking.rig.balancer.mode == "balancing"
 

@@ -8,12 +8,12 @@ from conftest import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.balancer.core import lqr
-from services.balancer.core.body import body_model
-from services.balancer.core.choice import REGULATORS
+from services.balancer.core.control import lqr
+from services.balancer.core.control.body import body_model
+from services.balancer.core.control.choice import REGULATORS
+from services.balancer.core.control.pololu import POLOLU, Pololu
+from services.balancer.core.control.regulator import DUTY_LIMIT, STANDSTILL, Demand, Deviation
 from services.balancer.core.parameters import BalancerParameter, BalancerParameters, around
-from services.balancer.core.pololu import POLOLU, Pololu
-from services.balancer.core.regulator import DUTY_LIMIT, STANDSTILL, Demand, Deviation
 from swarm.config.sections import CONTROLLERS
 from swarm.config.types import Body
 from swarm.errors import LocalError

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.balancer.core import faults
-from services.balancer.core.battery import EMPTY, LOW, OK, WINDOW_S, BatteryGuard
-from services.balancer.core.controller import STUCK_TICKS
-from services.balancer.core.leds import CLAIM_S, shown
+from services.balancer.core.control.controller import STUCK_TICKS
+from services.balancer.core.devices.battery import EMPTY, LOW, OK, WINDOW_S, BatteryGuard
+from services.balancer.core.devices.leds import CLAIM_S, shown
 from sim.core.balboa import REST_TILT
 from swarm.errors import LocalError
 from swarm.messages import SetLeds

@@ -9,15 +9,16 @@ from balancer_rig import Rig
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.balancer.core import balboa, uwb
-from services.balancer.core.buttons import ButtonCounter
-from services.balancer.core.display import ScreenText
-from services.balancer.core.lqr import PERIOD_S
-from services.balancer.core.mailbox import check_request
-from services.balancer.core.requests import check
-from services.balancer.core.transfers import Transfer, duration, read
+from services.balancer.core.control.lqr import PERIOD_S
+from services.balancer.core.devices import balboa, uwb
+from services.balancer.core.devices.buttons import ButtonCounter
+from services.balancer.core.devices.display import ScreenText
+from services.balancer.core.devices.mailbox import check_request
+from services.balancer.core.devices.requests import check
+from services.balancer.core.slack.transfers import read
+from services.balancer.core.slack.wire_time import Transfer, WireTime
 from services.balancer.slack_tasks import MARGIN_S, SLACK_S, SlackTasks
-from services.dwm.core.tlv import LOC_GET, AnchorRange, Location, Position, encode_location
+from services.dwm.core.module.tlv import LOC_GET, AnchorRange, Location, Position, encode_location
 from sim.core.devices import SimulatedRobot
 from swarm.errors import LocalError, RemoteError
 from swarm.messages import (
@@ -33,6 +34,8 @@ from swarm.messages import (
     SetNotes,
     Uwb,
 )
+
+AT_100_KHZ = WireTime(100e3)
 
 
 class Ticking:
@@ -71,7 +74,7 @@ def test_no_tick_has_more_than_its_share() -> None:
     ticking.run(3.0)
     spent: dict[int, float] = {}
     for tick, transfer in ticking.transfers:
-        spent[tick] = spent.get(tick, 0.0) + duration(transfer)
+        spent[tick] = spent.get(tick, 0.0) + AT_100_KHZ.duration(transfer)
     assert max(spent.values()) <= SLACK_S
     assert len(ticking.transfers) > 150
     assert ticking.rig.balancer.mode == "balancing"
@@ -88,7 +91,7 @@ def test_a_late_tick_does_nothing_that_would_make_the_next_one_late() -> None:
 
 
 def test_the_longest_slice_fits_the_slack() -> None:
-    assert duration(read(balboa.UWB, 32)) <= SLACK_S
+    assert AT_100_KHZ.duration(read(balboa.UWB, 32)) <= SLACK_S
 
 
 def test_battery_each_second() -> None:
@@ -263,10 +266,9 @@ def location(number: int) -> Location:
 
 @given(st.binary(max_size=110))
 def test_any_block_is_decoded_or_refused(block: bytes) -> None:
-    progress = balboa.UwbProgress(1, 0, 0, 0, 0, 0, 0, 1, 0)
     try:
         if uwb.check(block):
-            found = uwb.decode(block, 1.0, progress, 0, 1, 0)
+            found = uwb.decode(block, 1.0, 0, 1, 0)
             assert len(found.ranges) == min(found.count, 4)
             assert all(0 <= each.quality <= 100 for each in found.ranges)
     except RemoteError:

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.balancer.core.transfers import LONGEST
-from services.balancer.core.tune import Player, check_notes, loudness, pitch, tunes
+from services.balancer.core.devices.tune import Player, check_notes, loudness, pitch, tunes
+from services.balancer.core.slack.wire_time import LONGEST
 from swarm.errors import LocalError
 from swarm.messages import Note, SetNotes
 

@@ -1,6 +1,6 @@
 """Frames that the tests of this folder share."""
 
-from services.dwm.core.tlv import AnchorRange, Location, Position
+from services.dwm.core.module.tlv import AnchorRange, Location, Position
 
 # The example of the API guide (thesis fig. 2.6): the position is printed there in full, of the ranges only
 # their count and length; address C933 and what follows it are ours.

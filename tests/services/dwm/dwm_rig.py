@@ -3,7 +3,7 @@
 import contextlib
 import threading
 
-from sim.module import ModuleBoard
+from sim.devices.module import ModuleBoard
 
 ANCHORS = """
 [[anchors]]

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 from dwm_frames import LOCATION
 
-from services.dwm.core.block import PATIENCE, Block
-from services.dwm.core.poller import ModuleHealth, ModuleReport
+from services.dwm.core.module.block import PATIENCE, Block
+from services.dwm.core.module.poller import ModuleHealth, ModuleReport
 from swarm.messages import Uwb, UwbRange
 
 RANGES = tuple(

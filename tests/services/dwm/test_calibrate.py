@@ -13,9 +13,9 @@ from dwm_rig import ANCHORS, working
 from thesis_data import DATA, needs_calibration, needs_localization
 
 from services.dwm.calibrate.session import Hearing, hold
-from services.dwm.core import calibration_file
-from services.dwm.core.guide import QUARTERS, Guide
-from services.dwm.core.samples import HEADER, RangeSample, read, write
+from services.dwm.core.calibration import calibration_file
+from services.dwm.core.calibration.guide import QUARTERS, Guide
+from services.dwm.core.calibration.samples import HEADER, RangeSample, read, write
 from sim.core import uwb
 from swarm import config as configuration
 from swarm.bus.zenoh_bus import Bus
@@ -188,23 +188,27 @@ def test_the_end_of_the_answers_ends_the_session(processes, router, swarm, runti
         (["fit", "nowhere.csv"], "nowhere.csv: cannot be read"),
         (["fit", "empty."], "holds no *.csv"),
         (["distance", "--places", "1;2"], "--places: expected x,y x,y"),
-        (["check"], "of/r0.toml: the calibration of r0 cannot be read"),
+        (["fit", "line.csv"], "all places lie within 0 cm of one line, 0 degrees from x: across it nothing is known"),
+        (["check"], "of/r0.toml: ranges and places are corrected as [dwm] says only; make one by"),
         (["offset", "nowhere", "--place", "0.5", "1.5"], "there is no such folder of recordings"),
     ],
 )
 def test_what_is_wrong_is_one_line(processes, swarm, runtime, arguments, words):
     (runtime / "empty.").mkdir()
+    rows = [RangeSample(k, 0.3 * k, 0.5, None, 0.0, "FFFF", 1.0, 0.3 * k, 0.52) for k in range(5)]
+    (runtime / "line.csv").write_text("\n".join([HEADER, *map(write, rows)]))
     path = [str(runtime / word) if word.endswith((".csv", ".")) else word for word in arguments]
     process = calibrate(processes, *path)
     _, error = process.communicate(timeout=60)
     assert process.returncode == 2
     assert words in error
     assert error.count("\n") == 1
+    assert not (runtime / "of").exists()
 
 
 @needs_calibration
 def test_the_thesis_samples_give_a_file_and_its_picture(processes, swarm, runtime):
-    process = calibrate(processes, "fit", str(DATA / "calibration"), "--target", "0.5", "1.0")
+    process = calibrate(processes, "fit", str(DATA / "calibration"), "--places", "thesis", "--target", "0.5", "1.0")
     said, error = process.communicate(timeout=60)
     assert process.returncode == 0, error
     assert re.search(r"curved +2\.72 cm  <- taken", said)
@@ -218,7 +222,7 @@ def test_the_thesis_samples_give_a_file_and_its_picture(processes, swarm, runtim
 @needs_localization
 def test_an_offset_is_learned_and_added_to_the_file(processes, swarm, runtime):
     rows = [
-        RangeSample(k, 0.3 * k, 0.5, None, 0.1 * i, "C933", math.dist((0.3 * k, 0.5), (0.5, 1.0)), None, None)
+        RangeSample(k, 0.5 * k, 0.5, None, 0.1 * i, "C933", math.dist((0.5 * k, 0.5), (0.5, 1.0)), None, None)
         for k in range(4)
         for i in range(3)
     ]

@@ -6,8 +6,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.dwm.core.calibration import Calibration, RangeModel
-from services.dwm.core.calibration_file import CalibrationFile, Evidence, check, described, layout_of, parse, text_of
+from services.dwm.core.calibration.calibration_file import (
+    CalibrationFile,
+    Evidence,
+    check,
+    described,
+    layout_of,
+    parse,
+    text_of,
+)
+from services.dwm.core.calibration.models import Calibration, RangeModel
 from swarm.config.types import Affine, Anchor
 from swarm.errors import ConfigError
 

@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.dwm.core import calls
-from services.dwm.core.calls import ModuleStatus, Settings, UpdateRate, Version
-from services.dwm.core.tlv import (
+from services.dwm.core.module import calls
+from services.dwm.core.module.calls import ModuleStatus, Settings, UpdateRate, Version
+from services.dwm.core.module.tlv import (
     LOC_GET,
     OK,
     Position,

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from services.dwm.core import diagnosis
-from services.dwm.core.calls import ModuleStatus, Settings, UpdateRate, Version
-from services.dwm.core.diagnosis import DiagnosisWatch
-from services.dwm.core.exchange import Trouble
-from services.dwm.core.tlv import AnchorRange, Location, Position
+from services.dwm.core.module import diagnosis
+from services.dwm.core.module.calls import ModuleStatus, Settings, UpdateRate, Version
+from services.dwm.core.module.diagnosis import DiagnosisWatch
+from services.dwm.core.module.exchange import Trouble
+from services.dwm.core.module.tlv import AnchorRange, Location, Position
 from sim.core.uwb import ErrorModel, Module, Tag
 from swarm.config.types import Anchor
 

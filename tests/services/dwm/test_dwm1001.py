@@ -7,10 +7,10 @@ from dwm_frames import EMPTY, LOCATION
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.dwm.core import calls, shell
-from services.dwm.core.calls import Settings, UpdateRate
-from services.dwm.core.shell import ShellInfo, ShellReader
-from services.dwm.core.tlv import LOC_GET, AnchorRange, Location, Position, TlvDecoder, encode_location
+from services.dwm.core.module import calls, shell
+from services.dwm.core.module.calls import Settings, UpdateRate
+from services.dwm.core.module.shell import ShellInfo, ShellReader
+from services.dwm.core.module.tlv import LOC_GET, AnchorRange, Location, Position, TlvDecoder, encode_location
 from sim.core.dwm1001 import (
     BYTE,
     FACTORY_RATE,

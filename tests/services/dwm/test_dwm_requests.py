@@ -8,8 +8,8 @@ from conftest import CONFIG, stop, wait_until
 from dwm_frames import LOCATION
 from dwm_rig import ANCHORS, DWM, working
 
-from services.dwm.core.calls import CFG_GET, VER_GET
-from services.dwm.core.tlv import encode_refusal
+from services.dwm.core.module.calls import CFG_GET, VER_GET
+from services.dwm.core.module.tlv import encode_refusal
 from services.dwm.line import BusLine, NoAnswerError
 from swarm import config as configuration
 from swarm.bus.zenoh_bus import Bus

@@ -11,8 +11,8 @@ import pytest
 from conftest import CONFIG, stop, wait_until
 from dwm_rig import ANCHORS, working
 
-from services.dwm.core.calibration import RangeModel
-from services.dwm.core.calibration_file import CalibrationFile, Evidence, layout_of, text_of
+from services.dwm.core.calibration.calibration_file import CalibrationFile, Evidence, layout_of, text_of
+from services.dwm.core.calibration.models import RangeModel
 from swarm import clock
 from swarm import config as configuration
 from swarm.bus.zenoh_bus import Bus
@@ -136,9 +136,14 @@ def test_a_calibration_is_loaded_and_one_of_other_anchors_refused(processes, boa
     anchors = configuration.load(processes.config).anchors
     text = processes.config.read_text()
     processes.config.write_text(text.replace("window = 10", 'window = 10\ncalibration = "{robot}.toml"', 1))
-    process = processes.start("-m", "services.dwm")
-    assert process.wait(60) == 2
-    assert "swarm calibrate distance --robots r0" in process.stderr.read()
+    process = processes.start_ready("-m", "services.dwm")
+    wait_until(lambda: ear.ranges and ear.ranges[-1].ranges, what="a range without a calibration")
+    item = ear.ranges[-1].ranges[0]
+    assert item.distance == pytest.approx(item.raw, abs=1.0)
+    assert stop(process) == 0
+    assert "there is no calibration" in (said := process.stderr.read())
+    assert "swarm calibrate distance --robots r0" in said
+    ear.ranges.clear()
     evidence = Evidence("linear", "2026-11-21T06:00:00", 3, 9, "00", {}, 0.0, ())
     file = CalibrationFile("r0", layout_of(anchors), (), (RangeModel(1.0, 5.0), evidence))
     (runtime / "r0.toml").write_text(text_of(file))

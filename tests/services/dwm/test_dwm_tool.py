@@ -10,10 +10,10 @@ import pytest
 from conftest import CONFIG, wait_until
 from dwm_rig import ANCHORS, DWM, working
 
-from services.dwm.core import calibration_file
-from services.dwm.core.calibration_file import CalibrationFile, described, layout_of
-from services.dwm.core.calls import NODE_ID_GET, Settings, UpdateRate
-from services.dwm.core.tlv import NOWHERE, AnchorRange, Position
+from services.dwm.core.calibration import calibration_file
+from services.dwm.core.calibration.calibration_file import CalibrationFile, described, layout_of
+from services.dwm.core.module.calls import NODE_ID_GET, Settings, UpdateRate
+from services.dwm.core.module.tlv import NOWHERE, AnchorRange, Position
 from services.dwm.line import NoAnswerError, PortLine
 from swarm import config as configuration
 from swarm.app.ranging import Ranging

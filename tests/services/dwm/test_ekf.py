@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.dwm.core.ekf import BIAS, GATE, GYRO, HEADING, PATIENCE, SCALE, Ekf, EkfNoise
-from services.dwm.core.linear import cholesky
+from services.dwm.core.estimation.ekf import BIAS, GATE, GYRO, HEADING, PATIENCE, SCALE, Ekf, EkfNoise
+from swarm.core.linear import cholesky
 
 ANCHORS = [(0.0, 0.0, 0.0), (1.94, 0.0, 0.5), (1.0, 1.94, 0.0), (0.5, 1.0, 1.0)]
 NOISE = EkfNoise()

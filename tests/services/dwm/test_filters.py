@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.dwm.core import filters
-from services.dwm.core.filters import ORIGINAL_PERCENTILES, PlaceFilter, RangeFilter
+from services.dwm.core.estimation import filters
+from services.dwm.core.estimation.filters import ORIGINAL_PERCENTILES, PlaceFilter, RangeFilter
 
 VALUES = st.lists(st.floats(-100, 100), min_size=1, max_size=60)
 

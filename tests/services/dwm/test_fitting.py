@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.dwm.core.calibration import RangeModel, position
-from services.dwm.core.fitting import (
+from services.dwm.core.calibration.fitting import (
     fit_affine,
     fit_linear,
     fit_logarithmic,
@@ -18,7 +17,8 @@ from services.dwm.core.fitting import (
     robot_offset,
     with_antenna,
 )
-from services.dwm.core.samples import SampleGroup, Spot
+from services.dwm.core.calibration.models import RangeModel, position
+from services.dwm.core.calibration.samples import SampleGroup, Spot
 from swarm.config.types import Linear
 from swarm.errors import LocalError
 
@@ -92,7 +92,11 @@ def test_a_robots_offset_counts_each_place_once():
 
 
 @pytest.mark.parametrize(
-    ("distances", "words"), [([0.5, 1.0], "fewer than 3 places"), ([1.0, 1.0, 1.0, 1.0], "equally far")]
+    ("distances", "words"),
+    [
+        ([0.5, 1.0], "at 2 of at least 3 places: measure at 1 more"),
+        ([1.0, 1.0, 1.2, 1.0], r"between 1\.00 and 1\.20 m: .* nearer to the module or farther"),
+    ],
 )
 def test_too_little_is_said(distances, words):
     with pytest.raises(LocalError, match=words):
@@ -132,11 +136,3 @@ def test_a_skewed_world_needs_the_thesis_model_and_a_plain_one_does_not():
     assert sum(fit.name != "affine" for fit in plain) >= 6
     for fit in plain:
         assert fit.left_out[fit.name] <= fit.left_out["affine"]
-
-
-def test_places_in_a_line_determine_one_scale_and_too_few_nothing():
-    line = [Spot(k, 0.2 * k, 0.1 * k, ((0.21 * k, 0.105 * k),) * 3) for k in range(6)]
-    assert fit_places(line).left_out["affine"] == math.inf
-    assert position(fit_places(line).model, 0.42, 0.21) == pytest.approx((0.4, 0.2))
-    with pytest.raises(LocalError, match="fewer than 4 places"):
-        fit_places(line[:3])

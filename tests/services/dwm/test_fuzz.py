@@ -9,11 +9,11 @@ import random
 import pytest
 from dwm_frames import LOCATION
 
-from services.dwm.core import calls, shell
-from services.dwm.core.calls import Settings, UpdateRate
-from services.dwm.core.exchange import ModuleExchange
-from services.dwm.core.shell import ShellReader
-from services.dwm.core.tlv import (
+from services.dwm.core.module import calls, shell
+from services.dwm.core.module.calls import Settings, UpdateRate
+from services.dwm.core.module.exchange import ModuleExchange
+from services.dwm.core.module.shell import ShellReader
+from services.dwm.core.module.tlv import (
     LOC_GET,
     OK,
     Location,

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.dwm.calibrate.session import Presses, Reports
-from services.dwm.core.guide import QUARTERS, SETTLE, Guide, GuideButton, grid
+from services.dwm.core.calibration.guide import QUARTERS, SETTLE, Guide, GuideButton, grid
 from swarm.messages import Buttons, Pose, Range, Ranges
 
 PLACES = [(0.5, 0.5), (1.0, 0.5), (1.0, 1.0)]

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from services.dwm.core.multilateration import Fix, NoFix, degenerate, multilaterate
+from services.dwm.core.estimation.multilateration import Fix, NoFix, degenerate, multilaterate
 
 TABLE = [(0.0, 0.0, 0.0), (1.94, 0.0, 0.0), (1.0, 1.94, 0.0), (0.5, 1.0, 0.0)]
 METRES = st.floats(-3, 5)

@@ -3,10 +3,10 @@ from dataclasses import replace
 import pytest
 from dwm_frames import LOCATION
 
-from services.dwm.core import calibration
-from services.dwm.core.pipeline import Pipeline
-from services.dwm.core.ranges import FORGET, MAX_DISTANCE, MAX_MODULES, STALE, STUCK
-from services.dwm.core.tlv import AnchorRange, Location, Position
+from services.dwm.core.calibration import models as calibration
+from services.dwm.core.estimation.pipeline import Pipeline
+from services.dwm.core.module.ranges import FORGET, MAX_DISTANCE, MAX_MODULES, STALE, STUCK
+from services.dwm.core.module.tlv import AnchorRange, Location, Position
 from swarm.config.types import Affine, Dwm, Linear
 
 DISTANCE = Linear(0.946976, -0.05964849)

@@ -5,11 +5,19 @@ from dwm_frames import GOLDEN, LOCATION
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.dwm.core.calls import CFG_GET, RESET, VER_GET
-from services.dwm.core.exchange import RESTART, SLOW_TIMEOUT, TIMEOUT
-from services.dwm.core.poller import FAILURES, MAX_PAUSE, MAX_WAITING, Answered, ModuleHealth, ModuleReport, Poller
-from services.dwm.core.shell import LEAVE
-from services.dwm.core.tlv import LOC_GET, encode_refusal
+from services.dwm.core.module.calls import CFG_GET, RESET, VER_GET
+from services.dwm.core.module.exchange import RESTART, SLOW_TIMEOUT, TIMEOUT
+from services.dwm.core.module.poller import (
+    FAILURES,
+    MAX_PAUSE,
+    MAX_WAITING,
+    Answered,
+    ModuleHealth,
+    ModuleReport,
+    Poller,
+)
+from services.dwm.core.module.shell import LEAVE
+from services.dwm.core.module.tlv import LOC_GET, encode_refusal
 
 
 def ask(poller, now):

@@ -4,10 +4,10 @@ import math
 
 import pytest
 
-from services.dwm.core.calibration import Calibration, RangeModel
-from services.dwm.core.pipeline import Pipeline
-from services.dwm.core.tlv import AnchorRange, Location, Position
-from services.dwm.core.tracker import SILENCE
+from services.dwm.core.calibration.models import Calibration, RangeModel
+from services.dwm.core.estimation.pipeline import Pipeline
+from services.dwm.core.estimation.tracker import SILENCE
+from services.dwm.core.module.tlv import AnchorRange, Location, Position
 from swarm.config.types import Affine, Anchor, Dwm
 
 ANCHORS = (Anchor("D001", 0.0, 0.0), Anchor("D002", 1.94, 0.0), Anchor("D003", 1.0, 1.94))

@@ -5,8 +5,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.dwm.core import samples
-from services.dwm.core.samples import HEADER, TARGET, RangeSample, SampleGroup, Spot, digest, groups, read, spots
+from services.dwm.core.calibration import samples
+from services.dwm.core.calibration.samples import (
+    HEADER,
+    TARGET,
+    RangeSample,
+    SampleGroup,
+    Spot,
+    digest,
+    groups,
+    read,
+    spots,
+)
 from swarm.errors import RecordingError
 
 NUMBER = st.floats(-100, 100)
@@ -38,7 +48,7 @@ def test_a_report_without_a_fix_has_ranges_alone():
 
 
 def test_the_layout_of_the_thesis():
-    found = read("0\n268.0,228.0,1083.0\n5\n1400,1700,1010\n", "f")
+    found = read("0\n268.0,228.0,1083.0\n5\n1400,1700,1010\n", "f", samples.THESIS_PLACES)
     assert found[0] == RangeSample(0, 0.25, 1.0, None, 2.0, TARGET, 0.268, 0.228, 1.083)
     assert found[1] == RangeSample(5, 1.75, 1.0, None, 4.0, TARGET, 1.4, 1.7, 1.01)
 
@@ -49,7 +59,7 @@ def test_the_layout_of_the_thesis():
         ("", "f: holds no samples"),
         (HEADER, "f: holds no samples"),
         ("268.0,228.0,1083.0", "f:1: a sample before the first place"),
-        ("22\n1,2,3", "f:1: place 22, the thesis has 0 to 21"),
+        ("22\n1,2,3", "f:1: place 22, and there are places 0 to 21"),
         ("1.5\n1,2,3", "f:1: place 1.5"),
         ("0\n1,2", "f:2: 2 columns: neither ours"),
         ("0\n1,x,3", "f:2: 'x' is no number"),
@@ -64,14 +74,21 @@ def test_the_layout_of_the_thesis():
 )
 def test_what_is_wrong_is_named_by_line(text, words):
     with pytest.raises(RecordingError) as caught:
-        read(text, "f")
+        read(text, "f", samples.THESIS_PLACES)
     assert str(caught.value).startswith(words)
 
 
 @given(st.text(max_size=200))
 def test_any_text_is_read_or_refused(text):
     with contextlib.suppress(RecordingError):
-        read(text, "f")
+        read(text, "f", [(0.0, 0.0)])
+
+
+def test_a_file_in_the_thesis_layout_is_no_better_than_the_places_that_are_told_for_it():
+    with pytest.raises(RecordingError, match=r"f:1: in the thesis' layout, .*--places x,y .*--places thesis"):
+        read("0\n268.0,228.0,1083.0\n", "f")
+    (found,) = read("0\n268.0,228.0,1083.0\n", "f", [(1.5, 0.5)], "D00A")
+    assert (found.x, found.y, found.module) == (1.5, 0.5, "D00A")
 
 
 def test_groups_are_by_place_module_and_orientation():

@@ -2,10 +2,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.dwm.core import shell
-from services.dwm.core.exchange import is_shell
-from services.dwm.core.shell import ShellInfo, ShellReader
-from services.dwm.core.tlv import AnchorRange, Location, Position
+from services.dwm.core.module import shell
+from services.dwm.core.module.exchange import is_shell
+from services.dwm.core.module.shell import ShellInfo, ShellReader
+from services.dwm.core.module.tlv import AnchorRange, Location, Position
 from swarm.errors import FrameError
 
 LES = "022E[7.94,8.03,0.00]=3.38 D001[0.00,-1.00,0.00]=1.20 le_us=3082 est[6.97,5.17,-1.77,53]"

@@ -13,9 +13,9 @@ import pytest
 import serial
 from dwm_frames import GOLDEN
 
-from services.dwm.core.calls import CFG_GET, POS_GET, RESET, Settings, cfg_set
-from services.dwm.core.tlv import LOC_GET, NOWHERE, Location, Position, Refusal, TlvDecoder
-from sim.module import ModuleBoard
+from services.dwm.core.module.calls import CFG_GET, POS_GET, RESET, Settings, cfg_set
+from services.dwm.core.module.tlv import LOC_GET, NOWHERE, Location, Position, Refusal, TlvDecoder
+from sim.devices.module import ModuleBoard
 from swarm.config import Anchor, Config, Dwm, RobotConfig, SimulationConfig
 
 CONFIG = Config(

@@ -6,10 +6,7 @@ import random
 import pytest
 from thesis_data import DATA, calibration_samples, needs_calibration, needs_localization
 
-from services.dwm.core import thesis
-from services.dwm.core.calibration import RangeModel
-from services.dwm.core.filters import mean
-from services.dwm.core.fitting import (
+from services.dwm.core.calibration.fitting import (
     error_of,
     fit_curved,
     fit_linear,
@@ -18,8 +15,11 @@ from services.dwm.core.fitting import (
     fit_ranges,
     robot_offset,
 )
-from services.dwm.core.multilateration import Fix, multilaterate
-from services.dwm.core.samples import TARGET, TARGET_PLACE, SampleGroup, groups, of_recording, spots
+from services.dwm.core.calibration.models import RangeModel
+from services.dwm.core.calibration.samples import TARGET, TARGET_PLACE, SampleGroup, groups, of_recording, spots
+from services.dwm.core.estimation import thesis
+from services.dwm.core.estimation.filters import mean
+from services.dwm.core.estimation.multilateration import Fix, multilaterate
 from swarm.recording.thesis_ranges import read_folder
 
 MODULES = {TARGET: (*TARGET_PLACE, 0.0)}

@@ -3,7 +3,7 @@ from dwm_frames import EMPTY, GOLDEN, LOCATION, POSITION_BYTES
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.dwm.core.tlv import (
+from services.dwm.core.module.tlv import (
     ERRORS,
     LOC_GET,
     MAX_RANGES,

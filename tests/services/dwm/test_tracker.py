@@ -3,8 +3,8 @@ import random
 
 import pytest
 
-from services.dwm.core.motion import KEPT, DeadReckoning, Increments
-from services.dwm.core.tracker import LATENCY, SILENCE, START_REPORTS, Tracker
+from services.dwm.core.estimation.motion import KEPT, DeadReckoning, Increments
+from services.dwm.core.estimation.tracker import LATENCY, SILENCE, START_REPORTS, Tracker
 from swarm.messages import Odometry
 
 ANCHORS = {"D001": (0.0, 0.0, 0.0), "D002": (1.94, 0.0, 0.0), "D003": (1.0, 1.94, 0.0), "C933": (0.5, 1.0, 0.0)}

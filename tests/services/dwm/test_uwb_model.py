@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from services.dwm.core.tlv import LOC_GET, Position, TlvDecoder, encode_location
+from services.dwm.core.module.tlv import LOC_GET, Position, TlvDecoder, encode_location
 from sim.core.uwb import ErrorModel, Module, Tag, multilaterate
 
 QUIET = ErrorModel(1.0, 0.0, heading=0, noise=0, hidden=0, outlier=0, missing=0, engine_offset=0)

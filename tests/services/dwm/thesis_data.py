@@ -18,7 +18,7 @@ needs_localization = pytest.mark.skipif(
 
 
 def calibration_samples():
-    from services.dwm.core import samples
+    from services.dwm.core.calibration import samples
 
     path = DATA / "calibration" / "full.csv"
-    return samples.read(path.read_text(), str(path))
+    return samples.read(path.read_text(), str(path), samples.THESIS_PLACES)

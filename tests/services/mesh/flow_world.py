@@ -1,11 +1,10 @@
 """Two sessions joined by a link of a certain latency and bandwidth, under virtual time."""
 
-import heapq
-import itertools
 import math
 import random
 from collections import Counter
-from collections.abc import Callable
+
+from timed_world import TimedWorld
 
 from services.mesh.core.events import Received
 from services.mesh.core.link.calls import Local
@@ -36,7 +35,7 @@ class Side:
         self.wakes_at = -1.0
 
 
-class Link:
+class Link(TimedWorld):
     """The link. `sndbuf` bytes fit between a session and the air, as in the kernel's socket."""
 
     def __init__(
@@ -48,12 +47,10 @@ class Link:
         sndbuf: int = 50_000,
         seed: int = 1,
     ) -> None:
+        super().__init__()
         model = AirModel(latency, jitter, bandwidth)
         draw = random.Random(seed)
         self.sndbuf = sndbuf
-        self.now = 0.0
-        self._schedule: list[tuple[float, int, Callable[[], None]]] = []
-        self._order = itertools.count()
         self.a = Side("a", "b", True, DelayLine(model, draw))
         self.b = Side("b", "a", False, DelayLine(model, draw))
         self._timers: dict[Side, float | None] = {self.a: None, self.b: None}
@@ -66,21 +63,10 @@ class Link:
     def other(self, side: Side) -> Side:
         return self.b if side is self.a else self.a
 
-    def at(self, time: float, call: Callable[[], None]) -> None:
-        heapq.heappush(self._schedule, (time, next(self._order), call))
-
     def send(self, side: Side, priority: int, key: str, payload: bytes, latest: bool = False) -> bool:
         taken = side.session.send(priority, key, payload, latest=latest)
         self.work(side)
         return taken
-
-    def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
-        end = self.now + seconds
-        while self._schedule and self._schedule[0][0] <= end and not until():
-            self.now, _, call = heapq.heappop(self._schedule)
-            call()
-        if not until():
-            self.now = end
 
     def work(self, side: Side) -> None:
         """Move what can be moved: from the session into the socket, from there onto the air."""

@@ -1,14 +1,14 @@
 """Nodes of the mesh joined in memory under virtual time, with cuts, broken connections, kills and stops."""
 
-import heapq
-import itertools
 import random
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from hypothesis import strategies as st
+from timed_world import TimedWorld, Timer
 
 from services.mesh.core.actions import Close, Dial, LogLine, Write
 from services.mesh.core.events import Received
@@ -71,7 +71,7 @@ class Bot:
     stopped_until: float = 0.0
 
 
-class World:
+class World(TimedWorld):
     """Robots and the links between them. Time passes only in `run`."""
 
     def __init__(
@@ -88,6 +88,7 @@ class World:
     ) -> None:
         """With `keys` all links are authenticated; a robot's own ones may be put into `overrides`. With a `bandwidth`,
         bytes/s, each end has a socket of 50 kB before the air. With `auto` the robots find their links themselves."""
+        super().__init__()
         self.air = AirModel(latency, jitter, bandwidth)
         self.written: Counter[tuple[str, str]] = Counter()
         """Bytes on the air from one robot to another."""
@@ -97,7 +98,6 @@ class World:
         self.saved: dict[str, TopologyVersion] = {}
         """What robots have kept through their restarts."""
         self.keys = keys
-        self.now = 0.0
         self.random = random.Random(seed)
         self.latency = latency
         self.edges = list(edges)
@@ -112,8 +112,6 @@ class World:
         self.break_after: int | None = None
         self.tap: Callable[[End, bytes], bytes] | None = None
         """Somebody between the robots: sees what an end sends, and decides what goes on in its place."""
-        self._schedule: list[tuple[float, int, Callable[[], None]]] = []
-        self._order = itertools.count()
         for name in self.network:
             self.start(name)
 
@@ -230,22 +228,8 @@ class World:
         """Whether both ends of every link see it up."""
         return all(self.link(a, b).state == "up" == self.link(b, a).state for a, b in self.edges)
 
-    def run(self, seconds: float) -> None:
-        """Let time pass."""
-        end = self.now + seconds
-        while True:
-            timers = [(self._wake(bot), name) for name, bot in self.bots.items()]
-            timer, name = min(timers, default=(float("inf"), ""))
-            if self._schedule and self._schedule[0][0] <= min(timer, end):
-                self.now, _, call = heapq.heappop(self._schedule)
-                call()
-            elif timer <= end:
-                assert timer >= self.now or name
-                self.now = max(self.now, timer)
-                self.step(name, lambda node: node.handle_timer(self.now))
-            else:
-                self.now = end
-                return
+    def timers(self) -> list[Timer]:
+        return [(self._wake(self.bots[name]), partial(self._handle_timer, name)) for name in sorted(self.bots)]
 
     # -- the machinery --
 
@@ -263,7 +247,7 @@ class World:
                 bot.inbox.append((action.key, action.payload))
             elif isinstance(action, Dial):
                 self.dials.append((self.now, name, action.peer))
-                self._at(self.now + self.latency, lambda peer=action.peer: self._dial(bot, peer))  # type: ignore[misc]
+                self.at(self.now + self.latency, lambda peer=action.peer: self._dial(bot, peer))  # type: ignore[misc]
             elif isinstance(action, Close):
                 if (end := bot.ends.pop(action.session, None)) is not None:
                     end.session = action.session
@@ -281,8 +265,8 @@ class World:
         assert deadline <= bot.node._earliest(), "something would be done too late"
         return max(deadline, bot.stopped_until)
 
-    def _at(self, time: float, call: Callable[[], None]) -> None:
-        heapq.heappush(self._schedule, (time, next(self._order), call))
+    def _handle_timer(self, name: str) -> None:
+        self.step(name, lambda node: node.handle_timer(self.now))
 
     def _is_cut(self, a: str, b: str) -> bool:
         return self.cuts.get(frozenset((a, b)), 0.0) > self.now
@@ -341,10 +325,10 @@ class World:
             data = end.socket.popleft()
             self.written[end.robot, other.robot if other is not None else ""] += len(data)
             line.push(data, self.now)
-            self._at(line._last_arrival, lambda data=data: self._arrive(end, data))  # type: ignore[misc]
+            self.at(line._last_arrival, lambda data=data: self._arrive(end, data))  # type: ignore[misc]
         if waited and not end.waits:
             end.waits = True
-            self._at(line.free_at, lambda: self._go_on(end))
+            self.at(line.free_at, lambda: self._go_on(end))
 
     def _go_on(self, end: End) -> None:
         end.waits = False
@@ -358,11 +342,11 @@ class World:
         if self.break_after is not None:
             data, self.break_after = data[: self.break_after], self.break_after - len(data)
         if data:
-            self._at(self.now + self.latency, lambda: self._arrive(end, data))
+            self.at(self.now + self.latency, lambda: self._arrive(end, data))
         if self.break_after is not None and self.break_after <= 0:
             self.break_after = None
             end.broken = True
-            self._at(self.now + self.latency, lambda: self._lose(end))
+            self.at(self.now + self.latency, lambda: self._lose(end))
 
     def _lose(self, end: End) -> None:
         self._close(end)
@@ -380,7 +364,7 @@ class World:
         held = max(bot.stopped_until, self.cuts.get(frozenset((sender.robot, receiver.robot)), 0.0))
         if held > self.now:
             # What follows was queued later for the same time, so the order stays.
-            self._at(held, lambda: self._arrive(sender, data))
+            self.at(held, lambda: self._arrive(sender, data))
             return
         session = receiver.session
         self.step(receiver.robot, lambda node: node.receive(session, data, self.now))
@@ -390,7 +374,7 @@ class World:
         if end.alive:
             end.alive = False
             if end.peer is not None:
-                self._at(self.now + self.latency, lambda peer=end.peer: self._down(peer))  # type: ignore[misc]
+                self.at(self.now + self.latency, lambda peer=end.peer: self._down(peer))  # type: ignore[misc]
 
     def _down(self, end: End) -> None:
         bot = self.bots.get(end.robot)
@@ -399,7 +383,7 @@ class World:
         other = end.peer.robot if end.peer is not None else ""
         held = max(bot.stopped_until, self.cuts.get(frozenset((end.robot, other)), 0.0))
         if held > self.now:
-            self._at(held, lambda: self._down(end))
+            self.at(held, lambda: self._down(end))
             return
         session = end.session
         self.step(end.robot, lambda node: node.transport_down(session, "connection reset", self.now))

@@ -1,12 +1,13 @@
 """The overlays of many robots joined in memory under virtual time: links that break, die silently, return."""
 
-import heapq
 import itertools
 import random
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+
+from timed_world import TimedWorld
 
 from services.mesh.core.actions import LinkAction, Transmit
 from services.mesh.core.events import Received
@@ -41,7 +42,7 @@ class Edge:
     generation: int = 0
 
 
-class World:
+class World(TimedWorld):
     """Robots and their links. Time passes only in `run`."""
 
     def __init__(
@@ -55,7 +56,7 @@ class World:
         metric: str = "hops",
         start: bool = True,
     ) -> None:
-        self.now = 0.0
+        super().__init__()
         self.random = random.Random(seed)
         self.latency, self.jitter, self.loss, self.metric = latency, jitter, loss, metric
         self.edges = {frozenset(edge): Edge() for edge in edges}
@@ -73,11 +74,8 @@ class World:
         self.bytes: Counter[int] = Counter()
         self.counting: Callable[[Transmit], int] = lambda packet: packet.overlay
         self._arrival: dict[tuple[str, str], float] = {}
-        self._times: list[float] = []
-        self._calls: dict[float, list[Callable[[], None]]] = {}
-        """What happens at each time, in the order in which it was planned: large swarms do most things at once."""
         self._timers: dict[str, float] = {}
-        self._order = itertools.count()
+        self._tickets = itertools.count()
         self.watch: Callable[[str, str, Transmit], None] | None = None
         if start:
             for name in self.names:
@@ -129,7 +127,7 @@ class World:
         edge.generation += 1
         generation = edge.generation
         if silent:
-            self._at(self.now + SILENCE, lambda: self._down(a, b, generation))
+            self.at(self.now + SILENCE, lambda: self._down(a, b, generation))
         else:
             self._down(a, b, generation)
 
@@ -137,18 +135,7 @@ class World:
         """A link comes (back) up after a dial and a handshake."""
         edge = self.edges[frozenset((a, b))]
         generation = edge.generation
-        self._at(self.now + 3 * self._latency(a, b), lambda: self._up(a, b, generation))
-
-    def run(self, seconds: float) -> None:
-        """Let time pass."""
-        end = self.now + seconds
-        while self._times and self._times[0] <= end:
-            self.now = heapq.heappop(self._times)
-            calls = self._calls[self.now]
-            for call in calls:  # those that are added meanwhile, too
-                call()
-            del self._calls[self.now]
-        self.now = end
+        self.at(self.now + 3 * self._latency(a, b), lambda: self._up(a, b, generation))
 
     def settle(self, seconds: float = 2.0) -> None:
         """Run until links are up and routes known, and forget what came meanwhile."""
@@ -183,7 +170,7 @@ class World:
 
     def flood(self, name: str, payload: bytes, ticket: str = "", announce: bool = False, priority: str = "sync") -> str:
         """What an app asks for."""
-        ticket = ticket or f"t{next(self._order)}"
+        ticket = ticket or f"t{next(self._tickets)}"
         request = FloodRequest(ticket, "test", payload, priority, announce)
         self.step(name, lambda overlays: overlays.request(request, self.now))
         return ticket
@@ -192,7 +179,7 @@ class World:
         self, name: str, to: str, payload: bytes, ticket: str = "", timeout: float = 60.0, priority: str = "sync"
     ) -> str:
         """What an app asks for."""
-        ticket = ticket or f"t{next(self._order)}"
+        ticket = ticket or f"t{next(self._tickets)}"
         request = SendRequest(ticket, "test", to, payload, priority, timeout)
         self.step(name, lambda overlays: overlays.request(request, self.now))
         return ticket
@@ -240,18 +227,12 @@ class World:
     def _latency(self, a: str, b: str) -> float:
         return self.latencies.get(frozenset((a, b)), self.latency)
 
-    def _at(self, time: float, call: Callable[[], None]) -> None:
-        if time not in self._calls:
-            self._calls[time] = []
-            heapq.heappush(self._times, time)
-        self._calls[time].append(call)
-
     def _arm(self, name: str) -> None:
         """Wake a robot at its next deadline; a wake-up that has become too early does no harm."""
         deadline = max(self.bots[name].overlays.next_deadline(), self.now)
         if deadline < float("inf") and (deadline < self._timers[name] or self._timers[name] <= self.now):
             self._timers[name] = deadline
-            self._at(deadline, lambda: self._wake(name, deadline))
+            self.at(deadline, lambda: self._wake(name, deadline))
 
     def _wake(self, name: str, deadline: float) -> None:
         if name in self.bots and self._timers[name] == deadline:
@@ -290,7 +271,7 @@ class World:
         arrival = max(self.now + delay, self._arrival.get((name, packet.peer), 0.0))
         self._arrival[name, packet.peer] = arrival
         generation = edge.generation
-        self._at(arrival, partial(self._receive, name, packet, edge, generation))
+        self.at(arrival, partial(self._receive, name, packet, edge, generation))
 
     def _receive(self, sender: str, packet: Transmit, edge: Edge, generation: int) -> None:
         if edge.generation != generation or not edge.up or packet.peer not in self.bots:

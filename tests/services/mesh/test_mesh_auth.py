@@ -23,7 +23,7 @@ from swarm.errors import FrameError
 
 KEY_ID, SECRET = 0x68A1F0C2, bytes(range(32))
 KEYS = {KEY_ID: SECRET}
-DOCUMENT = (Path(__file__).parents[3] / "docs/frames.md").read_text()
+DOCUMENT = (Path(__file__).parents[3] / "docs/reference/network/frames.md").read_text()
 
 DIALLER = Hello("lab", "r0", 0x1122334455667788, bytes(range(16)), dialler=True, insecure=False, key_ids=(KEY_ID,))
 LISTENER = Hello(
@@ -101,7 +101,7 @@ def test_the_newest_common_key_is_used() -> None:
 
 
 def by_the_document() -> tuple[bytes, bytes, bytes, bytes]:
-    """CONFIRM's MACs and the keys of the frames, by the formulas of docs/frames.md written out."""
+    """CONFIRM's MACs and the keys of the frames, by the formulas of docs/reference/network/frames.md written out."""
     info = b"balboa-swarm mesh, HKDF-SHA256 HMAC-SHA256 BLAKE2b-64" + struct.pack("<BI", frames.VERSION, KEY_ID)
     extracted = hmac.new(hashlib.sha256(D + L).digest(), SECRET, "sha256").digest()
     blocks = [b""]
@@ -229,7 +229,7 @@ def test_the_largest_payload_and_its_tag_fill_a_frame() -> None:
 def test_an_authenticated_lockstep_message_costs_18_bytes() -> None:
     one, _ = connected()
     key = "swarm/r0/app/consensus/sync/00000000000000a1-0-3-9f3c21aa"
-    lockstep = struct.pack("<BI", 1, 7)  # kind and iteration, docs/lockstep.md
+    lockstep = struct.pack("<BI", 1, 7)  # kind and iteration, docs/reference/network/lockstep.md
     sizes = []
     for _ in range(2):
         one.send(frames.SYNC, key, lockstep + b"value", latest=False)

@@ -1,5 +1,6 @@
 """Robots that have one name: a copied SD card, or another swarm with the same configuration. The first one keeps its
-links, the second is refused by everybody and named, and the others notice nothing (docs/security.md)."""
+links, the second is refused by everybody and named, and the others notice nothing
+(docs/explanation/two-robots-with-one-name.md)."""
 
 from collections import Counter
 

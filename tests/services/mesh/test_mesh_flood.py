@@ -283,7 +283,7 @@ def test_a_robot_whose_clock_went_back_goes_above_its_old_self() -> None:
 
 
 def test_a_forged_number_blocks_nobody_for_good() -> None:
-    """A member can speak for r0 (docs/overlays.md). r0 hears of it and begins anew above it."""
+    """A member can speak for r0. r0 hears of it and begins anew above it."""
     world = World(line(3))
     world.settle()
     forged = packets.encode_spread(Spread(2**62, 2**31, b"forged"))

@@ -1,4 +1,5 @@
-"""Frames: golden bytes of docs/frames.md, any split of a stream, and whatever bytes a peer may send."""
+"""Frames: golden bytes of docs/reference/network/frames.md, any split of a stream, and whatever bytes a peer may
+send."""
 
 import re
 import struct
@@ -31,7 +32,7 @@ GOLDEN = {
     "clock": encode_claim(ClockClaim("r0", 0x11223344, 7, 2, False, True, 1.5, -0.25, 0.0, 0.0009765625)),
 }
 
-DOCUMENT = Path(__file__).parents[3] / "docs/frames.md"
+DOCUMENT = Path(__file__).parents[3] / "docs/reference/network/frames.md"
 
 
 def drain(decoder: FrameDecoder) -> list[Frame]:
@@ -61,7 +62,7 @@ def test_the_document_knows_every_bye_code() -> None:
 
 
 def test_the_document_knows_every_counter() -> None:
-    text = DOCUMENT.read_text() + "\n## " + (DOCUMENT.parent / "overlays.md").read_text() + "\n## "
+    text = DOCUMENT.read_text() + "\n## " + (DOCUMENT.parent / "overlay-packets.md").read_text() + "\n## "
     documented = set(re.findall(r"`(\w+)`", "".join(re.findall(r"## Counters\n(.*?)\n## ", text, re.DOTALL))))
     documented |= {"refused" + name for name in documented if name.startswith("_")}
     assert set(COUNTERS) <= documented
@@ -224,7 +225,7 @@ def test_what_does_not_fit_is_our_own_mistake() -> None:
 
 
 def test_the_header_of_a_lockstep_message_is_short() -> None:
-    lockstep_header = 5  # kind and iteration, docs/lockstep.md
+    lockstep_header = 5  # kind and iteration, docs/reference/network/lockstep.md
     header = len(frames.encode_data(frames.SYNC, 1, b"")) + frames.TAG_SIZE + lockstep_header
     assert header == 18
 

@@ -1,5 +1,5 @@
 """The key of a running swarm is replaced robot by robot, or releases differ: what works after each step, and what is
-named (docs/security.md, Replacing a key)."""
+named (docs/how-to/fleet/replace-the-key.md, Replacing a key)."""
 
 import pytest
 from mesh_world import World

@@ -1,5 +1,5 @@
 """Attacks by a member: r0 holds the key and has a link to r1, and lies. What it can do and what not is the table in
-docs/security.md; whatever it does, r1 and r2 lose nothing of what they say to each other."""
+docs/reference/network/captured-member.md; whatever it does, r1 and r2 lose nothing of what they say to each other."""
 
 from collections.abc import Iterator
 

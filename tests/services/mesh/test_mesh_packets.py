@@ -1,4 +1,5 @@
-"""Packets of the overlays: golden bytes of docs/overlays.md, round trips, and whatever bytes a member may send."""
+"""Packets of the overlays: golden bytes of docs/reference/network/overlay-packets.md, round trips, and whatever bytes a
+member may send."""
 
 import re
 import struct
@@ -13,7 +14,8 @@ from hypothesis import strategies as st
 from services.mesh.core.bulk import pieces
 from services.mesh.core.bulk.numbered import SeenNumbers
 from services.mesh.core.bulk.pieces import DONE, GONE, OFFER, PIECE, STATE, WANT, MessageId, Packet
-from services.mesh.core.overlays import stop
+from services.mesh.core.overlays import carried, stop
+from services.mesh.core.overlays.carried import Carried
 from services.mesh.core.overlays.stop import Halt, Mark
 from services.mesh.core.routing import topology
 from services.mesh.core.routing.topology import Advertisement
@@ -22,7 +24,7 @@ from services.mesh.core.wire.frames import MAX_PAYLOAD
 from services.mesh.core.wire.packets import Ack, EchoPacket, Spread, UnicastMessage
 from swarm.errors import FrameError
 
-DOCUMENT = Path(__file__).parents[3] / "docs/overlays.md"
+DOCUMENT = Path(__file__).parents[3] / "docs/reference/network/overlay-packets.md"
 
 LARGE = MessageId("r0", 1, 5, flood=False)
 
@@ -44,6 +46,7 @@ GOLDEN = {
     "state": pieces.encode(Packet(STATE, "r3", "r0", LARGE, pieces.encode_state(DONE), 32)),
     "gone": pieces.encode(Packet(GONE, "r1", "r2", MessageId("r0", 1, 7, flood=True), b"", 32)),
     "avoiding": packets.encode_message(UnicastMessage("r0", "r1", 1, 0, "swarm/r0/app/x/sync/c/r1/around", b"hi", 32)),
+    "carry": carried.encode_carried(Carried(0b1010, b"hi", 32)),
 }
 
 DECODERS: dict[str, Callable[[bytes], object]] = {
@@ -64,6 +67,7 @@ DECODERS: dict[str, Callable[[bytes], object]] = {
     "state": lambda data: pieces.decode_state(pieces.decode(data).body),
     "gone": pieces.decode,
     "avoiding": packets.decode_message,
+    "carry": carried.decode_carried,
 }
 
 
@@ -191,6 +195,11 @@ def test_advertisement_round_trip(packet: Advertisement) -> None:
 )
 def test_message_round_trip(packet: UnicastMessage) -> None:
     assert packets.decode_message(packets.encode_message(packet)) == packet
+
+
+@given(st.builds(Carried, st.integers(0, 2**2040 - 1), st.binary(max_size=99), st.integers(0, 255), st.booleans()))
+def test_carried_round_trip(packet: Carried) -> None:
+    assert carried.decode_carried(carried.encode_carried(packet)) == packet
 
 
 @given(st.builds(Ack, names, names, u64, u32, st.booleans(), st.integers(0, 255)))

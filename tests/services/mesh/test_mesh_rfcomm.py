@@ -1,4 +1,5 @@
-"""RFCOMM links over a stand-in socket family with the faults of the real one (docs/frames.md, sockets).
+"""RFCOMM links over a stand-in socket family with the faults of the real one (docs/reference/network/frames.md,
+sockets).
 
 Neither this kernel nor CI's has Bluetooth; what a stand-in cannot show is range, pairing and the real stack.
 """
@@ -26,7 +27,6 @@ from services.mesh.core.wire.frames import Hello
 from services.mesh.links import pybluez, rfcomm
 from services.mesh.links.pipe import Pipe
 from services.mesh.links.rfcomm import Radio
-from services.mesh.locked_runtime import LockedRuntime
 from services.mesh.mesh import Chance
 from services.mesh.mesh import Mesh as Shell
 from services.mesh.network import Network
@@ -35,6 +35,7 @@ from swarm import clock
 from swarm.bus.protocol import BusLike
 from swarm.config import parse
 from swarm.errors import LocalError
+from swarm.process.locked_runtime import LockedRuntime
 
 A, B, C = (f"B8:27:EB:00:00:0{digit}" for digit in "ABC")
 STRANGER = "00:11:22:33:44:55"
@@ -307,8 +308,9 @@ def test_meshes_meet_over_rfcomm_part_and_meet_again(air: RfcommAir, runtime: Pa
         sock.shutdown(socket.SHUT_RDWR)
     wait_until(lambda: near.state[:2] == far.state[:2] == ("up", 2))
     assert near.counters["transport_lost"] == 1
-    # With each dial, by who has dialled.
-    assert (near.limits, far.limits) == ([(A, B, 3.0)] * 2, [])
+    # For each link, by who has dialled.
+    wait_until(lambda: near.limits == [(A, B, 3.0)] * 2)
+    assert far.limits == []
     near.stop()
     far.stop()
 

@@ -1,4 +1,5 @@
-"""Many robots under virtual time: messages and bytes for each robot against the formulas (docs/overlays.md).
+"""Many robots under virtual time: messages and bytes for each robot against the formulas
+(docs/explanation/overlays.md).
 
 Ring with chords, degree 4. An LSA or a flood without echo crosses 2E - (N - 1) times, a flood with echo 2E, a unicast
 message and its answer take two messages a hop.

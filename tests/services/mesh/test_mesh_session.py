@@ -7,15 +7,15 @@ from hypothesis import strategies as st
 from mesh_world import ACCIDENTS, World
 
 from services.mesh.core.link.calls import FIRST_DELAY, LONGEST_DELAY, MAX_HALF_OPEN, Dialler, dials
-from services.mesh.core.link.session import HANDSHAKE_TIMEOUT
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.frames import Hello
-from swarm.config.types import RobotConfig
+from swarm.config.types import MeshConfig, RobotConfig
 from swarm.errors import LocalError
 
 PAIR = [("r0", "r1")]
 KEYS = {0x68A1F0C2: bytes(range(32))}
 SYNC_KEY = "swarm/{}/app/consensus/sync/00000000000000a1-0-3-9f3c21aa"
+HANDSHAKE_TIMEOUT = MeshConfig().handshake
 RECOVERY = 3.0 + 1.5 * LONGEST_DELAY + HANDSHAKE_TIMEOUT + 1.0
 """s in which a link must be up again when nothing disturbs it: silence, the longest wait, a handshake."""
 
@@ -100,7 +100,7 @@ def test_silence_makes_a_link_suspect_then_down_then_it_returns() -> None:
     assert world.link("r0", "r1").state == "suspect"
     world.run(1.5)
     assert world.link("r0", "r1").state in ("down", "connecting")
-    assert world.link("r0", "r1").reason in ("silent for 3 s", "no handshake within 2 s")
+    assert world.link("r0", "r1").reason in ("silent for 3 s", "no handshake within 8 s")
     assert world.bots["r0"].counters["silent"] >= 1
     world.run(10.0 - 3.1 + RECOVERY)
     assert world.all_up()
@@ -165,8 +165,8 @@ def test_a_stopping_mesh_says_so() -> None:
         (b"\x05\x00\x06abcd", "bad_frames", "frame kind 6 before HELLO"),
         (hello() + hello(), "bad_frames", "frame kind 1 before CONFIRM"),
         (b"\x02\x00\x03\x05", "byes", ""),
-        (b"", "silent", "no handshake within 2 s"),
-        (hello()[:20], "silent", "no handshake within 2 s"),
+        (b"", "silent", "no handshake within 8 s"),
+        (hello()[:20], "silent", "no handshake within 8 s"),
     ],
 )
 def test_a_wrong_caller_is_refused_counted_and_logged_once(written: bytes, counter: str, reason: str) -> None:

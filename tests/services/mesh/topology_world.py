@@ -60,7 +60,7 @@ class TopologyWorld(World):
     def change(
         self, name: str, shape: str = "", edges: Sequence[tuple[str, str]] = (), after: int | None = None
     ) -> None:
-        request = TopologyRequest(f"s{next(self._order)}", shape, tuple(edges), after)
+        request = TopologyRequest(f"s{next(self._tickets)}", shape, tuple(edges), after)
         self.step(name, lambda overlays: overlays.request(request, self.now))
 
     def start(self, name: str) -> None:
@@ -123,7 +123,7 @@ class TopologyWorld(World):
                     self.lasting[name].add(peer)
                 if once or self.names.index(name) < self.names.index(peer):
                     delay = 1.5 * self.latency + self.slow * self.random.random()
-                    self._at(self.now + delay, lambda: self._call(name, peer, once=once))
+                    self.at(self.now + delay, lambda: self._call(name, peer, once=once))
             case Disconnect(peer, _):
                 self.lasting[name].discard(peer)
                 edge = self.edges.get(frozenset((name, peer)))
@@ -155,12 +155,12 @@ class TopologyWorld(World):
         elif not self.linking(peer).has_room(name):
             self._failed(name, peer, "the other end says: full")
         else:
-            self._at(self.now + 1.5 * self.latency, lambda: self._up(name, peer, edge.generation))
+            self.at(self.now + 1.5 * self.latency, lambda: self._up(name, peer, edge.generation))
 
     def _failed(self, name: str, peer: str, problem: str) -> None:
         self.step(name, lambda overlays: overlays.dial_failed(peer, problem, self.now))
         if peer in self.lasting[name]:
-            self._at(self.now + RETRY, lambda: self._call(name, peer, once=False))
+            self.at(self.now + RETRY, lambda: self._call(name, peer, once=False))
 
     def _up(self, a: str, b: str, generation: int) -> None:
         """`a` has called."""
@@ -193,4 +193,4 @@ class TopologyWorld(World):
         if was_up and not edge.up:
             for name, peer in ((a, b), (b, a)):
                 if name in self.bots and peer in self.lasting[name] and self.names.index(name) < self.names.index(peer):
-                    self._at(self.now + RETRY, lambda name=name, peer=peer: self._call(name, peer, once=False))  # type: ignore[misc]
+                    self.at(self.now + RETRY, lambda name=name, peer=peer: self._call(name, peer, once=False))  # type: ignore[misc]

@@ -184,7 +184,15 @@ def test_a_large_request_is_made_once_and_then_only_reminded_of(bus: FakeBus, no
 
 def test_what_the_bus_cannot_carry_is_refused_at_once(bus: FakeBus) -> None:
     each = client(bus)
-    for ask in (lambda: each.flood(bytes(MAX_BINARY)), lambda: each.send("r1", bytes(MAX_BINARY))):
-        with pytest.raises(LocalError, match="the bus takes at most"):
+    for ask in (lambda: each.flood(bytes(MAX_BINARY + 1)), lambda: each.send("r1", bytes(MAX_BINARY + 1))):
+        with pytest.raises(LocalError, match="983041 bytes, the bus takes at most 983040"):
             ask()
     assert bus.published == []
+
+
+def test_all_that_is_promised_to_apps_is_taken(bus: FakeBus) -> None:
+    each = client(bus)
+    each.flood(bytes(MAX_BINARY))
+    each.send("r1", bytes(MAX_BINARY))
+    requests = [payload for name, payload in bus.published if "/set/" in name]
+    assert len(requests) == 2

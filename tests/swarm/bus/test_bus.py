@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 from conftest import Processes, wait_until
 
-from swarm.bus.zenoh_bus import Bus, Outlet, Router
+from swarm.bus.publisher import Publisher
+from swarm.bus.zenoh_bus import Bus, Router
 from swarm.errors import BusError, LocalError
 from swarm.messages import AppOutput, Leds, Stop, read
 from swarm.messages.codec import MAX_BINARY, MAX_PAYLOAD
@@ -111,20 +112,20 @@ def test_what_is_heard_no_more(open_bus: Open) -> None:
 
 @pytest.mark.usefixtures("bus_service")
 def test_who_comes_later_hears_what_nobody_heard_before(open_bus: Open, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("swarm.bus.zenoh_bus._CERTAIN_S", 0.0)
+    monkeypatch.setattr("swarm.bus.publisher._CERTAIN_S", 0.0)
     alice, bob = open_bus(), open_bus()
     alice.wait_connected(None)
-    outlet = ("swarm/r0/test/x", False)
+    publisher = ("swarm/r0/test/x", False)
     for _ in range(2):
 
         def alone() -> bool:
             alice.publish("swarm/r0/test/x", b"nobody hears this")
-            return not alice._outlets[outlet].audience.there
+            return not alice._publishers[publisher].audience.there
 
         wait_until(alone)
         samples = Samples()
         subscription = bob.subscribe("swarm/r0/**", samples)
-        wait_until(lambda: alice._outlets[outlet].audience.there)
+        wait_until(lambda: alice._publishers[publisher].audience.there)
         alice.publish("swarm/r0/test/x", b"once")
         what = ("swarm/r0/test/x", b"once")
         wait_until(lambda: what in samples, what="what was said once arrives")  # noqa: B023 - called within the round
@@ -138,9 +139,9 @@ def test_keys_that_nobody_uses_any_more_are_let_go(open_bus: Open) -> None:
     wait_until(lambda: alice._session is not None)
     for number in range(300):
         alice.publish(f"swarm/r0/test/{number}", b"")
-    assert len(alice._outlets) == 256
+    assert len(alice._publishers) == 256
     gc.collect()
-    assert sum(isinstance(each, Outlet) for each in gc.get_objects()) <= 256, "Zenoh holds none of them"
+    assert sum(isinstance(each, Publisher) for each in gc.get_objects()) <= 256, "Zenoh holds none of them"
 
 
 @pytest.mark.usefixtures("bus_service")

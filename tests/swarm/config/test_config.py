@@ -4,7 +4,6 @@ import dataclasses
 import math
 import re
 import socket
-import sys
 from pathlib import Path
 
 import pytest
@@ -27,6 +26,7 @@ from swarm.config import (
     RobotConfig,
     SimulationConfig,
     dump,
+    find,
     load,
     parse,
     types,
@@ -115,6 +115,7 @@ def test_the_example_says_the_defaults():
     assert config.balancing_of("r5") == Balancing(controller="pololu")
     assert (config.body_of("r0"), config.balancing_of("r0")) == (Body(), Balancing())
     own = {"target": None, "distance": Linear(), "position": Affine(), "filters": {}, "position_window": None}
+    own["calibration"] = None
     assert config.dwm.position_window == config.dwm.window
     assert dataclasses.replace(config.dwm, **own) == Dwm()
 
@@ -205,6 +206,7 @@ def test_what_the_example_leaves_out_is_right_too():
         (swap("tcp:10.0.0.3:7447", "sim:/a\\u0000b"), "[robots.2] link: expected tcp:HOST:PORT"),
         (swap("tcp:10.0.0.3:7447", "rfcomm:B8"), "[robots.2] link: expected tcp:HOST:PORT"),
         (swap('"r0"', '"r0"\nuwb_role = "beacon"'), "[robots.0] uwb_role: expected tag or anchor, got 'beacon'"),
+        (swap('"r0"', '"r0"\ni2c_clock = 200'), "[robots.0] i2c_clock: expected 100 or 400, in kHz, got 200"),
         (
             swap('"r1"', '"r1"\nuwb = "DE01"').replace('"r0"', '"r0"\nuwb = "de01"', 1),
             "[robots.1] uwb: 'DE01' is already that of robot r0",
@@ -258,7 +260,10 @@ def test_what_the_example_leaves_out_is_right_too():
         (THREE + 'key = "/etc/swarm/key"', "[mesh] key: expected either a key or insecure = true"),
         (swap("insecure = true", 'key = "key"'), "[mesh] key: expected the whole path of a file made by `swarm key"),
         (swap("insecure = true", "insecure = 1"), "[mesh] insecure: expected true or false, got 1"),
-        (THREE + "dead = 1", "[mesh]: expected heartbeat < suspect < dead, got 0.5, 1.5 and 1.0"),
+        (
+            THREE + "dead = 1",
+            "[mesh]: expected heartbeat < suspect < dead, and patience no less, got 0.5, 1.5, 1.0 and 60.0 s",
+        ),
         (THREE + "dead = 0", "[mesh] dead: expected a number above 0, in seconds, got 0"),
         (THREE + "dead = inf", "[mesh] dead: expected a number above 0, in seconds, got inf"),
         (THREE + "dead = nan", "[mesh] dead: expected a number above 0, in seconds, got nan"),
@@ -327,9 +332,9 @@ def test_what_the_example_leaves_out_is_right_too():
                 ),
                 ("rate = 10.5", "] rate: expected a number above 0 up to 10, in Hz, got 10.5"),
                 ("rate = 1979-05-27", "] rate: expected a number above 0 up to 10, in Hz, got datetime.date("),
-                ('source = "usb:0"', "] source: expected serial:PATH, balancer or replay:DIR, {robot} in it"),
-                ('source = "replay:"', "] source: expected serial:PATH, balancer or replay:DIR"),
-                ('source = "replay:/x/{name}"', "] source: expected serial:PATH, balancer or replay:DIR"),
+                ('source = "usb:0"', "] source: expected serial:PATH, balancer, bus:KEY or replay:DIR, {robot} in it"),
+                ('source = "replay:"', "] source: expected serial:PATH, balancer, bus:KEY or replay:DIR"),
+                ('source = "replay:/x/{name}"', "] source: expected serial:PATH, balancer, bus:KEY or replay:DIR"),
                 ('target = "ZZZZ"', "] target: expected four hex digits like C933, got 'ZZZZ'"),
                 ("distance = 1.0", "] distance: expected a table, written [dwm.distance], got 1.0"),
                 ("distance = {gain = 0}", ".distance] gain: expected a number above 0, got 0"),
@@ -466,7 +471,7 @@ def swarms(draw):
             )
         )
     shape = draw(st.sampled_from(["line", "loop", "full"]) | st.integers(0, 999).map("random:{}".format))
-    heartbeat, suspect, dead = sorted(draw(st.lists(positive, min_size=3, max_size=3, unique=True)))
+    heartbeat, suspect, dead, patience = sorted(draw(st.lists(positive, min_size=4, max_size=4, unique=True)))
     relay = []
     for keys in draw(
         st.sets(
@@ -494,7 +499,9 @@ def swarms(draw):
         edges=Graph.of_shape(shape, robot_names).edges,
         relay=DEFAULT_RELAY + tuple(relay),
         anchors=tuple(Anchor(address, draw(finite), draw(finite), draw(finite)) for address in addresses),
-        mesh=MeshConfig(*security, draw(st.none() | st.just("0.0.0.0:7447")), heartbeat, suspect, dead),
+        mesh=MeshConfig(
+            *security, draw(st.none() | st.just("0.0.0.0:7447")), heartbeat, suspect, dead, draw(positive), patience
+        ),
         body=body,
         bodies=draw(st.dictionaries(of_robots, bodies(body.payload))),
         balancing=draw(balancings),
@@ -604,6 +611,16 @@ def test_any_text_is_read_or_refused(text):
 # --- Where the file is, and which robot we are.
 
 
+def test_packages_of_robots_are_read_written_and_refused_where_pip_would_take_them_for_options():
+    text = THREE + '[robot]\npackages = ["numpy", "scipy==1.16.0", "numpy"]\n'
+    config = parse(text, FILE)
+    assert config.packages == ("numpy", "scipy==1.16.0")
+    assert parse(dump(config), FILE) == config
+    for wrong in ('["--index-url=http://x"]', '["a b"]', '["a @ http://x"]', '"numpy"', "[1]", '[""]'):
+        with pytest.raises(ConfigError, match=r"\[robot\] packages.*like \[\"numpy\""):
+            parse(THREE + f"[robot]\npackages = {wrong}\n", FILE)
+
+
 def test_load_follows_the_environment(tmp_path, monkeypatch):
     path = tmp_path / "my.toml"
     path.write_text(THREE)
@@ -612,17 +629,33 @@ def test_load_follows_the_environment(tmp_path, monkeypatch):
     assert configuration.load(path).path == path
 
 
-def test_load_says_what_to_do_without_a_file(tmp_path, monkeypatch):
+def test_load_says_where_it_looked_and_what_to_do_without_a_file(tmp_path, monkeypatch):
     monkeypatch.setenv("SWARM_CONFIG", str(tmp_path / "none.toml"))
-    with pytest.raises(ConfigError, match=r"there is no such file; name yours in the variable SWARM_CONFIG.*--example"):
+    with pytest.raises(ConfigError, match=r"looked in /\S+/none\.toml; .* swarm config --example > swarm\.toml"):
+        load()
+    monkeypatch.delenv("SWARM_CONFIG")
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "own"))
+    monkeypatch.chdir(tmp_path)
+    looked = f"looked in {tmp_path}/swarm.toml, {tmp_path}/own/swarm/swarm.toml, /etc/swarm/swarm.toml"
+    monkeypatch.setattr(find, "find", lambda: None)  # this machine may have one in /etc
+    with pytest.raises(ConfigError, match=looked):
         load()
 
 
-def test_the_default_place(monkeypatch):
+def test_a_file_in_the_working_directory_goes_before_the_users_own_before_the_systems(tmp_path, monkeypatch):
     monkeypatch.delenv("SWARM_CONFIG", raising=False)
-    monkeypatch.setattr(sys.modules["swarm.config.load"], "DEFAULT_PATH", Path("/nowhere/swarm.toml"))
-    with pytest.raises(ConfigError, match=r"^/nowhere/swarm\.toml: there is no such file"):
-        load()
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("XDG_CONFIG_HOME", "relative, so it does not count")
+    monkeypatch.setattr(find, "SYSTEM", tmp_path / "etc")
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    assert find.find() is None
+    for folder in ("etc", "home/.config/swarm", "work"):
+        path = tmp_path / folder / "swarm.toml"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(THREE)
+        assert find.find() == path
+        assert load().path == path
 
 
 def test_load_of_what_is_no_text(tmp_path):

@@ -1,4 +1,4 @@
-"""Every message type survives the bus, and docs/keys.md tells the truth about all of them."""
+"""Every message type survives the bus, and docs/reference/keys.md tells the truth about all of them."""
 
 import dataclasses
 import math
@@ -204,11 +204,11 @@ def test_an_unknown_key_is_refused_by_name() -> None:
         read("swarm/r0/mesh/nonsense", b"\x80")
 
 
-KEYS_PAGE = Path(__file__).parent.parent.parent.parent / "docs" / "keys.md"
+KEYS_PAGE = Path(__file__).parent.parent.parent.parent / "docs/reference/keys.md"
 
 
 def documented() -> tuple[dict[str, str], dict[str, list[str]]]:
-    """Key pattern -> type, and type -> field names, as docs/keys.md has them."""
+    """Key pattern -> type, and type -> field names, as docs/reference/keys.md has them."""
     text = KEYS_PAGE.read_text()
     keys = dict(re.findall(r"^\| `(swarm/[^`]+)` \|.*?\| \[(\w+)\]\(#\w+\) \|", text, flags=re.MULTILINE))
     fields: dict[str, list[str]] = {}

@@ -3,6 +3,7 @@
 import json
 import select
 import signal
+import struct
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -224,12 +225,41 @@ def test_frames_of_apps() -> None:
     key = "swarm/r0/app/consensus/sync/00000000000000a1-0-3-9f3c21aa"
     step = b"\x01\x07\x00\x00\x00" + bytes(16)
     assert show(key, step) == f"{key} STEP k=7 21 bytes 0x{step.hex()}"
-    assert show(key + "/r1", b"\x02\x07\x00\x00\x00") == f"{key}/r1 WANT k=7 5 bytes 0x0207000000"
+    assert show(key + "/r1", b"\x02\x07\x00\x00\x00") == f"{key}/r1 WANT k=7"
     assert show(key, b"\x09\x07\x00\x00\x00") == f"{key} kind 9 k=7 5 bytes 0x0907000000"
     latest = key.replace("sync", "latest")
     assert show(latest, b"\x01\x07\x00\x00\x00\xff") == f"{latest} STATE sequence=7 6 bytes 0x0107000000ff"
     data = json.loads(as_json(BusSample(0.25, "r0", key, step)))
+    assert "state" not in data
     assert (data["frame"], data["k"], data["bytes"], data["hex"]) == ("STEP", 7, 21, step.hex())
+
+
+def test_frames_of_apps_that_tell_how_their_states_lie() -> None:
+    key = "swarm/r0/app/mine/sync/00000000000000a1-0-3-9f3c21aa"
+    layouts = {"": "value=d x=2f on=?", "pace": "value=f"}
+    state = struct.pack("<d2f?", 2.5, 0.5, -1.0, True)
+
+    def shown(name: str, payload: bytes) -> str:
+        return as_text(BusSample(0.25, "", name, payload, layouts)).split(maxsplit=1)[1]
+
+    head = b"\x01\x07\x00\x00\x00"
+    assert shown(key, head + state + bytes(17)) == f"{key} STEP k=7 value=2.5 x=[0.5 -1] on=true"
+    assert shown(key, head + struct.pack("<2f", 2.0, 1.0)) == f"{key} STEP k=7 value=2"
+    assert shown(key, b"\x01\x00\x00\x00\x00" + state) == f"{key} STEP k=0 value=2.5 x=[0.5 -1] on=true"
+    assert shown(key, b"\x02\x07\x00\x00\x00") == f"{key} WANT k=7"
+    latest = key.replace("sync", "latest")
+    assert shown(latest, b"\x00\x07\x00\x00\x00" + state + b"\x03") == (
+        f"{latest} STATE sequence=7 value=2.5 x=[0.5 -1] on=true"
+    )
+    assert "0x01" in shown(key, head + state)  # neither of the lengths
+    data = json.loads(as_json(BusSample(0.25, "r0", key, head + state + bytes(17), layouts)))
+    assert data["state"] == {"value": 2.5, "x": [0.5, -1.0], "on": True}
+
+
+@given(st.dictionaries(st.text(max_size=4), st.text("dfqx=? 0123456789", max_size=20), max_size=3), st.binary())
+def test_no_layout_that_a_process_tells_breaks_it(layouts: dict[str, str], body: bytes) -> None:
+    key = "swarm/r0/app/mine/sync/00000000000000a1-0-3-9f3c21aa"
+    as_text(BusSample(0.25, "", key, b"\x01\x07\x00\x00\x00" + body, layouts))
 
 
 @pytest.mark.parametrize(

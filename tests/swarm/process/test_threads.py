@@ -257,7 +257,7 @@ def test_a_regular_call_is_frequent_while_it_is_heard_and_rare_while_it_is_not(m
 
 def test_the_watchdog_is_fed_while_nothing_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(threads, "_FEED", 0.01)
-    monkeypatch.setattr(threads, "STUCK", 0.02)
+    monkeypatch.setattr(threads, "HANG", 0.02)
     bench = Bench("threads")
     runtime = bench.runtime
     assert bench.service.fed.wait(PATIENCE)

@@ -1,7 +1,8 @@
 """The pieces of a large message: their packets, which of them a robot lacks, and how many it asks for at a time.
 
-**Packets**, byte by byte in docs/overlays.md. They travel as unicast does, hop by hop; a robot on the way reads no
-more than the head. Every decoder raises `FrameError` for bytes that are none of its packets, and nothing else.
+**Packets**, byte by byte in docs/reference/network/overlay-packets.md. They travel as unicast does, hop by hop; a robot
+on the way reads no more than the head. Every decoder raises `FrameError` for bytes that are none of its packets, and
+nothing else.
 
     OFFER   here is a message for you, so large, under this key       WANT   give me these pieces of it
     PIECE   one of them                                               STATE  delivered, refused, or: ask later

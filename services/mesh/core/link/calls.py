@@ -45,7 +45,7 @@ processes of one name, which replace each other's connection, would do so severa
 def dials(me: RobotConfig, peer: RobotConfig) -> bool:
     """Whether `me` dials `peer`: the lower Bluetooth address does, or the lower name where one has none.
 
-    With both ends dialling, Bluetooth pages collide: both fail after 5 s (measured, docs/frames.md).
+    With both ends dialling, Bluetooth pages collide: both fail after 5 s (measured, docs/reference/network/frames.md).
     """
     if me.bluetooth is not None and peer.bluetooth is not None:
         return _address(me.bluetooth) < _address(peer.bluetooth)
@@ -186,6 +186,13 @@ FIRST_PAUSE = 0.5
 PAUSE = 1.0
 """s after the first call that failed; doubles with each further one."""
 
+EAGER = 3
+"""Calls of a target in vain after which calls keep to `SHARE`, where a robot is not the only one to call."""
+
+SHARE = 0.05
+"""Share of their time that all callers together spend on calls of a robot that does not answer: on Bluetooth a page of
+5 s takes the caller's radio from everybody else."""
+
 LONGEST_FAR, LONGEST_NEAR = 30.0, 300.0
 """s between two calls at most. Who is in the swarm lacks nothing if we do not hear it."""
 
@@ -204,10 +211,14 @@ class _Target:
 class Search:
     """The calls of one robot."""
 
-    def __init__(self, random: Callable[[], float]) -> None:
-        """`random` gives numbers from 0 up to 1."""
+    def __init__(self, random: Callable[[], float], callers: int = 0) -> None:
+        """`random` gives numbers from 0 up to 1; `callers`: how many robots may call one target, 0 where that does not
+        matter."""
         self._random = random
+        self._callers = callers
         self._targets: dict[str, _Target] = {}
+        self._began = 0.0
+        """When the call that is under way began."""
         self.calling: str | None = None
         """Whom we are calling."""
 
@@ -228,18 +239,23 @@ class Search:
                    if now >= target.next_at]  # fmt: skip
             if due:
                 self.calling = min(due)[2]
+                self._began = now
                 return self.calling
         return None
 
     def ended(self, name: str, now: float) -> None:
         """A call is over. If it was of use the robot is no target any more; if not, it is called again later."""
+        took = 0.0
         if name == self.calling:
             self.calling = None
+            took = now - self._began
         target = self._targets.get(name)
         if target is not None:
             longest = LONGEST_FAR if target.far else LONGEST_NEAR
             pause = min(longest, PAUSE * 2.0 ** min(target.failures, 16))
             target.failures += 1
+            if self._callers and target.failures > EAGER:
+                pause = max(pause, took * self._callers / SHARE)
             target.next_at = now + pause * (1.0 - JITTER + 2.0 * JITTER * self._random())
 
     def next_deadline(self) -> float:
@@ -285,6 +301,9 @@ class Local:
     """s between heartbeats, on a busy link too: they carry the clock."""
     suspect: float = 1.5
     dead: float = 3.0
+    handshake: float = 8.0
+    patience: float = 60.0
+    """Of these times, s, `swarm.config.types.MeshConfig` tells what they mean."""
     keys: Mapping[int, bytes] = field(default_factory=dict, repr=False)
     """Pre-shared keys by id; the newest one has the highest id."""
 

@@ -63,6 +63,7 @@ class Link:
         "sent_bytes",
         "session",
         "since",
+        "unanswered",
     )
 
     def __init__(self, peer: str) -> None:
@@ -75,6 +76,8 @@ class Link:
         """The connection in use, once it is up."""
         self.since = 0.0
         """When that connection came up."""
+        self.unanswered = 0
+        """Handshakes in a row that took too long: the next one gets twice the time, since the link may be slow."""
         self.attempt = False
         """Whether our dialling, or the handshake after it, is under way."""
         self.connection = 0

@@ -24,6 +24,13 @@ _MAX_RTT = 60.0
 MAX_APART = 1e10
 """Seconds by which two monotonic clocks may differ; a larger difference comes from wrong stamps."""
 
+DEVIATIONS = 4.0
+"""Deviations above the smoothed round trip within which an answer is expected (RFC 6298 section 2: RTO)."""
+
+TAIL = 0.95
+"""Share of the last minute's round trips that are expected, too: where robots share their time among piconets the
+deviation forgets within seconds that a link has been slow."""
+
 
 class RoundTrips:
     """Smoothed round-trip time, how far samples are from it, and the shortest one of late, all in s."""
@@ -62,6 +69,8 @@ class Pulse:
         "_peer_stamp",
         "_peer_stamp_at",
         "_rated",
+        "_round_trips",
+        "expected",
         "received_rate",
         "rtt",
         "rtts",
@@ -73,12 +82,21 @@ class Pulse:
         """Smoothed round-trip time, s."""
         self.rtts: deque[float] = deque(maxlen=RTT_SAMPLES)
         """Round-trip times of the last heartbeats, s."""
+        self.expected = 0.0
+        """s within which an answer is expected."""
+        self._round_trips = RoundTrips()
         self.sent_rate = 0.0
         """bytes/s over the last heartbeats."""
         self.received_rate = 0.0
         self._rated = (now, 0, 0)
         self._peer_stamp = 0
         self._peer_stamp_at = 0
+
+    def begin(self, rtt: float, now: float) -> None:
+        """The handshake took so long; nothing else is known yet. It is no round trip for others: both ends may have
+        waited in it."""
+        self._round_trips.add(rtt, now)
+        self.expected = rtt + DEVIATIONS * self._round_trips.deviation
 
     def beat(self, now: float, sent: int, received: int) -> Heartbeat:
         """The heartbeat to send after so many bytes each way."""
@@ -105,6 +123,9 @@ class Pulse:
             return None
         self.rtts.append(rtt)
         self.rtt = rtt if self.rtt is None else self.rtt + _RTT_GAIN * (rtt - self.rtt)
+        self._round_trips.add(rtt, now)
+        tail = sorted(self.rtts)[int(TAIL * len(self.rtts))]
+        self.expected = max(self._round_trips.smoothed + DEVIATIONS * self._round_trips.deviation, tail)
         return rtt, apart
 
 

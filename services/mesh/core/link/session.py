@@ -27,8 +27,8 @@ from swarm.errors import FrameError, LocalError
 
 CONNECTING, UP, SUSPECT, DOWN = "connecting", "up", "suspect", "down"
 
-HANDSHAKE_TIMEOUT = 2.0
-"""s for HELLO and CONFIRM of the other end to arrive."""
+SUSPECT_AFTER, DEAD_AFTER = 1.0, 3.0
+"""Times that an answer is expected in, besides a heartbeat's period, after which silence is suspicious, and the end."""
 
 BULK_WRITE = 1000
 """Bytes at which a write with bulk in it ends: what is handed over cannot be overtaken, and acknowledgements come one
@@ -54,12 +54,14 @@ class Session:
         clock: ClockSync,
         counters: Counter[str],
         expected: str | None = None,
+        patience: float | None = None,
         has_room: Callable[[str], bool] = lambda robot: True,
         is_held: Callable[[str, float], bool] = lambda robot, now: False,
         clash: Callable[[str, int, float], str] = lambda robot, process, now: "",
     ) -> None:
         """Bytes can flow from `now` on. `dialled` names whom we called, None where we were called;
-        `expected` names the robot whose address a caller has, where the transport knows it (Bluetooth does).
+        `expected` names the robot whose address a caller has, where the transport knows it (Bluetooth does);
+        `patience`: s for HELLO, and then for CONFIRM of the other end to arrive.
 
         `admit(peer, overlay, key)` says whether that peer may use a channel, `has_room(robot)` whether a robot may
         have a link with us now, `is_held(robot, now)` whether an operator wants none,
@@ -98,16 +100,32 @@ class Session:
         self._auth: Keys | None = None
         """The keys of this connection, once the other's HELLO was accepted; None on insecure links."""
         self._confirm = b""
+        self._began = now
+        self._patience = patience or local.handshake
         self._heard = now
         self._heartbeat_at = now
         self._heartbeat_due = False
-        self.deadline = now + HANDSHAKE_TIMEOUT
+        self.supervised = 0.0
+        """s of silence after which the transport was told to give the connection up; 0 before it was."""
+        self.deadline = now + self._patience
         """When `handle_timer` wants to be called; it may turn out to be early, never late."""
 
     @property
     def is_up(self) -> bool:
         """Whether messages pass; a suspect link still carries them."""
         return self.state in (UP, SUSPECT)
+
+    @property
+    def suspect_after(self) -> float:
+        """s of silence after which the link is suspect: as configured, or more where its round trips ask for it."""
+        local = self._local
+        return min(max(local.suspect, local.heartbeat + SUSPECT_AFTER * self.pulse.expected), local.patience)
+
+    @property
+    def dead_after(self) -> float:
+        """The same for its end."""
+        local = self._local
+        return min(max(local.dead, local.heartbeat + DEAD_AFTER * self.pulse.expected), local.patience)
 
     @property
     def process(self) -> int:
@@ -196,19 +214,21 @@ class Session:
         """Heartbeats, and what silence means. Call it at `deadline` or any other time."""
         if self.state == CONNECTING:
             if now >= self.deadline:
-                self._end(frames.SILENT, f"no handshake within {HANDSHAKE_TIMEOUT:g} s")
+                self._end(frames.SILENT, f"no handshake within {self._patience:g} s")
         elif self.is_up:
             # The same sums as in the deadline below: a difference could round to just short of it, for ever.
-            if now >= self._heard + self._local.dead:
-                self._end(frames.SILENT, f"silent for {self._local.dead:g} s")
+            dead = self.dead_after
+            if now >= self._heard + dead:
+                self._end(frames.SILENT, f"silent for {dead:.3g} s")
                 return
-            if now >= self._heard + self._local.suspect and self.state == UP:
+            suspect = self.suspect_after
+            if now >= self._heard + suspect and self.state == UP:
                 self.state = SUSPECT
                 self._events.append(LinkSuspect())
             if now >= self._heartbeat_at:
                 self._heartbeat_due = True
                 self._heartbeat_at = self._next_beat(now)
-            patience = self._local.dead if self.state == SUSPECT else self._local.suspect
+            patience = dead if self.state == SUSPECT else suspect
             self.deadline = min(self._heartbeat_at, self._heard + patience)
 
     def data_to_send(self, now: float, max_bytes: int) -> bytes:
@@ -339,6 +359,7 @@ class Session:
             return
         self.peer = hello.robot
         self._incarnation = hello.incarnation
+        self.deadline = now + self._patience
         if key_id is not None:
             # The decoder takes nothing that `encode` would write differently, so this is the frame as it was sent.
             theirs = frames.encode(frame.kind, frame.priority, frame.body)
@@ -362,6 +383,7 @@ class Session:
         assert self._incarnation is not None
         self.state = UP
         self._decoder.limit = frames.MAX_FRAME
+        self.pulse.begin(now - self._began, now)
         self._events.append(LinkUp(self.peer, self._incarnation))
         self._heartbeat_at = now
         self.deadline = now

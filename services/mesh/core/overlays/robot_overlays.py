@@ -11,7 +11,8 @@ from functools import lru_cache
 from services.mesh.core.actions import LinkAction, Transmit
 from services.mesh.core.bulk import exchange, transfers
 from services.mesh.core.events import Received
-from services.mesh.core.overlays import flood, flood_store, large_messages, unicast
+from services.mesh.core.overlays import carried, flood, flood_store, large_messages, unicast
+from services.mesh.core.overlays.carried import CARRY, Carrier
 from services.mesh.core.overlays.flood import FloodOverlay
 from services.mesh.core.overlays.large_messages import Large
 from services.mesh.core.overlays.requests import OverlayRequests, Request
@@ -31,7 +32,7 @@ from swarm.messages.keys import key as key_of
 MEMBERS_PERIOD = 10.0
 """s between two publications of `mesh/members` when nothing changes."""
 
-COUNTERS = (*flood.COUNTERS, *flood_store.COUNTERS, *large_messages.COUNTERS, *unicast.COUNTERS,
+COUNTERS = (*carried.COUNTERS, *flood.COUNTERS, *flood_store.COUNTERS, *large_messages.COUNTERS, *unicast.COUNTERS,
             *transfers.COUNTERS, *exchange.COUNTERS, "bad_packets", "topology_foreign")  # fmt: skip
 
 _NEVER = float("inf")
@@ -56,6 +57,8 @@ class RobotOverlays:
         start: InitialLinks | None = None,
         admits_flood: Callable[[str], bool] = lambda key: False,
         admits_unicast: Callable[[str, str], bool] = lambda sender, key: False,
+        admits_neighbour: Callable[[str, str], bool] = lambda sender, key: False,
+        carries: Callable[[str], bool] = lambda key: False,
         wanted: Callable[[str], bool] = lambda key: True,
     ) -> None:
         """`incarnation` is higher than at the last start (a time in us); `random` gives numbers from 0 up to 1.
@@ -107,6 +110,11 @@ class RobotOverlays:
         )
         self._stops = Stops(me, self._register, self._flood, self._to_bus)
         names = _sorted(self._robots)
+        self._carrier = Carrier(
+            me, names,
+            emit=emit, route=self._map.route, admits=admits_neighbour, passes=carries, deliver=self._to_bus,
+            counters=counters,
+        )  # fmt: skip
         self._wanted = wanted
         self._membership = Membership(me, names, self._map.routes)
         self._survey = Survey(me, names, self._membership, self._map, self._flood.known)
@@ -185,7 +193,9 @@ class RobotOverlays:
         if robot not in self._robots:
             return False
         if overlay != FLOOD:
-            return robot == peer and service == "mesh" and topic in ("unicast", "pieces")
+            if robot == peer and service == "mesh" and topic in ("unicast", "pieces"):
+                return True
+            return self.linking is not None and self.linking.carried and self._carrier.admits(key)
         if service == "mesh" and topic in ("digest", "halt", "topology"):
             return robot == peer
         if (service, topic) in (("mesh", "lsa"), ("mesh", "flooded"), ("mesh", "stopped"), ("mesh", "watch")):
@@ -196,13 +206,15 @@ class RobotOverlays:
         """A packet of a neighbour on an admitted channel. What is wrong is dropped and counted: the one who made it
         may be far away, and innocent links must not break for it."""
         self._now = now
-        if len(data) > MAX_PAYLOAD and (overlay != FLOOD or data[0] != packets.TOPOLOGY):
+        if len(data) > MAX_PAYLOAD and data[0] != (packets.TOPOLOGY if overlay == FLOOD else CARRY):
             # It came in fragments. Where a number of packets is kept, each of these would hold up to a megabyte.
             self._counters["bad_packets"] += 1
             return
         try:
             kind = packets.kind_of(data)
-            if overlay != FLOOD:
+            if overlay != FLOOD and kind == CARRY:
+                self._carrier.receive(peer, key, data, priority)
+            elif overlay != FLOOD:
                 self._unicast.receive(peer, data, priority, now)
             elif kind == packets.HALT:
                 self._register.receive(peer, data, now)
@@ -229,6 +241,11 @@ class RobotOverlays:
         if key == self._lsa_key:
             return  # nobody's business but the map's, whatever a rule with ** says
         self._flood.publish(key, payload, priority, now, latest=latest)
+
+    def carry(self, key: str, payload: bytes, priority: int, to: Collection[str], now: float, *, latest: bool) -> None:
+        """Carry a value to neighbours whom links of others lead to, as a relay rule says."""
+        self._now = now
+        self._carrier.send(key, payload, priority, to, latest=latest)
 
     def send(
         self, to: str, key: str, payload: bytes, priority: int, now: float, *, latest: bool, avoid_link: bool = False
@@ -329,7 +346,8 @@ class RobotOverlays:
         since = now if linking.adopted is None else linking.adopted
         return Topology(
             now, value.version, value.step, value.issuer, value.auto, since, value.edges,
-            tuple(sorted(linking.wanted)), linking.up, linking.kept, dict(linking.missing),
+            tuple(sorted(linking.neighbours)), linking.up, linking.kept, dict(linking.missing),
+            linking.physical if linking.carried else (),
         )  # fmt: skip
 
     def topology_file(self) -> bytes:

@@ -146,7 +146,9 @@ class Register:
         greatest = max(self._stops.get(self._me, (_NONE, ""))[0], self._arms.get(self._me, _NONE))
         mark = max(Mark(self._incarnation(), 1), _above(greatest))
         if mark.incarnation > MAX_INCARNATION:
-            return  # somebody has taken back the greatest mark there is in our name (docs/security.md)
+            # Somebody has taken back the greatest mark there is in our name
+            # (docs/reference/network/captured-member.md).
+            return
         self._merge(Halt({self._me: (mark, reason.encode()[:MAX_REASON].decode(errors="ignore"))}, {}), None, now)
 
     def arm(self, now: float) -> None:

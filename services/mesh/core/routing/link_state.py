@@ -163,7 +163,7 @@ class LinkStateMap:
     def settle(self, links: Mapping[str, int], known: dict[str, "AdvertisedLinks"], now: float) -> None:
         """Begin in a swarm that has been there for long: the others have an LSA with these links of ours (one-way
         times, 0.1 ms) already, and we have theirs, `known`, in which there may be our own. Large simulations begin so
-        (docs/simulation.md)."""
+        (docs/reference/simulation.md)."""
         self._settled = dict(links)
         self._known, self._borrowed = known, True
         self._refresh_at = now + REFRESH * (0.9 + 0.2 * self._random())

@@ -17,15 +17,17 @@ from collections.abc import Collection, Mapping, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
+from services.mesh.core.routing.physical_links import physical
 from services.mesh.core.wire.packets import TOPOLOGY, PacketReader, packed
+from swarm.config.types import GRAPH, MAX_RFCOMM_LINKS
 from swarm.core.graph import SHAPES, Edge, Graph
 from swarm.errors import FrameError, LocalError
 
 MAX_TWINS = 16
 """Names that one LSA tells of as those of two robots."""
 
-MAX_LINKS = 7
-"""Links of one robot: a Bluetooth Classic master has at most seven active slaves (Core specification, vol 2 B, 8.6)."""
+MAX_LINKS = MAX_RFCOMM_LINKS
+"""Links of one robot, whatever they run over."""
 
 AUTO = "auto"
 """In place of a shape: the robots find their neighbours themselves."""
@@ -48,7 +50,7 @@ _MAX_SHOWN = 8
 
 
 class TopologyVersion(NamedTuple):
-    """The links of the whole swarm. Later ones are greater."""
+    """Who is whose neighbour in the whole swarm. Later ones are greater."""
 
     version: int
     """Counts an operator's sets, u32; 0 = as configured."""
@@ -61,25 +63,38 @@ class TopologyVersion(NamedTuple):
     edges: tuple[Edge, ...]
 
     def neighbours(self, name: str) -> frozenset[str]:
-        """Who is to be linked with a robot."""
-        return frozenset(b if a == name else a for a, b in self.edges if name in (a, b))
+        """Of a robot."""
+        return ends(self.edges, name)
+
+
+def ends(edges: Collection[Edge], name: str) -> frozenset[str]:
+    """Return the other ends of a robot's edges."""
+    return frozenset(b if a == name else a for a, b in edges if name in (a, b))
 
 
 class Ground:
     """What all values of one configuration have in common: the robots, and where they start from."""
 
-    def __init__(self, names: Sequence[str], edges: Collection[Edge], *, auto: bool) -> None:
+    def __init__(self, names: Sequence[str], edges: Collection[Edge], *, auto: bool, links: str = GRAPH) -> None:
+        """`links`: which links carry a topology, see `routing.physical_links`."""
         self.names = tuple(names)
+        self._links = links
+        self.carried = links != GRAPH
+        """Whether these are others than the topology's own."""
         self.first = TopologyVersion(0, 0, "", auto, Graph(names, tuple(edges)).edges)
         """The configuration's own."""
         self.place = {name: index for index, name in enumerate(self.names)}
-        text = f"{' '.join(self.names)} {self.first.edges} {auto}"
+        text = f"{' '.join(self.names)} {self.first.edges} {auto}" + (f" {links}" if self.carried else "")
         self.base = zlib.crc32(text.encode())
         """Tells configurations apart."""
         # A value goes over every link that comes up, and is mostly the same one: in a swarm of a thousand robots making
         # and reading it took more than all else of the start.
         self._packet = (self.first, self._encode(self.first))
         self._read: dict[bytes, TopologyVersion] = {self._packet[1]: self.first}
+
+    def physical(self, value: TopologyVersion) -> tuple[Edge, ...]:
+        """The links that carry a value."""
+        return physical(self.names, value.edges, self._links)
 
     def edges_of(self, shape: str, edges: Collection[Sequence[str]]) -> tuple[Edge, ...]:
         """The links that an operator asks for by a shape, or one by one; `LocalError` says what is wrong with them."""

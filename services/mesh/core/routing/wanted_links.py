@@ -14,6 +14,10 @@ that drop links at the same time, on old news even, never count on one another's
 ones remains. By 1 all ranks are of one value. So a link that alone holds two parts together stays for good
 where its replacements never come up: a bad topology leaves a swarm that can be told a better one.
 
+Where other links than the topology's own carry it (`routing.physical_links`), those are the wanted ones, and the
+neighbours are whom the node sends to. What a successor of a lost hub adds is unwanted, and goes as above once the hub
+is back.
+
 Any robot of the configuration may call: it may have missed the news, or look for the rest of its swarm. Its link counts
 as an unwanted one. Who cannot be reached is looked for (`link.calls`) once the topology is not the configuration's own.
 """
@@ -22,11 +26,20 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-from services.mesh.core.actions import Connect, Disconnect, LinkAction, LogLine, Transmit, Write
+from services.mesh.core.actions import Connect, Disconnect, LinkAction, LogLine, Neighbours, Transmit, Write
 from services.mesh.core.link.calls import Search
 from services.mesh.core.routing.automatic_topology import places, plan
 from services.mesh.core.routing.link_state import LinkStateMap
-from services.mesh.core.routing.topology import AUTO, MAX_LINKS, MAX_STEP, MAX_VERSION, Ground, TopologyVersion
+from services.mesh.core.routing.physical_links import Succession
+from services.mesh.core.routing.topology import (
+    AUTO,
+    MAX_LINKS,
+    MAX_STEP,
+    MAX_VERSION,
+    Ground,
+    TopologyVersion,
+    ends,
+)
 from services.mesh.core.wire import frames
 from swarm.core.graph import Edge
 from swarm.errors import LocalError
@@ -90,7 +103,7 @@ class Linking:
         self._act = act
         self._counters = counters
         self._place = start.ground.place
-        self._search = Search(random)
+        self._search = Search(random, len(start.ground.names) if start.ground.carried else 0)
         self._links: dict[str, None] = {}
         self._spare: dict[str, float] = {}
         """Unwanted links that are not needed any more, and since when."""
@@ -108,9 +121,13 @@ class Linking:
         self._repeat_at = _NEVER
         self._check_at = _NEVER
         self.value = max(start.saved or start.ground.first, start.ground.first)
-        self.wanted = self.value.neighbours(me)
+        self.wanted = ends(self._ground.physical(self.value), me)
+        """Robots that this one is to have links with."""
         self.adopted: float | None = None
         """When the value came into force here; None before the first timer."""
+        self._succession = Succession(start.ground.names, me)
+        if self.carried:
+            act(Neighbours(self.neighbours))
         for peer in sorted(self.wanted):
             act(Connect(peer))
 
@@ -225,9 +242,25 @@ class Linking:
         return self._ground.tag(self.value)
 
     @property
+    def carried(self) -> bool:
+        """Whether other links than the topology's own carry it."""
+        return self._ground.carried
+
+    @property
+    def neighbours(self) -> frozenset[str]:
+        """Of this robot in the topology."""
+        return self.value.neighbours(self._me)
+
+    @property
+    def physical(self) -> tuple[Edge, ...]:
+        """The links that carry the topology."""
+        return self._ground.physical(self.value)
+
+    @property
     def up(self) -> tuple[str, ...]:
-        """Neighbours of the topology whose links are up."""
-        return tuple(sorted(self._links.keys() & self.wanted))
+        """Neighbours of the topology whose links are up, or whom other links lead to."""
+        there = self._map.routes().keys() if self.carried else self._links.keys() & self.wanted
+        return tuple(sorted(self.neighbours & there))
 
     @property
     def kept(self) -> tuple[str, ...]:
@@ -242,7 +275,9 @@ class Linking:
 
     def _adopt(self, value: TopologyVersion, source: str | None, now: float) -> None:
         before, self.value = self.wanted, value
-        self.wanted = value.neighbours(self._me)
+        self.wanted = ends(self.physical, self._me)
+        if self.carried:
+            self._act(Neighbours(self.neighbours))
         self.adopted = now
         self._spare.clear()
         for peer in sorted(self.wanted - before):
@@ -294,11 +329,14 @@ class Linking:
                 del self.missing[peer]
         if kept := self.kept:
             self._look_for_spare(kept, now)
-        if not self.value.auto and not self.value.version:
+        if not self.value.auto and not self.value.version and not self.carried:
             return
         reachable = self._map.routes()
         strangers = self._strangers()
         far = [name for name in strangers if name not in reachable]
+        if self.carried:
+            far = self._succession.due(far, reachable.keys(), now)
+            self._check_at = min(self._check_at, self._succession.next_deadline())
         if len(self._links) >= MAX_LINKS:
             self.missing |= dict.fromkeys(far, f"not called, this robot has all its {MAX_LINKS} links")
             far = strangers = []
@@ -320,7 +358,7 @@ class Linking:
         agreed = self._is_agreed(now)
         made = now >= self.adopted + MAKE or all(peer in self._links for peer in self.wanted if peer in reachable)
         graph = self._map.graph() if agreed and made else {}
-        topology = frozenset(self.value.edges)
+        topology = frozenset(self.physical)
         for peer in kept:
             if not graph or not self._is_connected(graph, topology, peer):
                 self._spare.pop(peer, None)

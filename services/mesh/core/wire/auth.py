@@ -6,7 +6,7 @@ names, incarnations, version ranges, network, flags, key ids and roles, so two e
 different keys. The dialler's HELLO comes first in the transcript, whoever computes it.
 
 Frames are tagged by keyed BLAKE2b (RFC 7693), a MAC without the double hash of HMAC: 0.4 us for a short frame against
-1.0 us of hmac and 0.4 us of AES-CMAC from `cryptography`, whose import alone costs 6 MB (docs/security.md).
+1.0 us of hmac and 0.4 us of AES-CMAC from `cryptography`, whose import alone costs 6 MB (docs/explanation/security.md).
 """
 
 import hashlib

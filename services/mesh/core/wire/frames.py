@@ -1,4 +1,4 @@
-"""Frames of the mesh, as two neighbours exchange them over an ordered byte stream (docs/frames.md).
+"""Frames of the mesh, as two neighbours exchange them over an ordered byte stream (docs/reference/network/frames.md).
 
     length u16 | kind and class u8 | body | (tag, 8 bytes, on authenticated links after CONFIRM)
 
@@ -69,7 +69,7 @@ _KINDS = frozenset((HELLO, CONFIRM, BYE, HEARTBEAT, BIND, DATA, FRAGMENT, ACK, C
 _INSECURE, _DIALLER = 1, 2
 
 NEIGHBOURS, FLOOD, UNICAST = 0, 1, 2
-"""The overlay a channel belongs to: one hop, the whole swarm, one robot anywhere (docs/overlays.md)."""
+"""The overlay a channel belongs to: one hop, the whole swarm, one robot anywhere (docs/explanation/overlays.md)."""
 
 (
     CLOSING,

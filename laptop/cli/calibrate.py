@@ -1,0 +1,77 @@
+"""`swarm calibrate` on a laptop: as on a robot, and for a real robot over ssh.
+
+The robot runs the session alone, and sends its samples; the fit, the pictures and the file are made here, beside
+`swarm.toml`. `swarm deploy` brings the file to the robot.
+"""
+
+import argparse
+import asyncio
+import os
+import subprocess
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+from laptop.fleet import robot_command
+from laptop.fleet.ssh import Host, HostError, Ssh, hosts
+from services.dwm.calibrate import __main__ as calibrate
+from swarm.config import Config, load
+from swarm.errors import LocalError
+from swarm.files import atomic_write
+
+_SESSIONS = ("distance", "position", "check")
+_THERE = "/run/swarm/calibration-{robot}-{stamp}.csv"
+
+
+def main() -> int:
+    """Run one command; returns its exit code."""
+    way = argparse.ArgumentParser(add_help=False)
+    robot_command.add_arguments(way)
+    args, words = way.parse_known_args(sys.argv[1:])
+    options = calibrate.options_of(words)
+    args.run_dir = options.run_dir
+    if options.command not in _SESSIONS or (options.samples and options.samples.exists()):
+        args.run_dir = args.run_dir or Path()  # files alone: no robot is asked
+    if args.config is not None:
+        os.environ["SWARM_CONFIG"] = str(args.config.absolute())
+    if not robot_command.is_far(args):
+        return calibrate.main(words)
+    config = load(args.config)
+    os.environ["SWARM_CONFIG"] = str(config.path.absolute())
+    (host,) = hosts(config, options.robots)
+    samples = _measure(Ssh(args.ssh_config), host, options, config)
+    common = ["--robots", host.robot]
+    if options.target is not None:
+        common += ["--target", *map(str, options.target)]
+    if options.command == "check":
+        return calibrate.main(["check", "--samples", str(samples), *common])
+    common += ["--output", str(options.output)] if options.output else []
+    common += ["--no-plot"] * options.no_plot
+    code = calibrate.main(["fit", str(samples), "--only", options.command, *common])
+    if code == 0:
+        sys.stdout.write("swarm deploy brings it to the robot\n")
+    return code
+
+
+def _measure(ssh: Ssh, host: Host, options: argparse.Namespace, config: Config) -> Path:
+    """Lead the session on the robot and bring its samples here; raises `LocalError`."""
+    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S")
+    path: Path = options.samples or Path(f"calibration-{host.robot}-{stamp}.csv")
+    there = _THERE.format(robot=host.robot, stamp=stamp)
+    places = " ".join(f"{x},{y}" for x, y in calibrate.places_of(options, config))
+    words = ["calibrate", "samples", "--robots", host.robot, "--places", places, "--samples", there]
+    words += ["--orientations", str(options.orientations), "--count", str(options.count)]
+    sys.stdout.flush()
+    try:
+        # The terminal stays ours, line by line: Enter, n, r and q go to the robot, or its own buttons are used.
+        code = subprocess.run(ssh.arguments(host, robot_command.words(host, words)), check=False).returncode
+    except FileNotFoundError:
+        raise LocalError("there is no ssh here: sudo apt-get install openssh-client") from None
+    try:
+        data = asyncio.run(ssh.check(host, f"sudo -n cat {there} && sudo -n rm {there}"))
+    except HostError as error:
+        raise LocalError(f"{host.robot}: nothing was measured ({error})") from None
+    atomic_write(path, data.encode())
+    if code != 0:
+        raise LocalError(f"{host.robot}: the session ended with code {code}; what was measured is in {path}")
+    return path

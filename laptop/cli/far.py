@@ -1,0 +1,79 @@
+"""A command of robots, given on a laptop for real ones: each runs its own `swarm` over ssh, and its words come here.
+
+`Command.far` names this module. Where a simulation runs here, or this is a robot, the command is run here instead.
+"""
+
+import argparse
+import asyncio
+from collections.abc import Sequence
+
+from laptop.fleet import everyone, robot_command
+from laptop.fleet.ssh import Done, Host, Ssh, hosts, last_words
+from swarm.config import load
+from swarm.messages.json_input import read_json
+from swarm.onboard.arguments import add_json, add_robots, add_run_dir, show
+
+TIMEOUT_S = 600.0
+"""For each robot: a measurement may take minutes."""
+
+FROM_ONE = ("mesh topology", "mesh epoch", "measure rtt", "measure throughput")
+"""Commands that one robot carries out for all: the one that is named first, else the first one."""
+
+_HERE = {"-h", "--help", "--port", "--ranges"}
+"""Words by which a command is about something on this computer."""
+
+
+def run(name: str, words: Sequence[str]) -> int | None:
+    """Run `swarm NAME WORDS` on the real robots that are meant; None where none is.
+
+    The exit code is the largest of theirs, 1 where one cannot be reached.
+    """
+    if _HERE & {word.partition("=")[0] for word in words}:
+        return None
+    reader = argparse.ArgumentParser(prog=f"swarm {name}", add_help=False, allow_abbrev=False)
+    robot_command.add_arguments(reader)
+    add_robots(reader, "")
+    add_run_dir(reader)
+    add_json(reader)
+    args, rest = reader.parse_known_args(words)
+    if not robot_command.is_meant(args):
+        return None
+    config = load(args.config, addressed=False)
+    if name in FROM_ONE:
+        named = [word for word in rest if word in config.names]
+        args.robots = (args.robots or named or list(config.names))[:1]
+    return _show(args, *_asked(Ssh(args.ssh_config), hosts(config, args.robots), name, rest, as_json=args.json))
+
+
+def _asked(
+    ssh: Ssh, robots: Sequence[Host], name: str, rest: Sequence[str], *, as_json: bool
+) -> tuple[list[everyone.RobotOutcome], dict[str, Done]]:
+    command = [*name.split(), *rest, *(["--json"] if as_json else [])]
+
+    async def ask(host: Host) -> Done:
+        return await ssh.run(host, robot_command.words(host, command))
+
+    found: dict[str, Done] = {}
+
+    async def job(host: Host, _: everyone.ReportProgress) -> str:
+        found[host.robot] = await ask(host)
+        return ""
+
+    return asyncio.run(everyone.each(robots, job, TIMEOUT_S)), found
+
+
+def _show(args: argparse.Namespace, outcomes: Sequence[everyone.RobotOutcome], said: dict[str, Done]) -> int:
+    lines: list[str] = []
+    data: dict[str, object] = {}
+    for outcome in outcomes:
+        done = said.get(outcome.robot)
+        problem = outcome.text if done is None else "" if done.out.strip() else last_words(done.err)
+        if done is None or problem:
+            lines.append(f"{outcome.robot}: {problem.removeprefix('swarm: ') or 'it has said nothing'}")
+            data[outcome.robot] = {"problem": problem}
+            continue
+        if args.json:
+            data[outcome.robot] = read_json(done.out)
+        lines += [line if len(outcomes) == 1 else f"[{outcome.robot}] {line}" for line in done.out.splitlines()]
+    show(args, {"robots": data}, lines)
+    return max((1 if outcome.robot not in said else said[outcome.robot].code for outcome in outcomes), default=0)

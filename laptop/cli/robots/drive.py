@@ -1,0 +1,43 @@
+"""`swarm drive ROBOT` on a laptop: a robot of a simulation, or a real one, which gets the keys over ssh."""
+
+import argparse
+import sys
+
+from laptop.fleet import remote_keys, robot_command
+from laptop.fleet.ssh import Host, Ssh, hosts
+from swarm.config import load
+from swarm.errors import LocalError
+from swarm.onboard.body import drive
+from swarm.process.terminal import write_lines
+
+HELP = "drive a robot by keyboard; it moves only while a key is held"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what a robot's command takes, and the way by ssh."""
+    drive.add_arguments(parser)
+    robot_command.add_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Drive; code 1 where the robot was stopped or went silent."""
+    if not robot_command.is_far(args):
+        return drive.run(args)
+    host, ssh = far(args)
+    return remote_keys.run(ssh, host, robot_command.words(host, ["drive"]), show)
+
+
+def far(args: argparse.Namespace) -> tuple[Host, Ssh]:
+    """Return the one real robot that is meant, and the way to it; raises `LocalError`."""
+    if args.name and args.robots:
+        raise LocalError("--robots names a robot, and so does the argument: one of them")
+    found = hosts(load(args.config), [args.name] if args.name else args.robots)
+    if len(found) != 1:
+        raise LocalError(f"which robot? there are {', '.join(host.robot for host in found)}")
+    return found[0], Ssh(args.ssh_config)
+
+
+def show(line: str) -> None:
+    """Write a line of the robot at once."""
+    write_lines([line])
+    sys.stdout.flush()

@@ -1,0 +1,48 @@
+"""`swarm foxglove`: show a running swarm, simulated or real, in Foxglove."""
+
+import argparse
+import signal
+
+from laptop.view import live
+from swarm.errors import LocalError
+
+HELP = "serve the running swarm to Foxglove"
+PORT = 8765
+"""The one that Foxglove proposes."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the verb."""
+    live.add_arguments(parser)
+    parser.add_argument(
+        "--port", type=int, default=PORT, metavar="N", help=f"port on 127.0.0.1 ({PORT}); 0 = any free port"
+    )
+    parser.add_argument("--control", action="store_true", help="let Foxglove set parameters of apps")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until interrupted, or until a simulation ends."""
+    if (args.config or args.ssh_config) and not args.robots:
+        raise LocalError("--config and --ssh-config are for real robots: name one with --robots")
+    if args.robots and args.run_dir:
+        raise LocalError("--robots looks at real robots: leave out --run-dir")
+    from laptop.foxglove.server import FoxgloveServer
+
+    feed, control = live.open_feed(args)
+    try:
+        server = FoxgloveServer(feed, control, args.port, writable=args.control)
+        try:
+            print(
+                f"ws://127.0.0.1:{server.port}\n"
+                "open it in Foxglove: Open connection, Foxglove WebSocket; end with Ctrl-C",
+                flush=True,
+            )
+            signal.signal(signal.SIGTERM, signal.default_int_handler)
+            while args.robots or feed.live:
+                signal.sigtimedwait((), 0.5)
+        finally:
+            server.close()
+    finally:
+        control.close()
+        feed.close()
+    return 0

@@ -1,0 +1,68 @@
+"""A command of `swarm` that works on robots of a simulation and on real ones: which are meant, and how it reaches them.
+
+In a simulation that runs here, or on a robot, the command speaks to the buses itself. Otherwise the robots of the
+configuration are meant, each of which runs its own `swarm` over ssh: no socket of its bus is opened to the laptop.
+"""
+
+import argparse
+import os
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+
+from laptop.fleet.ssh import Host
+from swarm.config import find
+from swarm.errors import LocalError
+from swarm.onboard import buses
+from swarm.onboard.arguments import add_run_dir
+from swarm.process.paths import DEFAULT_RUNTIME
+from swarm.process.simulations import default_run_dir, is_live, robots
+
+PROGRAM = "/opt/swarm/current/bin/swarm"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare `--real`, `--config` and `--ssh-config`: the way to real robots."""
+    parser.add_argument("--real", action="store_true", help="the robots of the config, even if a simulation runs here")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="swarm.toml with the robots and their hosts, for ssh"
+    )
+    parser.add_argument("--ssh-config", type=Path, metavar="FILE", help="ssh configuration, in place of ~/.ssh/config")
+
+
+def is_far(args: argparse.Namespace) -> bool:
+    """Whether real robots are meant that ssh reaches."""
+    if args.real or args.config or args.ssh_config:
+        return True
+    if args.run_dir or os.environ.get("SWARM_RUNTIME") or DEFAULT_RUNTIME.is_dir():
+        return False
+    return not is_live(default_run_dir().absolute())
+
+
+def is_meant(args: argparse.Namespace) -> bool:
+    """The same, where there is a configuration at all: without one the simulation that is missing is named."""
+    return is_far(args) and (args.config is not None or find.find() is not None)
+
+
+def add_simulation(parser: argparse.ArgumentParser) -> None:
+    """Declare `--run-dir` and `--real`, beside the way to real robots that `everyone` declares."""
+    add_run_dir(parser)
+    parser.add_argument("--real", action="store_true", help="the robots of the config, even if a simulation runs here")
+
+
+def simulated(args: argparse.Namespace) -> dict[str, Path] | None:
+    """The runtime directories of the simulated robots that are meant; None where real ones are. Raises `LocalError`."""
+    if args.real or args.config or args.ssh_config:
+        return None
+    directory = (args.run_dir or default_run_dir()).absolute()
+    if is_live(directory):
+        return buses.chosen(robots(directory), args.robots or ())
+    if args.run_dir is not None:
+        raise LocalError(f"no simulation is running in {directory}")
+    return None
+
+
+def words(host: Host, arguments: Sequence[str]) -> str:
+    """Return the line for the robot's shell that runs `swarm ARGUMENTS` there, on its own bus."""
+    there = ["sudo", "-n", "env", f"SWARM_ROBOT={host.robot}", f"SWARM_RUNTIME={DEFAULT_RUNTIME}", PROGRAM]
+    return shlex.join([*there, *arguments])

@@ -1,0 +1,1 @@
+"""`swarm foxglove`: the running swarm, for Foxglove over its WebSocket protocol."""

@@ -1,0 +1,122 @@
+"""What robots say, as the messages that Foxglove draws: pure, from the newest samples of a picture.
+
+Topics and fields are those of a recording (docs/reference/recordings.md), so that one layout serves both. What Foxglove
+draws by itself (poses, frames, the scene, the log) has the fields of its own schemas beside ours.
+"""
+
+import dataclasses
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+from laptop.view.feeds.picture import Event, is_number
+from swarm.errors import LocalError, PayloadError
+from swarm.messages import Pose, type_of
+from swarm.recording.core import foxglove, json_text
+
+POSE_TOPIC = "dwm/pose"
+FRAMES = "/tf"
+LOG = "/log"
+
+_POSE_FIELDS = tuple(field.name for field in dataclasses.fields(Pose))
+_POSE_NEEDS = frozenset(field.name for field in dataclasses.fields(Pose) if field.default is dataclasses.MISSING)
+
+_LEVELS = {"info": 2, "warning": 3, "error": 4}
+"""Of `foxglove.Log`."""
+
+
+class Message(NamedTuple):
+    """One message on its way to Foxglove."""
+
+    topic: str
+    schema_name: str
+    value: object
+    """What the schema is made of; a pose has a schema of its own."""
+    data: bytes
+    """JSON text."""
+
+    @property
+    def schema(self) -> bytes:
+        """The JSON schema, which a topic gets with its first message."""
+        if self.schema_name == foxglove.POSE:
+            return foxglove.pose_schema()
+        return json_text.schema(self.value, self.schema_name)
+
+
+def sample(robot: str, topic: str, value: object, log_time: int) -> Message | None:
+    """A robot's sample at a log time, ns since 1970, under the key that it has on the bus; None where JSON cannot carry
+    it. `value` is what the key holds: maps, lists, texts and numbers."""
+    key = f"swarm/{robot}/{topic}"
+    name = _schema_name(key, topic)
+    try:
+        if topic == POSE_TOPIC:
+            if not isinstance(value, dict) or not value.keys() >= _POSE_NEEDS:
+                return None
+            known = {field: value[field] for field in _POSE_FIELDS if field in value}
+            pose = Pose(**{**known, "heading": number(value["heading"])})
+            return Message(key, foxglove.POSE, pose, foxglove.pose(pose, log_time))
+        return Message(key, name, value, json_text.encode(value))
+    except LocalError:
+        return None
+
+
+def _schema_name(key: str, topic: str) -> str:
+    """The name of the message's class; of an app's state, the app's, as every app has other fields."""
+    service, *rest = topic.split("/")
+    if service == "app" and rest[-1] == "state":
+        return ".".join(rest)
+    try:
+        kind = type_of(key)
+    except PayloadError:
+        kind = None
+    return topic.replace("/", ".") if kind is None else f"swarm.{kind.__name__}"
+
+
+def frames(places: Mapping[str, tuple[float, float, float]], log_time: int) -> Message:
+    """A frame of reference for each robot: x and y, m, and heading, rad, in the frame of the anchors."""
+    transforms = [
+        {
+            "timestamp": timestamp(log_time),
+            "parent_frame_id": foxglove.FRAME,
+            "child_frame_id": robot,
+            "translation": {"x": x, "y": y, "z": 0.0},
+            "rotation": rotation(heading),
+        }
+        for robot, (x, y, heading) in places.items()
+    ]
+    return _made(FRAMES, "foxglove.FrameTransforms", {"transforms": transforms})
+
+
+def log(events: Iterable[Event], log_time: int) -> Iterator[Message]:
+    """What has happened, a line each."""
+    for event in events:
+        line = {
+            "timestamp": timestamp(log_time),
+            "level": _LEVELS.get(event.level, 2),
+            "message": event.text,
+            "name": event.robot,
+            "file": "",
+            "line": 0,
+        }
+        yield _made(LOG, "foxglove.Log", line)
+
+
+def number(value: object) -> float | None:
+    """A number that a float can be; None for anything else."""
+    return float(value) if is_number(value) else None
+
+
+def timestamp(log_time: int) -> dict[str, int]:
+    """A time, ns since 1970, as Foxglove writes it."""
+    sec, nsec = divmod(log_time, 1_000_000_000)
+    return {"sec": sec, "nsec": nsec}
+
+
+def rotation(heading: float) -> dict[str, float]:
+    """A turn about the vertical axis, rad, as a quaternion."""
+    return {"x": 0.0, "y": 0.0, "z": math.sin(heading / 2.0), "w": math.cos(heading / 2.0)}
+
+
+def _made(topic: str, name: str, value: dict[str, Any]) -> Message:
+    return Message(topic, name, value, json.dumps(value, separators=(",", ":")).encode())

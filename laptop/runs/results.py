@@ -1,0 +1,310 @@
+"""A run as arrays: of a simulation that `simulate` has computed, or of a recording, be it of real robots."""
+
+import json
+import shutil
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from swarm import config as configuration
+from swarm.errors import LocalError, RecordingError
+from swarm.recording import folder
+from swarm.recording.reader import OUTCOME, SHAPES
+from swarm.recording.run import Run
+from swarm.recording.trajectory import Trajectory
+
+try:
+    import numpy as np
+except ImportError:
+    raise LocalError('runs are numpy arrays: pip install "balboa-swarm[lab]"') from None
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+RESULT = "result."
+
+Array = np.ndarray[Any, np.dtype[Any]]
+
+
+class RunData:
+    """One run. Arrays have the axes iteration (from 0 on) and robot (in the order of `robots`), and further ones for a
+    vector or matrix. Where a robot has no such iteration there is nan, or None for what is no number."""
+
+    def __init__(self, path: Path, app: str = "") -> None:
+        """`path`: the run's folder, or one recording of it; `app`: which one is looked at where robots ran several.
+        Raises `RecordingError` where there is no recording."""
+        self.path = path
+        self.recording = Run(path, app)
+        """All that was recorded: `recording.samples("swarm/*/dwm/pose")` and the like."""
+        self.app = self.recording.app
+        """The app's name."""
+
+    # -- what there is
+
+    @property
+    def robots(self) -> tuple[str, ...]:
+        """Their names: the second axis of all arrays."""
+        return tuple(next(iter(self._trajectories.values())))
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """What `run[...]` takes: shared states, then what `result` of the app reports beside them, each vector by one
+        name; those of a channel as `channel.name`."""
+        return tuple(self._columns)
+
+    @property
+    def iterations(self) -> int:
+        """The last iteration that a robot has done."""
+        return len(self.times) - 1
+
+    @cached_property
+    def times(self) -> Array:
+        """When each state was there, s after the first one; float of shape (iteration, robot)."""
+        return _times(self._trajectories.get("", {}))
+
+    @property
+    def messages(self) -> int | None:
+        """Messages between apps that all robots have sent, counted once for each neighbour; None of a recording that
+        does not tell it, as of real robots."""
+        return int(self._outcome["messages"]) if "messages" in self._outcome else None
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What went wrong: an app in fault, no iteration for a minute; empty where all went well."""
+        return tuple(json.loads(self._outcome.get("problems", "[]")))
+
+    @property
+    def never(self) -> tuple[str, ...]:
+        """What was to happen and did not, since the run ended before."""
+        return tuple(json.loads(self._outcome.get("never", "[]")))
+
+    @property
+    def closest(self) -> float | None:
+        """How near two simulated robots have come, m between axles: they touch at 0.15; None of one robot, and of real
+        robots."""
+        return self._scene.get("closest_m")
+
+    @property
+    def contacts(self) -> int | None:
+        """How often two simulated robots have touched; None as for `closest`."""
+        return self._scene.get("contacts")
+
+    @cached_property
+    def truth(self) -> Array | None:
+        """Where the simulated robots really were when they reached each state: x, y in m and heading in rad, float of
+        shape (iteration, robot, 3), linear between the
+        world's samples (5 a second); None of real robots."""
+        return self._along("truth", ("x", "y", "heading"))
+
+    @cached_property
+    def target(self) -> Array | None:
+        """Where the simulated target was then, m: float of shape (iteration, robot, 2); None of real robots."""
+        moving = self._along("target", ("x", "y"))
+        file = self.path / folder.CONFIG_FILE
+        if moving is not None or self.truth is None or not file.is_file():
+            return moving
+        target = configuration.load(file).simulation.target
+        return np.where(np.isnan(self.times)[..., None], np.nan, np.array(target))
+
+    # -- arrays
+
+    def __getitem__(self, name: str) -> Array:
+        """A state or a result by name: of shape (iteration, robot), of a vector of n (iteration, robot, n), of a matrix
+        (iteration, robot, n, m). float64; bool and int64 as long as no entry is missing; texts (and members of an enum,
+        by name) as objects. Raises `LocalError` with the names that there are."""
+        if name not in self._columns:
+            raise LocalError(f"there is no column {name!r}; there are: {', '.join(self.columns) or 'none'}")
+        channel, places = self._columns[name]
+        paths = self._trajectories[channel]
+        parts = [_array(paths, place) for place in places]
+        if parts[0][1] is None:
+            return parts[0][0]
+        stacked = np.stack([part for part, _ in parts], axis=-1)
+        return stacked.reshape(*stacked.shape[:2], *self._shapes.get(name, (-1,)))
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._columns
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """A table with a row for each iteration and robot: `iteration`, `robot`, `t`, and the app's columns, a vector's
+        entries as `x[0]`, `x[1]`... Needs pandas, of the extra `notebook`."""
+        k, robot = np.nonzero(~np.isnan(self.times))
+        table: dict[str, Any] = {
+            "iteration": k, "robot": np.array(self.robots)[robot], "t": self.times[k, robot],
+        }  # fmt: skip
+        for name in (name for name in self.columns if not self._columns[name][0]):
+            values = self[name][k, robot]
+            if values.ndim == 1:
+                table[name] = values
+                continue
+            for place in np.ndindex(*values.shape[1:]):
+                table[f"{name}[{']['.join(map(str, place))}]"] = values[(slice(None), *place)]
+        return table_of(table)
+
+    def plot(self, *columns: str, kind: str | None = None, path: str | Path | None = None) -> "Figure":
+        """Draw the run as `swarm plot` does: these columns over iterations and time, or a picture of this kind (by
+        default what suits the app). Returns the figure, which a notebook shows; with `path` it is a file, too."""
+        from laptop.cli.runs.plot import draw_on
+        from laptop.plotting.style import shown_figure
+
+        unknown = [name for name in columns if name not in self]
+        if unknown:
+            self[unknown[0]]
+        wanted = [part for name in columns for part in self._parts(name)]
+        with shown_figure(None if path is None else Path(path)) as figure:
+            draw_on(figure, self.recording, kind, wanted)
+        return figure
+
+    def save(self, path: str | Path) -> None:
+        """Keep the recording in a new folder, which `swarm.load`, `swarm plot`, `swarm replay` and the others take."""
+        place = Path(path)
+        if place.exists() and (not place.is_dir() or any(place.iterdir())):
+            raise LocalError(f"{place}: it is there already; name a new folder")
+        if self.path.is_dir():
+            shutil.copytree(self.path, place, dirs_exist_ok=True)
+        else:
+            place.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(self.path, place)
+
+    def __repr__(self) -> str:
+        problems = f", problems: {'; '.join(self.problems)}" if self.problems else ""
+        return (
+            f"<run of {self.app}: {len(self.robots)} robots, {self.iterations} iterations; "
+            f"{', '.join(self.columns)}{problems}>"
+        )
+
+    # -- inside
+
+    @cached_property
+    def _outcome(self) -> Mapping[str, str]:
+        notes = self.recording.notes(OUTCOME)
+        return notes[-1] if notes else {}
+
+    @cached_property
+    def _scene(self) -> Mapping[str, Any]:
+        found: Mapping[str, Any] = json.loads(self._outcome.get("scene", "{}"))
+        return found
+
+    @cached_property
+    def _shapes(self) -> dict[str, tuple[int, ...]]:
+        notes = {name: text for entries in self.recording.notes(SHAPES) for name, text in entries.items()}
+        return {name: tuple(map(int, text.split("x"))) for name, text in notes.items()}
+
+    @cached_property
+    def _trajectories(self) -> dict[str, dict[str, Trajectory]]:
+        """By channel (the app itself is empty) and robot."""
+        found = {channel: self.recording.trajectories(channel=channel) for channel in self.recording.states()}
+        if not found:
+            raise RecordingError(f"{self.path}: no app's states are recorded")
+        return found
+
+    @cached_property
+    def _columns(self) -> dict[str, tuple[str, list[str]]]:
+        """By the name that is asked for: channel, and the columns that belong to it."""
+        found: dict[str, tuple[str, list[str]]] = {}
+        for channel, paths in self._trajectories.items():
+            names = next((path.columns for path in paths.values() if path.columns), ())
+            prefix = f"{channel}." if channel else ""
+            for results in (False, True):
+                for column in (each for each in names if each.startswith(RESULT) == results):
+                    name = prefix + column.removeprefix(RESULT).partition("[")[0]
+                    known = found.setdefault(name, (channel, []))[1]
+                    if not known or known[0].startswith(RESULT) == results:  # a state goes before a result of its name
+                        known.append(column)
+        return found
+
+    def _parts(self, name: str) -> list[str]:
+        channel, places = self._columns[name]
+        return [f"{channel}.{place}" if channel else place for place in places]
+
+    def _along(self, topic: str, fields: Sequence[str]) -> Array | None:
+        """What the world said of each robot under a topic, at the times of its states."""
+        said: dict[str, list[tuple[float, ...]]] = {robot: [] for robot in self.robots}
+        for sample in self.recording.samples(f"swarm/*/sim/{topic}"):
+            said[sample.topic.split("/")[1]].append((sample.t, *(sample.message[field] for field in fields)))
+        if not any(said.values()):
+            return None
+        found = np.full((*self.times.shape, len(fields)), np.nan)
+        for robot, rows in enumerate(said.values()):
+            samples = np.array(rows).reshape(-1, 1 + len(fields))
+            there = ~np.isnan(self.times[:, robot])
+            for place, field in enumerate(fields if len(samples) else ()):
+                values = samples[:, 1 + place]
+                values = np.unwrap(values) if field == "heading" else values
+                found[there, robot, place] = _interpolated(self.times[there, robot], samples[:, 0], values)
+        return found
+
+
+def table_of(columns: Any) -> "pd.DataFrame":
+    """A pandas table; raises `LocalError` where there is no pandas."""
+    try:
+        import pandas as pd
+    except ImportError:
+        raise LocalError('to_pandas needs pandas: pip install "balboa-swarm[notebook]"') from None
+    return pd.DataFrame(columns)
+
+
+def load(path: str | Path, app: str = "") -> RunData:
+    """A recorded run, of real robots (`swarm fetch`) or of a simulation (`swarm sim --record`, `RunData.save`).
+
+    `path` is its folder, or one recording (.mcap) of it; `app` says which one is looked at where robots ran several.
+    Raises `RecordingError`."""
+    return RunData(Path(path), app)
+
+
+def _interpolated(times: Array, known: Array, values: Array) -> Array:
+    """Values at `times`: linear between the samples, and from the nearest two before the first and after the last."""
+    if len(known) == 1:
+        return np.full(times.shape, values[0])
+    after = np.clip(np.searchsorted(known, times), 1, len(known) - 1)
+    share = (times - known[after - 1]) / (known[after] - known[after - 1])
+    found: Array = values[after - 1] + share * (values[after] - values[after - 1])
+    return found
+
+
+def _rows(paths: Mapping[str, Trajectory]) -> int:
+    return 1 + max((path.last for path in paths.values()), default=-1)
+
+
+def _times(paths: Mapping[str, Trajectory]) -> Array:
+    found = np.full((_rows(paths), len(paths)), np.nan)
+    for robot, path in enumerate(paths.values()):
+        ks = [k for k in path.times if k in path.rows]
+        found[ks, robot] = [path.times[k] for k in ks]
+    return found
+
+
+def _array(paths: Mapping[str, Trajectory], column: str) -> tuple[Array, int | None]:
+    """A column, and its place within a vector; None of a single value."""
+    cells: list[list[str]] = []
+    places: list[list[int]] = []
+    for path in paths.values():
+        at = path.columns.index(column) if path.columns else 0
+        places.append(list(path.rows))
+        cells.append([row[at] for row in path.rows.values()])
+    texts = {text for each in cells for text in each}
+    whole = all(len(each) == _rows(paths) for each in cells)
+    convert, kind, missing = _kind(texts, whole=whole)
+    found = np.full((_rows(paths), len(cells)), missing, dtype=kind)
+    for robot, (ks, each) in enumerate(zip(places, cells, strict=True)):
+        found[ks, robot] = [convert(text) for text in each]
+    return found, None if "[" not in column else int(column.rpartition("[")[2].rstrip("]"))
+
+
+def _kind(texts: set[str], *, whole: bool) -> tuple[Any, Any, Any]:
+    """How cells become entries, of which type, and what stands for one that is missing."""
+    if texts <= {"True", "False"}:
+        return ("True".__eq__, bool, False) if whole else ({"True": 1.0, "False": 0.0}.__getitem__, float, np.nan)
+    try:
+        if whole:
+            [int(text) for text in texts]
+            return int, np.int64, 0
+    except ValueError:
+        pass
+    try:
+        [float(text) for text in texts]
+    except ValueError:
+        return str, object, None
+    return float, float, np.nan

@@ -1,0 +1,145 @@
+"""`swarm.simulate`: a run in virtual time from a program, a test or a notebook."""
+
+import shutil
+import sys
+import tempfile
+import weakref
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, TextIO
+
+from laptop.runs.progress import progress as shown_progress
+from laptop.runs.results import RunData
+from services.apps import loader
+from sim.options import EVENTS, parse, parser
+from sim.progress import said
+from sim.quantities import AppSetting
+from sim.scenario import build
+from sim.values import settings_of
+from sim.virtual.run import PLACE, VirtualRun
+from swarm import config as configuration
+from swarm.app.settings import Setting
+from swarm.app.sync_app import BaseApp
+from swarm.errors import AppError, ConfigError
+from swarm.messages import AppLog
+from swarm.recording.recorded_topics import TOPICS
+
+App = type[BaseApp] | str | Path
+
+DEVICES = ("dwm/pose", "balancer/state", "mesh/links", "mesh/clock")
+"""What is recorded with `devices` alone: to compute it takes longer than the run of a small app."""
+
+ELSEWHERE = {"apps", "help", "json", "plot", "record", "run_dir", "settings", "view", "virtual", "speed", "no_open",
+             "demo", "replay", "seconds", "iterations", "seed", "latency", "robots", "topology", "cuts", "kills",
+             "offs", "presses", "pushes"}  # fmt: skip
+"""Options of `swarm sim` that are no `**options` of `simulate`."""
+
+
+def simulate(
+    app: App,
+    *,
+    robots: int = 6,
+    topology: str = "line",
+    values: Mapping[str, Any] | None = None,
+    latency: float = 0.03,
+    faults: Sequence[str] = (),
+    seed: int = 1,
+    iterations: int | None = None,
+    seconds: float | None = None,
+    check: bool = True,
+    devices: bool = False,
+    progress: bool = True,
+    **options: Any,
+) -> RunData:
+    """Run an app on a simulated swarm in virtual time, as `swarm sim APP --virtual` does, and return the run.
+
+    `app`: the class, the path of its file, or the name of a built-in app. The robots are r0, r1...; `topology` is line,
+    loop, full, thesis-d, random:SEED, auto or a matrix file. `values` are first values of the state and parameters: for
+    all robots, as a list with one for each, or by robot (`{"x": {"r2": 3.0}}`). `latency` of the links: s, one way.
+    `faults`: what happens at which time, s after the first iteration, as the command line has it: "cut r0-r1@1s,2s",
+    "kill r2.app@5s", "off r3@5s,10s", "press r0.A@2s", "push r1@5s,0.2"; robots and times may be drawn by the seed, as
+    in "off any@2s..8s,10s".
+
+    It ends after `iterations` (100 where nothing is said), or after `seconds` of virtual time. `devices`: record poses,
+    tilt and links, too, as `swarm sim --record` does; that takes three times as long. `options` are all others of
+    `swarm sim`, with _ for -: `jitter=0.01`, `loss=0.05`, `algorithm="thesis"`, `until="converged"`, `absent="drop"`.
+
+    The same arguments give the same run to the bit. Raises `AppError` for an app that cannot be run and, with `check`,
+    for a run with problems (else they are `run.problems`); `ConfigError` for a wrong argument."""
+    found = app_of(app)
+    words = arguments_of(robots, topology, latency, faults, iterations, seconds, options)
+    read = parse([found.name, *words, "--seed", str(seed), "--virtual"], ends=False)
+    settings = settings_for(found, values, robots, options)
+    held = tempfile.mkdtemp(prefix="swarm-run-")
+    place = Path(held) / "run"
+    read = replace(read, settings=tuple(AppSetting("", each) for each in settings), record=place)
+    topics = [topic for topic in TOPICS if devices or topic not in DEVICES]
+    try:
+        plan = build(read, PLACE, found)
+        with shown_progress(f"{found.name}: {len(plan.config.names)} robots", shown=progress) as look:
+            VirtualRun(read, plan, topics=topics, look=look, said=partial(_say, sys.stdout)).go()
+        run = RunData(place)
+    except BaseException:
+        shutil.rmtree(held)
+        raise
+    weakref.finalize(run, shutil.rmtree, held, ignore_errors=True)
+    if check and run.problems:
+        raise AppError("; ".join(run.problems))
+    return run
+
+
+def _say(out: TextIO, robot: str, line: AppLog) -> None:
+    """What an app prints and logs goes to where the program's own prints go."""
+    out.write(said(robot, line) + "\n")
+
+
+def app_of(app: App) -> loader.LoadedApp:
+    """The app that a program means; raises `AppError`."""
+    return loader.load(str(app)) if isinstance(app, str | Path) else loader.of_class(app)
+
+
+def settings_for(
+    app: loader.LoadedApp, values: Mapping[str, Any] | None, robots: int, options: Mapping[str, Any]
+) -> list[Setting]:
+    """First values and parameters as settings."""
+    choice = options.get("algorithm") or (values or {}).get("algorithm")
+    kind, _ = app.choose({"algorithm": choice} if isinstance(choice, str) else {})
+    names = [f"r{index}" for index in range(robots)]
+    if options.get("config") is not None:
+        names = list(configuration.load(Path(options["config"])).names)
+    return settings_of(kind, values or {}, names)
+
+
+def arguments_of(
+    robots: int,
+    topology: str,
+    latency: float,
+    faults: Sequence[str],
+    iterations: int | None,
+    seconds: float | None,
+    options: Mapping[str, Any],
+) -> list[str]:
+    """The command line of `swarm sim` that says the same. Raises `ConfigError`."""
+    flags = {}
+    for each in (action for action in parser()._actions if action.dest not in ELSEWHERE):
+        name = each.option_strings[0].removeprefix("--").replace("-", "_")
+        flags["run_for" if name == "for" else name] = each.option_strings[0]  # `for` is a word of Python
+    words = ["--latency", repr(float(latency))]
+    if options.get("config") is None:
+        words += ["--robots", str(robots), "--topology", topology]
+    for name, value in (("iterations", iterations), ("seconds", seconds)):
+        words += [] if value is None else [f"--{name}", str(value)]
+    for fault in faults:
+        kind, _, text = fault.partition(" ")
+        if kind not in EVENTS or not text:
+            raise ConfigError(f'{fault!r} is no fault such as "cut r0-r1@1s,2s"; there are {", ".join(EVENTS)}')
+        words += [f"--{kind}", text.strip()]
+    for name, value in options.items():
+        if name not in flags:
+            raise ConfigError(f"there is no option {name!r}; beside its own simulate has {', '.join(sorted(flags))}")
+        if value is not None:
+            text = ",".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+            words.append(f"{flags[name]}={text}")
+    return words

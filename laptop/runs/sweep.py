@@ -1,0 +1,142 @@
+"""`swarm.sweep`: many runs in virtual time from a program or a notebook, as a table."""
+
+import contextlib
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from laptop.cli.runs import sweep_results
+from laptop.plotting.style import shown_figure
+from laptop.runs.progress import progress as shown_progress
+from laptop.runs.results import table_of
+from laptop.runs.simulation import App, app_of, arguments_of, settings_for
+from sim.options import parse
+from sim.sweep.engines import here, local
+from sim.sweep.measure import SweptRun, summarize
+from sim.sweep.plan import Job, Point, points_of
+from swarm.app.parameters import number_or_text
+from swarm.errors import ConfigError
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+WITHIN = 0.01
+"""How near its last value a result has settled, in its unit."""
+
+
+class SweepTable:
+    """What came out of a sweep. Printed, it is a table with a row for each combination."""
+
+    def __init__(self, app: str, points: Sequence[Point], found: Sequence[SweptRun]) -> None:
+        self._app, self._points, self._found = app, points, found
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """One for each combination: the values that make it, and over all seeds `runs`, `failed`, `unsettled`,
+        `settled` (iterations, median), `settled_most`, `error` (median), `error_most`, `iteration_s`, `problem` (the
+        first). None where there is nothing to say."""
+        runs = sweep_results.by_point(self._points, self._found)
+        return [{**_values(point), **asdict(summarize(each))} for point, each in zip(self._points, runs, strict=True)]
+
+    @property
+    def runs(self) -> list[dict[str, Any]]:
+        """One for each combination and seed: the values, `seed`, `iterations`, `settled`, `error`, `seconds` (virtual),
+        `iteration_s`, `computed_s` and `problem`."""
+        return [
+            {**_values(self._points[run.point]), **{name: x for name, x in asdict(run).items() if name != "point"}}
+            for run in self._found
+        ]
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """`runs` as a table. Needs pandas, of the extra `notebook`."""
+        return table_of(self.runs)
+
+    def plot(self, path: str | Path | None = None) -> "Figure":
+        """Draw iterations to settle, and the error, over the first list of numbers, as `swarm sweep --plot` does.
+        Returns the figure, which a notebook shows; with `path` it is a file, too."""
+        with shown_figure(None if path is None else Path(path)) as figure:
+            sweep_results.draw_on(figure, self._app, self._points, self._found)
+        return figure
+
+    def __str__(self) -> str:
+        return sweep_results.table(self._points, self._found)
+
+    __repr__ = __str__
+
+
+def sweep(
+    app: App,
+    over: Mapping[str, Sequence[Any]],
+    *,
+    seeds: int | Sequence[int] = 1,
+    robots: int = 6,
+    topology: str = "line",
+    values: Mapping[str, Any] | None = None,
+    latency: float = 0.03,
+    faults: Sequence[str] = (),
+    iterations: int | None = None,
+    seconds: float | None = None,
+    within: float = WITHIN,
+    jobs: int = 1,
+    progress: bool = True,
+    **options: Any,
+) -> SweepTable:
+    """Run an app in virtual time for each combination of the lists in `over` and each seed, as `swarm sweep` does.
+
+    `over`: lists by the name of a parameter or first value (`gain`, or `r2.gain` of one robot), and `robots`,
+    `topology`, `algorithm`. `seeds`: so many from 1 on, or a list of them. A run has settled when all results stay
+    `within` of their last values. `jobs`: processes; more than one for an app by name or file only, and a script then
+    calls this where `__name__` is `"__main__"`. All else as of `swarm.simulate`; a run with problems is counted as
+    failed. Raises `AppError` or `ConfigError` for what no run can be made of."""
+    found = app_of(app)
+    by_class = not isinstance(app, str | Path)
+    if jobs > 1 and by_class:
+        raise ConfigError("jobs: a class cannot go to other processes; put it into a file, and give its path")
+    points = points_of([(name, [_text(value) for value in choices]) for name, choices in over.items()])
+    if not points:
+        raise ConfigError("over: a list is empty")
+    numbers = range(1, seeds + 1) if isinstance(seeds, int) else seeds
+    planned: list[Job] = []
+    for index, point in enumerate(points):
+        chosen = dict(point.choices)
+        count = int(chosen.pop("robots", robots))
+        graph = chosen.pop("topology", topology)
+        words = arguments_of(count, graph, latency, faults, iterations, seconds, options)
+        which = options | ({"algorithm": chosen.pop("algorithm")} if "algorithm" in chosen else {})
+        for setting in settings_for(found, values, count, which):
+            words += ["--set", setting.text]
+        if "algorithm" in which:
+            words += ["--algorithm", which["algorithm"]]
+        for name, value in chosen.items():
+            words += ["--set", f"{name}={value}"]
+        name = found.name if by_class else str(app)
+        parse([name, *words, "--virtual"], ends=False)  # what is wrong is said before anything is computed
+        planned += [Job(index, seed, (name, *words, "--seed", str(seed)), within) for seed in numbers]
+    engine = here(found) if jobs == 1 else local(jobs)
+    with contextlib.ExitStack() as stack:
+        look = stack.enter_context(shown_progress(f"{found.name}: {len(planned)} runs", shown=progress))
+        run = stack.enter_context(engine)
+        count = 0
+
+        def done() -> None:
+            nonlocal count
+            count += 1
+            look(count / len(planned))
+
+        return SweepTable(found.name, points, run(planned, done))
+
+
+def _text(value: Any) -> str:
+    """As `--set` has it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list | tuple):
+        return f"[{','.join(map(str, value))}]"
+    return str(value)
+
+
+def _values(point: Point) -> dict[str, Any]:
+    """The values of a combination, numbers as such."""
+    return {name: number_or_text(text) for name, text in point.choices}

@@ -1,0 +1,121 @@
+"""What a run has recorded under a topic, as a table on the run's time axis; tables as CSV, npz, mat or parquet."""
+
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from swarm.errors import LocalError, RecordingError
+from swarm.recording.run import Run
+
+FORMATS = ("csv", "npz", "mat", "parquet")
+
+Table = dict[str, list[Any]]
+"""Columns by name, all of one length; None where a row has nothing."""
+
+_LONGEST_VARIABLE = 63
+
+_EXTRA = {"npz": ("numpy", "lab"), "mat": ("scipy", "tables"), "parquet": ("pyarrow", "tables")}
+"""What a format needs, and the extra that brings it."""
+
+
+def of_topic(recorded: Run, topic: str) -> Table:
+    """All messages of a topic below the robots' names, such as `balancer/state`: a row each, with `t` (s, common to all
+    robots, 0 = the first state), `robot` and the message's fields. Raises `RecordingError` where there are none."""
+    known = {"/".join(name.split("/")[2:]) for name in recorded.topics}
+    if topic not in known:
+        raise RecordingError(f"{recorded.path}: no topic {topic} is recorded; there are: {', '.join(sorted(known))}")
+    rows = []
+    for sample in recorded.samples(f"swarm/*/{topic}"):
+        fields = _flat("", {name: value for name, value in sample.message.items() if name != "t"})
+        rows.append({"t": sample.t, "robot": sample.topic.split("/")[1], **fields})
+    return {name: [row.get(name) for row in rows] for name in dict.fromkeys(name for row in rows for name in row)}
+
+
+def write(path: Path, table: Table) -> None:
+    """Write a table into a new file, in the format that its ending names. Raises `LocalError` where the format needs
+    what is not installed, or the file is there."""
+    kind = path.suffix.removeprefix(".")
+    if kind not in FORMATS:
+        raise LocalError(f"{path}: tables are written as {', '.join(FORMATS)}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.exists():
+        raise LocalError(f"{path}: it is there already; name a new folder")
+    try:
+        _WRITERS[kind](path, table)
+    except ImportError:
+        needed, extra = _EXTRA[kind]
+        raise LocalError(f'{kind} files need {needed}: pip install "balboa-swarm[{extra}]"') from None
+
+
+def _flat(name: str, value: Any) -> dict[str, Any]:
+    """Fields of a message by dotted names; parts of a list by what they are called (links by their peer), or number."""
+    if isinstance(value, Mapping):
+        parts = {f"{name}.{key}" if name else str(key): part for key, part in value.items()}
+    elif isinstance(value, list | tuple):
+        called = [part.get("peer", part.get("robot")) if isinstance(part, Mapping) else None for part in value]
+        parts = {
+            f"{name}.{it}" if it else f"{name}[{at}]": part
+            for at, (it, part) in enumerate(zip(called, value, strict=True))
+        }
+    else:
+        return {name: value}
+    return {inner: found for each, part in parts.items() for inner, found in _flat(each, part).items()}
+
+
+def _csv(path: Path, table: Table) -> None:
+    lines = [",".join(map(_cell, table)), *(",".join(map(_cell, row)) for row in zip(*table.values(), strict=True))]
+    path.write_text("\n".join(lines) + "\n", newline="")
+
+
+def _cell(value: object) -> str:
+    text = "" if value is None else value if isinstance(value, str) else repr(value)
+    return '"' + text.replace('"', '""') + '"' if set(text) & set(',"\n\r') else text
+
+
+def _npz(path: Path, table: Table) -> None:
+    import numpy as np
+
+    columns: dict[str, Any] = {name: np.array(_even(values)) for name, values in table.items()}
+    np.savez_compressed(path, **columns)
+
+
+def _mat(path: Path, table: Table) -> None:
+    import numpy as np
+    from scipy.io import savemat
+
+    columns = {name: np.array(_even(values)) for name, values in zip(_variables(table), table.values(), strict=True)}
+    savemat(path, columns, long_field_names=True, oned_as="column")
+
+
+def _variables(names: Iterable[str]) -> list[str]:
+    """MATLAB's names for columns: letters, digits and _, a letter first, at most 63, no two alike."""
+    found: list[str] = []
+    for name in names:
+        plain = "".join(each if each.isascii() and each.isalnum() else "_" for each in name).strip("_")
+        plain = (plain if plain[:1].isalpha() else f"x{plain}")[:_LONGEST_VARIABLE]
+        number = 1
+        while (unique := plain if number == 1 else f"{plain[: _LONGEST_VARIABLE - 4]}_{number}") in found:
+            number += 1
+        found.append(unique)
+    return found
+
+
+def _parquet(path: Path, table: Table) -> None:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    parquet.write_table(pa.table({name: _even(values) for name, values in table.items()}), path)
+
+
+def _even(values: list[Any]) -> list[Any]:
+    """Values of one type: numbers with nan where there is none, truths as they are, all else as text."""
+    there = [value for value in values if value is not None]
+    if all(isinstance(value, bool) for value in there) and len(there) == len(values):
+        return values
+    if all(isinstance(value, int | float) for value in there):
+        return [math.nan if value is None else float(value) for value in values]
+    return ["" if value is None else str(value) for value in values]
+
+
+_WRITERS = {"csv": _csv, "npz": _npz, "mat": _mat, "parquet": _parquet}

@@ -1,0 +1,186 @@
+"""What a page may do to the swarm where it was started with `--control`. Without that every command is refused."""
+
+import os
+import threading
+from collections.abc import Mapping
+from typing import Any
+
+from laptop.view.actions.robot_actions import PageAction, RobotActions, named
+from laptop.view.feeds.feed import LiveFeed, Publisher
+from swarm import clock
+from swarm.errors import LocalError
+from swarm.frozen import frozen
+from swarm.messages import Arm, SetAppParameters, SetMode, SetVelocity, Stop
+from swarm.messages.codec import Value
+from swarm.messages.keys import STOP, is_name, key
+
+REASON = "the page of swarm view"
+DRIVE_S = 0.4
+"""s that a robot drives without being asked again: a page that hangs, or is gone, leaves it standing."""
+MAX_SPEED = 0.3
+"""m/s"""
+MAX_TURN = 3.0
+"""rad/s"""
+MODES = ("stand", "rest", "lie")
+"""What a page may have a balancer do."""
+ANSWER_S = 5.0
+"""s for which an app is asked to set a parameter: it may be about to start, and a bus may lose a request."""
+
+
+@frozen
+class _Halt:
+    """A stop for all robots, or its end, that not all have confirmed. Each one is an object of its own."""
+
+    stop: bool
+
+
+class Control:
+    """Carries out what pages ask, in any threads."""
+
+    def __init__(self, feed: LiveFeed, actions: RobotActions | None) -> None:
+        """`actions`: what can be done besides what goes over a bus; None where the page only watches."""
+        self._feed = feed
+        self._actions = actions
+        self._halting = threading.Lock()
+        """Held while a stop or its end goes out, so that the later of two holds on every robot."""
+        self._wanted: _Halt | None = None
+        self._asked: dict[tuple[str, str], tuple[SetAppParameters, float]] = {}
+        """What apps have not answered yet: by robot and app, and until when they are asked."""
+        self.acts: dict[str, PageAction] = {}
+        """What pages may ask for."""
+        if actions is not None:
+            self.acts |= {
+                "stop": lambda _: self._halt(stop=True),
+                "arm": lambda _: self._halt(stop=False),
+                "set": self._set,
+                "mode": self._mode,
+                "drive": self._drive,
+                **actions.acts,
+            }
+
+    def close(self) -> None:
+        """Give up what is under way."""
+        if self._actions is not None:
+            self._actions.close()
+
+    def do(self, asked: object) -> str:
+        """Carry out `{act: NAME, ...}`; what was done, in words. Raises `LocalError`."""
+        if not self.acts:
+            raise LocalError("this page only watches: start `swarm view --control` to act")
+        if not isinstance(asked, dict) or (act := self.acts.get(str(asked.get("act")))) is None:
+            raise LocalError(f"expected an act of {', '.join(self.acts)}")
+        try:
+            return act(asked)
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise LocalError(f"{asked.get('act')}: {error!r} is missing or wrong") from None
+        except OSError as error:
+            raise LocalError(f"{asked.get('act')}: {error.strerror or error}") from None
+
+    def repeat(self) -> None:
+        """Say again what robots have not confirmed, a stop or its end or parameters: a bus may lose it."""
+        self._halt_again()
+        self._ask_again()
+
+    def _halt_again(self) -> None:
+        wanted = self._wanted
+        if wanted is None:
+            return
+        # Before the other lock: a stop does not wait for a picture that is being drawn.
+        with self._feed.lock:
+            said = {name: self._feed.picture.newest(name, "mesh/stopped") for name in self._feed.buses}
+        late = [name for name, value in said.items() if not _agrees(value, wanted.stop)]
+        with self._halting:
+            if self._wanted is not wanted:
+                return  # a later one has gone out meanwhile
+            if not late:
+                self._wanted = None
+            for name in late:
+                self._give(name, self._feed.buses[name], stop=wanted.stop)
+
+    def _halt(self, *, stop: bool) -> str:
+        self._feed.check_control()
+        with self._halting:
+            self._wanted = _Halt(stop)
+            for name, bus in self._feed.buses.items():
+                self._give(name, bus, stop=stop)
+        return "stop given to all robots" if stop else "stops taken back"
+
+    def _give(self, name: str, bus: Publisher, *, stop: bool) -> None:
+        if stop:
+            bus.publish(STOP, Stop(clock.now(), name, REASON), urgent=True)
+        else:
+            bus.publish(key(name, "mesh", "set", "arm"), Arm(clock.now(), name), urgent=True)
+
+    def _mode(self, asked: Mapping[str, Any]) -> str:
+        """Have robots stand up, rest or lie down; what came of it their balancers tell."""
+        mode, buses = str(asked["mode"]), self._feed.buses
+        if mode not in MODES:
+            raise LocalError(f"mode: expected {', '.join(MODES)}")
+        robots, near = self._meant(asked)
+        if not near:
+            raise LocalError(f"{mode}: {asked.get('robot') or 'no robot'} is not reached")
+        for robot in near:
+            buses[robot].publish(key(robot, "balancer", "set", "mode"), SetMode(mode), urgent=True)
+        silent = [robot for robot in robots if robot not in near]
+        return f"{mode} asked of {' '.join(near)}{_except(silent)}"
+
+    def _meant(self, asked: Mapping[str, Any]) -> tuple[list[str], list[str]]:
+        """Return the robots that an act is for, the one that it names or all, and those of them whose bus is there."""
+        buses, config = self._feed.buses, self._feed.config
+        everybody = list(buses if config is None else config.names)
+        robots = [named(asked["robot"], everybody)] if asked.get("robot") else everybody
+        return robots, [robot for robot in robots if robot in buses and buses[robot].connected]
+
+    def _drive(self, asked: Mapping[str, Any]) -> str:
+        """Drive one robot as long as a page goes on to ask for it: without another one it stands within `DRIVE_S`."""
+        robot, speed, turn = named(asked["robot"], self._feed.buses), float(asked["speed"]), float(asked["turn"])
+        if not (abs(speed) <= MAX_SPEED and abs(turn) <= MAX_TURN):
+            raise LocalError(
+                f"drive: expected at most {MAX_SPEED:g} m/s and {MAX_TURN:g} rad/s, got {speed:g}, {turn:g}"
+            )
+        if not self._feed.buses[robot].connected:
+            raise LocalError(f"drive: {robot} is not reached")
+        message = SetVelocity(speed, turn, DRIVE_S)
+        self._feed.buses[robot].publish(key(robot, "balancer", "set", "velocity"), message, urgent=True)
+        return f"{robot}: {speed:g} m/s, {turn:g} rad/s"
+
+    def _set(self, asked: Mapping[str, Any]) -> str:
+        app, name, value = str(asked["app"]), str(asked["name"]), asked["value"]
+        if not is_name(app) or not name.isidentifier() or not isinstance(value, bool | int | float | str):
+            raise LocalError("set: expected the names of an app and a parameter, and a number, a text, true or false")
+        robots, near = self._meant(asked)
+        values: dict[str, Value] = {name: value}
+        assert self._actions is not None
+        silent = self._actions.give([robot for robot in robots if robot not in near], app, values)
+        if silent == robots:
+            raise LocalError(f"set: {asked.get('robot') or 'no robot'} is not reached")
+        for robot in near:
+            request = SetAppParameters(f"{os.getpid()}-{os.urandom(4).hex()}", values)
+            self._ask(robot, app, request)  # first: what the way there does not take is not asked again
+            self._asked[robot, app] = request, clock.now() + ANSWER_S
+        asked_of = " ".join(robot for robot in robots if robot not in silent)
+        return f"{app}: {name}={value} asked of {asked_of}{_except(silent)}"
+
+    def _ask(self, robot: str, app: str, request: SetAppParameters) -> None:
+        self._feed.buses[robot].publish(key(robot, f"app/{app}", "set", "parameters"), request, urgent=True)
+
+    def _ask_again(self) -> None:
+        for (robot, app), (request, until) in list(self._asked.items()):
+            with self._feed.lock:
+                answer = self._feed.picture.newest(robot, f"app/{app}/parameters_set")
+                answered = isinstance(answer, dict) and answer.get("ticket") == request.ticket
+                if late := not answered and clock.now() > until:
+                    said = ", ".join(f"{name}={value}" for name, value in request.parameters.items())
+                    self._feed.picture.note(self._feed.now(), robot, "warning", f"app/{app} has not answered: {said}")
+            if not answered and not late:
+                self._ask(robot, app, request)
+            elif self._asked.get((robot, app), (None,))[0] is request:  # none newer came meanwhile
+                del self._asked[robot, app]
+
+
+def _except(silent: list[str]) -> str:
+    return f", not of {' '.join(silent)}: they are not reached" if silent else ""
+
+
+def _agrees(value: object, stopped: bool) -> bool:
+    return isinstance(value, dict) and value.get("stopped") is stopped

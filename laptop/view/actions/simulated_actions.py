@@ -1,0 +1,78 @@
+"""What a page may do to the robots of a simulation on this machine: everything."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from laptop.cli import hand
+from laptop.view.actions.robot_actions import PageAction, cut, named
+from laptop.view.feeds.feed import SimulationFeed
+from sim.control import app_requests, send_action
+from sim.core.actions import Carry, Lay, Press, Push
+from swarm.errors import LocalError
+from swarm.messages.codec import Value
+
+PRESS_S = 0.3
+FAR_M = 1000.0
+
+
+class SimulatedActions:
+    """Done at once, by the simulation."""
+
+    def __init__(self, feed: SimulationFeed) -> None:
+        self._feed = feed
+        self.acts: Mapping[str, PageAction] = {
+            "press": self._press,
+            "push": self._push,
+            "lay": self._lay,
+            "place": self._place,
+            "kill": self._kill,
+            "cut": self._cut,
+            "start": lambda asked: self._order("start", asked),
+            "end": lambda asked: self._order("stop", asked),
+        }
+
+    def give(self, robots: Sequence[str], app: str, values: Mapping[str, Value]) -> list[str]:
+        """All buses are near; one that is not has gone."""
+        return list(robots)
+
+    def close(self) -> None:
+        """Nothing is under way."""
+
+    def _press(self, asked: Mapping[str, Any]) -> str:
+        robot, button = self._robot(asked), str(asked["button"]).upper()
+        send_action.do(self._feed.directory / robot, Press(button, PRESS_S))
+        return f"{robot}: pressed {button}"
+
+    def _push(self, asked: Mapping[str, Any]) -> str:
+        robot, impulse = self._robot(asked), float(asked["impulse"])
+        send_action.do(self._feed.directory / robot, Push(impulse))
+        return f"{robot}: pushed with {impulse:g} N s"
+
+    def _lay(self, asked: Mapping[str, Any]) -> str:
+        robot, side = self._robot(asked), str(asked["side"])
+        send_action.do(self._feed.directory / robot, Lay(side))
+        return f"{robot}: lies on its {side}"
+
+    def _place(self, asked: Mapping[str, Any]) -> str:
+        robot, x, y = self._robot(asked), float(asked["x"]), float(asked["y"])
+        if not (abs(x) <= FAR_M and abs(y) <= FAR_M):
+            raise LocalError(f"place: expected a place within {FAR_M:g} m, got {x:g}, {y:g}")
+        send_action.do(self._feed.directory / robot, Carry(x, y, 0.0))
+        return f"{robot}: lies on its back at {x:.2f}, {y:.2f} m"
+
+    def _kill(self, asked: Mapping[str, Any]) -> str:
+        robot = self._robot(asked)
+        service, pid = hand.end_service(self._feed.directory / robot, str(asked["service"]), "KILL")
+        return f"{robot}: killed {service} (pid {pid})"
+
+    def _cut(self, asked: Mapping[str, Any]) -> str:
+        ends, seconds = cut(asked, self._feed.buses)
+        hand.cut(self._feed.directory, *ends, seconds)
+        return f"{' - '.join(ends)}: " + (f"cut for {seconds:g} s" if seconds else "mended")
+
+    def _order(self, act: str, asked: Mapping[str, Any]) -> str:
+        robots = [self._robot(asked)] if asked.get("robot") else list(self._feed.buses)
+        return app_requests.give(self._feed.directory, act, str(asked["app"]), robots)
+
+    def _robot(self, asked: Mapping[str, Any]) -> str:
+        return named(asked["robot"], self._feed.buses)

@@ -1,0 +1,182 @@
+"""Where a picture gets its samples from: the buses of a simulation that runs on this machine."""
+
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Protocol
+
+from laptop.view.feeds.picture import Picture
+from swarm import clock
+from swarm.bus.zenoh_bus import Bus
+from swarm.config import parse
+from swarm.config.types import Config
+from swarm.errors import LocalError, PayloadError, SwarmError
+from swarm.messages.keys import whose_token
+from swarm.onboard.lookout import watch
+from swarm.onboard.traffic import Traffic
+from swarm.process.paths import bus_endpoint
+from swarm.process.simulations import CONFIG, is_live, robots
+
+_LOOK_EVERY = 0.5
+"""s between two looks for buses that have come."""
+
+
+class Publisher(Protocol):
+    """The way to a robot's bus."""
+
+    @property
+    def connected(self) -> bool:
+        """Whether it is there at this moment."""
+
+    def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
+        """Send a message dataclass or raw bytes; silently lost while the bus is away."""
+
+
+class LiveFeed(Protocol):
+    """Where the present of a swarm comes from."""
+
+    @property
+    def kind(self) -> str:
+        """`simulation`, `robots` or `virtual`."""
+
+    @property
+    def picture(self) -> Picture:
+        """What is known; to be looked at under `lock`."""
+
+    @property
+    def lock(self) -> threading.Lock:
+        """Around the picture."""
+
+    @property
+    def live(self) -> bool:
+        """Whether it still runs."""
+
+    @property
+    def config(self) -> Config | None:
+        """Of the swarm; None as long as it is not there."""
+
+    @property
+    def buses(self) -> Mapping[str, Publisher]:
+        """The way to each robot that has one."""
+
+    def now(self) -> float:
+        """The page's time, s."""
+
+    def pace(self) -> dict[str, object] | None:
+        """How fast time passes, where that can be changed: `{speed, actual, paused}`."""
+
+    def set_pace(self, speed: float | None, paused: bool) -> None:
+        """Let it pass otherwise. Raises `ValueError` where that cannot be."""
+
+    def check_control(self) -> None:
+        """Raises `LocalError` where no robot can be told anything at this moment."""
+
+
+class RealTime:
+    """A time that nobody can change."""
+
+    def __init__(self) -> None:
+        self.began = clock.now()
+        """The page counts its seconds from here."""
+
+    def now(self) -> float:
+        """The page's time, s."""
+        return clock.now() - self.began
+
+    def pace(self) -> None:
+        """It passes as it does."""
+
+    def set_pace(self, speed: float | None, paused: bool) -> None:
+        """Refused."""
+        raise ValueError("this is real time")
+
+
+class SimulationFeed(RealTime):
+    """Watches the bus of every robot of a running simulation until closed."""
+
+    kind = "simulation"
+
+    def __init__(self, directory: Path) -> None:
+        """Raises `LocalError` where none runs there."""
+        if not is_live(directory):
+            raise LocalError(
+                f"no simulation is running in {directory}: start one with `swarm sim`, or name "
+                "--run-dir; real robots: --robots NAME"
+            )
+        super().__init__()
+        self.picture = Picture()
+        self.lock = threading.Lock()
+        """Around the picture."""
+        self.directory = directory
+        self.live = True
+        """Whether it still runs, as it was at the last look."""
+        self.config: Config | None = None
+        """The swarm's configuration; None as long as it is not there."""
+        self.buses: dict[str, Bus] = {}
+        """Of each robot."""
+        self._traffic: list[Traffic] = []
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._look, name="feed", daemon=True)
+        self._thread.start()
+
+    def check_control(self) -> None:
+        """Raises `LocalError` where no robot can be told anything at this moment."""
+        if not self.live:
+            raise LocalError("the simulation has ended")
+
+    def close(self) -> None:
+        """Leave all buses."""
+        self._closing.set()
+        self._thread.join()
+        for bus in self.buses.values():
+            bus.close()
+
+    def _look(self) -> None:
+        while not self._closing.wait(_LOOK_EVERY if self.buses else 0.05):
+            self.live = is_live(self.directory)
+            if self.config is None:
+                self.config = config_of(self.directory)
+            if self.config is None or not self.buses.keys() >= set(self.config.names):
+                self._join()
+            for each in self._traffic:
+                each.look(self.now())
+
+    def _join(self) -> None:
+        """Watch the buses that have come."""
+        for name, runtime in robots(self.directory).items():
+            if name not in self.buses:
+                bus = Bus(bus_endpoint(runtime))
+                self.buses = {**self.buses, name: bus}  # others may be going through it
+                watch(bus, name, self._taker(name), self._alive)
+                self._traffic.append(Traffic(bus, name, self._counter(name)))
+
+    def _taker(self, robot: str) -> Callable[[str, bytes], None]:
+        def take(key: str, payload: bytes) -> None:
+            with self.lock:
+                self.picture.take(robot, key, payload, self.now())
+
+        return take
+
+    def _counter(self, robot: str) -> Callable[[str, int], None]:
+        def passed(sender: str, count: int) -> None:
+            with self.lock:
+                self.picture.passed(sender, robot, count)
+
+        return passed
+
+    def _alive(self, key: str, there: bool) -> None:
+        try:
+            robot, service = whose_token(key)
+        except PayloadError:
+            return
+        with self.lock:
+            self.picture.alive(robot, service, there, self.now())
+
+
+def config_of(directory: Path) -> Config | None:
+    """The configuration that a run has left in its folder; None where there is none that can be read."""
+    path = directory / CONFIG
+    try:
+        return parse(path.read_text(encoding="utf-8"), path)
+    except (OSError, SwarmError):
+        return None

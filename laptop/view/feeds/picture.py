@@ -1,0 +1,361 @@
+"""What is known of the swarm at this moment: the newest sample of every key, what just happened, and who is there.
+
+A page asks for everything once and then for what has changed since its last version, so a slow one gets fewer steps and
+never a queue. No IO and no clock: samples come in from whatever watches the robots, a bus or a recording.
+
+Robots may say anything: a message whose fields have not the types of its key is dropped, counted, and named once among
+the events. So pages find numbers, texts and lists where they look for them, or nothing.
+"""
+
+import contextlib
+import sys
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator
+from functools import lru_cache
+from typing import NamedTuple, TypeGuard
+
+from laptop.view.feeds.history import History
+from swarm.errors import PayloadError
+from swarm.messages import type_of
+from swarm.messages.codec import unpack
+from swarm.messages.fields import check_fields
+from swarm.messages.json_values import json_value
+from swarm.messages.keys import parse
+from swarm.process.text import printable
+
+MAX_EVENTS = 500
+MAX_TOPICS = 256
+"""Keys of one robot that are shown; an app that publishes under ever new ones must not fill the memory."""
+
+MAX_SIZE = 1 << 20
+"""Bytes of the newest samples of one robot together, for the same reason."""
+
+MAX_SERVICES = 64
+"""Services of one robot that are shown, for the same reason."""
+
+MAX_SUBJECTS = 256
+"""Subjects of one robot (a link, a service) whose last event is remembered, for the same reason."""
+
+MAX_HOPS = 4096
+"""Pairs of robots whose messages are counted, for the same reason."""
+
+MAX_BYTES = 256
+"""Of a raw payload within a message that a page is told."""
+
+MAX_NAMED = 6
+"""Robots that are waited for and named in an event."""
+
+TRAIL_S = 30.0
+"""How much of its way a robot draws behind it, s."""
+
+
+AT_ONCE = frozenset(("sim/truth", "sim/leds", "balancer/leds"))
+"""Topics of what moves on the map: a page is told of them as often as it can draw them. Where no true pose is known
+`dwm/pose` is one of them."""
+
+REACH = "view/reach"
+"""What this side says of a real robot: `by` ssh, the mesh or nothing, and `why`."""
+
+
+class Event(NamedTuple):
+    """Something worth a line."""
+
+    number: int
+    t: float
+    robot: str
+    level: str
+    """`info`, `warning` or `error`."""
+    text: str
+
+
+_NOTHING = object()
+"""In place of what could not be decoded."""
+
+_TOLD = frozenset(("mesh/links", "mesh/stopped", "balancer/fault", REACH))
+_TOLD_OF_ALL = ("/status", "/progress")
+"""Topics, and the ends of others, that events come from."""
+
+
+class _Packed:
+    """A sample as it came, and what it says once somebody has asked."""
+
+    __slots__ = ("payload", "value")
+
+    def __init__(self, payload: bytes) -> None:
+        self.payload = payload
+        self.value: object = None
+
+
+class Picture:
+    """The swarm as it is. Times are the caller's clock, s."""
+
+    def __init__(self) -> None:
+        self.version = 0
+        self.events: deque[Event] = deque(maxlen=MAX_EVENTS)
+        self.refused = 0
+        """Samples that were dropped."""
+        self._named: set[tuple[str, str]] = set()
+        """Robots and topics whose wrong messages have been named."""
+        self._now = 0.0
+        """Time of the newest sample."""
+        self._topics: dict[str, dict[str, tuple[int, object]]] = {}
+        self._alive: dict[str, dict[str, bool]] = {}
+        self._sizes: Counter[str] = Counter()
+        """Bytes of the newest samples, by robot."""
+        self._history: dict[str, History] = {}
+        self._hops: dict[str, int] = {}
+        self._numbered = 0
+        self._told: dict[str, dict[str, str]] = {}
+        """The last event by robot and subject."""
+
+    def take(self, bus: str, key: str, payload: bytes, now: float) -> None:
+        """A sample seen on a robot's bus (`bus` = "": on any one). There no other robot speaks for itself."""
+        try:
+            robot, service, topic = parse(key)
+        except PayloadError:
+            self.refused += 1
+            return
+        if bus not in ("", robot):
+            return
+        self._now = now
+        name, packed = f"{service}/{topic}", _Packed(payload)
+        if name in _TOLD or name.endswith(_TOLD_OF_ALL):
+            value = self._open(robot, name, packed)
+            if value is _NOTHING or not self._keep(robot, name, packed):
+                return
+            self._read(robot, name, value, now)
+        elif not self._keep(robot, name, packed):
+            return
+        self._history.setdefault(robot, History()).add(name, payload, now)
+
+    def passed(self, sender: str, receiver: str, count: int) -> None:
+        """How many messages have passed between the two so far, from whoever counts them."""
+        hop = f"{sender}>{receiver}"
+        if hop in self._hops or len(self._hops) < MAX_HOPS:
+            self._hops[hop] = count
+
+    def put(self, robot: str, topic: str, value: object, now: float) -> None:
+        """A decoded sample. It has no history."""
+        self._now = now
+        if self._fits(robot, topic, value) and self._keep(robot, topic, value):
+            self._read(robot, topic, value, now)
+
+    def refuse(self, robot: str, what: str, why: object) -> None:
+        """Something that a robot has said is dropped; the first time that is told, with its reason."""
+        self.refused += 1
+        if (robot, what) not in self._named and len(self._named) < MAX_TOPICS:
+            self._named.add((robot, what))
+            self.note(self._now, robot, "warning", f"{what} is left out, and whatever is like it: {why}")
+
+    def _keep(self, robot: str, topic: str, value: object) -> bool:
+        """Whether it is kept as the newest."""
+        topics = self._topics.setdefault(robot, {})
+        size = self._sizes[robot] + _size(value) - _size(topics.get(topic, (0, None))[1])
+        if size > MAX_SIZE or (topic not in topics and len(topics) >= MAX_TOPICS):
+            self.refused += 1
+            return False
+        self.version += 1
+        topics[topic] = self.version, value
+        self._sizes[robot] = size
+        return True
+
+    def _open(self, robot: str, topic: str, value: object) -> object:
+        """What a sample says, `_NOTHING` where it is no message: most are followed by the next one before somebody
+        looks."""
+        if not isinstance(value, _Packed):
+            return value
+        if value.value is None:
+            value.value = _NOTHING
+            try:
+                message = _message(topic, value.payload)
+            except PayloadError as error:
+                if _kind(topic) is None:
+                    self.refused += 1  # an app's own bytes
+                else:
+                    self.refuse(robot, topic, error)
+            else:
+                value.value = message
+        return value.value
+
+    def _fits(self, robot: str, topic: str, message: object) -> bool:
+        """Whether a decoded message has the types of its key, as far as it goes."""
+        try:
+            _check(topic, message)
+        except PayloadError as error:
+            self.refuse(robot, topic, error)
+            return False
+        return True
+
+    def _read(self, robot: str, topic: str, value: object, now: float) -> None:
+        """Note what a person should read."""
+        told = self._told.setdefault(robot, {})
+        for level, said, about in _news(topic, value):
+            text, subject = printable(said), printable(about)
+            before = told.get(subject)
+            if before != text and (before is not None or len(told) < MAX_SUBJECTS):
+                told[subject] = text
+                if before is not None or level != "info":
+                    self.note(now, robot, level, text)
+
+    def alive(self, robot: str, service: str, there: bool, now: float) -> None:
+        """A service's process has come or gone."""
+        services = self._alive.setdefault(robot, {})
+        before = services.get(service)
+        if before == there or (before is None and len(services) >= MAX_SERVICES):
+            return
+        services[service] = there
+        self.version += 1
+        if before is not None:
+            self.note(now, robot, "info" if there else "error", f"{service} is {'back' if there else 'gone'}")
+
+    def services(self) -> dict[str, dict[str, bool]]:
+        """Which services have been there, by robot, and whether they are now."""
+        return self._alive
+
+    def topics(self, robot: str) -> tuple[str, ...]:
+        """Keys of a robot of which there is a sample."""
+        return tuple(self._topics.get(robot, ()))
+
+    def newest(self, robot: str, topic: str) -> object:
+        """The newest value of a key; None where there is none."""
+        value = self._open(robot, topic, self._topics.get(robot, {}).get(topic, (0, None))[1])
+        return None if value is _NOTHING else value
+
+    def since(self, moved: int, rest: int | None) -> dict[str, dict[str, object]]:
+        """Samples by robot and topic: those of what moves (`AT_ONCE`) newer than the version `moved`, all others newer
+        than `rest` (None: none of them)."""
+        found: dict[str, dict[str, object]] = {}
+        for robot, topics in self._topics.items():
+            at_once = AT_ONCE if "sim/truth" in topics else AT_ONCE | {"dwm/pose"}
+            entries = topics if rest is not None else {topic: topics[topic] for topic in at_once if topic in topics}
+            new = {
+                topic: value
+                for topic, (number, packed) in entries.items()
+                if number > (moved if topic in at_once else rest or 0)
+                and (value := self._open(robot, topic, packed)) is not _NOTHING
+            }
+            if new:
+                found[robot] = new
+        return found
+
+    def events_since(self, number: int) -> list[Event]:
+        """Events behind a number, oldest first."""
+        return [event for event in self.events if event.number > number]
+
+    def hops(self) -> dict[str, int]:
+        """Messages that have passed so far, by `sender>receiver`."""
+        return dict(self._hops)
+
+    def history(self, robot: str, topic: str, most: int | None = None) -> list[tuple[float, object]]:
+        """What a key held in the last two minutes, oldest first; where there are more than `most`, each n-th of them
+        and the newest."""
+        packed = list(self._history[robot].rows(topic)) if robot in self._history else []
+        step = 1 if most is None else -(-len(packed) // most) or 1
+        found = []
+        for t, payload in packed[::-1][::step][::-1]:
+            with contextlib.suppress(PayloadError):
+                found.append((t, _message(topic, payload)))
+        return found
+
+    @property
+    def robots(self) -> list[str]:
+        """Those that have said something, by name."""
+        return sorted(self._topics)
+
+    def look(self, t: float) -> dict[str, dict[str, object]]:
+        """Samples by robot and topic as they were at an instant of the last two minutes."""
+        found: dict[str, dict[str, object]] = {}
+        for robot, history in self._history.items():
+            for topic, payload in history.at(t):
+                with contextlib.suppress(PayloadError):
+                    found.setdefault(robot, {})[topic] = _message(topic, payload)
+        return found
+
+    def trail(self, robot: str, topic: str, seconds: float, now: float) -> list[tuple[float, float]]:
+        """The way that a robot has come until `now`, m."""
+        return list(places((row for row in self.history(robot, topic) if row[0] <= now), now - seconds))
+
+    def note(self, now: float, robot: str, level: str, text: str) -> None:
+        """Add a line to what has happened."""
+        self._numbered += 1
+        self.version += 1
+        self.events.append(Event(self._numbered, now, robot, level, printable(text)))
+
+
+@lru_cache(4096)
+def _kind(topic: str) -> type | None:
+    """The message type of a topic, None where it is none of ours."""
+    try:
+        return type_of(f"swarm/r/{topic}")
+    except PayloadError:
+        return None
+
+
+def _check(topic: str, message: object) -> None:
+    if (kind := _kind(topic)) is not None:
+        check_fields(kind, message)
+
+
+def _message(topic: str, payload: bytes) -> object:
+    """What a sample says; raises `PayloadError`."""
+    message = json_value(unpack(payload), MAX_BYTES)
+    _check(topic, message)
+    return message
+
+
+def _size(value: object) -> int:
+    """Bytes that a robot has sent for it."""
+    return len(value.payload) if isinstance(value, _Packed) else 0
+
+
+def places(history: Iterable[tuple[float, object]], since: float) -> Iterator[tuple[float, float]]:
+    """Where a robot has been since a time, m, by what a key with `x` and `y` held."""
+    for t, value in history:
+        if t >= since and isinstance(value, dict):
+            x, y = value.get("x"), value.get("y")
+            if is_number(x) and is_number(y):
+                yield float(x), float(y)
+
+
+def is_number(value: object) -> TypeGuard[float]:
+    """Whether it is a number that a float can be, which a number of a recording need not be."""
+    return isinstance(value, int | float) and -sys.float_info.max <= value <= sys.float_info.max
+
+
+def _news(topic: str, value: object) -> Iterator[tuple[str, str, str]]:
+    """Level, text and subject of what a message says that a person should read once."""
+    if not isinstance(value, dict):
+        return
+    service, _, kind = topic.rpartition("/")
+    if topic == "mesh/links":
+        for link in value.get("links") or ():
+            if isinstance(link, dict):
+                state, reason = link.get("state"), link.get("reason")
+                begins = reason == "not connected yet"
+                level = "info" if begins else {"up": "info", "connecting": "info"}.get(str(state), "warning")
+                text = f"link to {link.get('peer')} {state}" + (f": {reason}" if reason and state == "down" else "")
+                if state != "connecting":
+                    yield level, text, f"link {link.get('peer')}"
+    elif kind == "status":
+        state = value.get("state")
+        level = "warning" if state == "degraded" else "info"
+        yield level, f"{service} {state}" + (f": {value['reason']}" if value.get("reason") else ""), service
+    elif kind == "progress" and service.startswith("app/"):
+        phase, waiting = value.get("phase"), value.get("waiting_for") or []
+        text = f"{service} {phase}"
+        if isinstance(waiting, list) and waiting:
+            text += " for " + " ".join(map(str, waiting[:MAX_NAMED]))
+            if len(waiting) > MAX_NAMED:
+                text += f" and {len(waiting) - MAX_NAMED} more"
+        if value.get("reason"):
+            text += f": {value['reason']}"
+        yield {"fault": "error", "waiting": "warning"}.get(str(phase), "info"), text, f"{service} phase"
+    elif topic == "balancer/fault":
+        name = value.get("name")
+        yield "error" if name else "info", f"fault {name}: {value.get('reason')}" if name else "no fault", "fault"
+    elif topic == REACH:
+        by, why = value.get("by"), value.get("why")
+        yield ("info", f"seen by {by}", "reach") if by else ("warning", f"out of reach: {why}", "reach")
+    elif topic == "mesh/stopped":
+        stopped = value.get("stopped")
+        yield "error" if stopped else "info", "stopped" if stopped else "not stopped", "stopped"

@@ -1,0 +1,44 @@
+"""The feed of a swarm that runs now, as arguments name it: a simulation here, or real robots through ssh."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from laptop.fleet.ssh import Ssh, hosts
+from swarm.config import load
+from swarm.config.find import LOOKED_IN
+from swarm.onboard.arguments import add_robots, add_run_dir
+from swarm.process.simulations import default_run_dir
+
+if TYPE_CHECKING:
+    from laptop.view.actions.control import Control
+    from laptop.view.feeds.feed import SimulationFeed
+    from laptop.view.feeds.robots import Robots
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments that name the swarm."""
+    add_run_dir(parser)
+    add_robots(parser, "watch real robots, through these robots by ssh")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help=f"swarm.toml with the robots (default: {LOOKED_IN})"
+    )
+    parser.add_argument("--ssh-config", type=Path, metavar="FILE", help="ssh configuration, in place of ~/.ssh/config")
+
+
+def open_feed(args: argparse.Namespace) -> "tuple[SimulationFeed | Robots, Control]":
+    """Return the feed, and what may be done to its robots: something only with `args.control`. The caller closes both.
+    Raises `LocalError` where no such simulation runs, and `HostError` where no robot is reached."""
+    # Here, since the command line shows its help without the bus.
+    from laptop.view.actions.control import Control
+    from laptop.view.actions.remote_actions import RemoteActions
+    from laptop.view.actions.simulated_actions import SimulatedActions
+    from laptop.view.feeds.feed import SimulationFeed
+    from laptop.view.feeds.robots import Robots
+
+    if args.robots:
+        config, ssh = load(args.config), Ssh(args.ssh_config)
+        robots = Robots(config, hosts(config, args.robots), ssh)
+        return robots, Control(robots, RemoteActions(robots, ssh) if args.control else None)
+    simulation = SimulationFeed((args.run_dir or default_run_dir()).absolute())
+    return simulation, Control(simulation, SimulatedActions(simulation) if args.control else None)

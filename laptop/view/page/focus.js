@@ -1,0 +1,101 @@
+// Which app the page is about, of what kind it is, and which of its numbers come first.
+
+import { apart, dig, plain } from "./series.js";
+
+const FAR = 500; // m; apps say -1000 where they know no place
+const PLACE = /^(x|y|vx|vy|known|rank|k|var_.*|cov_.*|other_.*|goal_.*)$/; // of a result: shown on the map, or about others
+const UNITS = { s: "s", m: "m", rad: "rad" };
+
+export class Focus {
+  constructor(store) {
+    this.store = store;
+    this.chosen = null; // by a person
+  }
+
+  // All apps and channels of apps that tell their state, those that run first.
+  get apps() {
+    const names = [...new Set([...this.store.apps.values()].flat())];
+    const runs = (app) => Object.values(this.store.services).some((services) => services[app.split("/").slice(0, 2).join("/")]);
+    return names.sort((a, b) => runs(b) - runs(a) || a.split("/").length - b.split("/").length || (a < b ? -1 : 1));
+  }
+
+  get app() {
+    const apps = this.apps;
+    return apps.includes(this.chosen) ? this.chosen : apps[0] ?? null;
+  }
+
+  parameters(app = this.app) {
+    const parent = app?.split("/").slice(0, 2).join("/");
+    for (const name of this.store.names) {
+      const found = this.store.get(name, `${parent}/parameters`)?.parameters;
+      if (found && typeof found === "object") return found;
+    }
+    return null;
+  }
+
+  // lockstep, periodic or event. A channel of an app is a lockstep.
+  get kind() {
+    const app = this.app, parameters = this.parameters();
+    if (!app) return "lockstep";
+    if (app.split("/").length > 2) return "lockstep";
+    if (parameters) return "period" in parameters ? "periodic" : "diverges_above" in parameters ? "lockstep" : "event";
+    return this.store.names.some((name) => this.store.get(name, `${app}/state`)?.k > 0) ? "lockstep" : "event";
+  }
+
+  get period() {
+    const period = this.parameters()?.period?.value;
+    return typeof period === "number" && period > 0 ? period : null;
+  }
+
+  // Numbers of the app, what it records or tells first: series with a label and a unit.
+  values() {
+    const app = this.app, store = this.store, found = new Map();
+    if (!app) return [];
+    const parent = app.split("/").slice(0, 2).join("/");
+    const kept = this.kind === "event"; // told when it changes, and what it was until then
+    const add = (value, label, unit = "") => found.has(value.name) || found.set(value.name, { ...value, label, unit, held: kept });
+    const sample = (topic) => store.names.map((name) => store.get(name, topic)).find((value) => value !== undefined);
+    const told = sample(`${app}/state`) ?? {}, result = told.result ?? {};
+    const target = this.target(), seen = store.names.some((name) => Math.abs(store.get(name, `${app}/state`)?.result?.x) < FAR);
+    if (target && seen && /localization|target/.test(app)) add(apart(`${app} target error`, `${app}/state`, ["result"], target), "Error of the target", "m");
+    for (const name of store.names) {
+      for (const topic of store.robots.get(name)?.keys() ?? []) {
+        const value = store.get(name, topic), path = value && "value" in value ? ["value"] : ["values", "value"]; // a recording's own, or from the bus
+        if (topic.startsWith(`${parent}/record/`) && typeof dig(value, path) === "number") add(plain(topic, path), topic.split("/").at(-1), this.unit(topic.split("/").at(-1)));
+        else if (topic.startsWith(`${parent}/out/`) && !/\/(goal|shape)$/.test(topic)) {
+          for (const [field, value] of Object.entries(store.get(name, topic)?.values ?? {})) {
+            if (typeof value === "number") add(plain(topic, ["values", field]), field === "value" ? topic.split("/").at(-1) : `${topic.split("/").at(-1)} ${field}`);
+          }
+        }
+      }
+      if (found.size > 8) break;
+    }
+    const numbers = (part) => Object.entries(told[part] ?? {}).filter(([, value]) => typeof value === "number");
+    const labels = new Set([...found.values()].map((each) => each.label));
+    const rest = numbers("result").sort(([a], [b]) => PLACE.test(a) - PLACE.test(b));
+    for (const [name] of rest) if (!labels.has(name)) add(plain(`${app}/state`, ["result", name]), name, this.unit(name));
+    for (const [name] of numbers("state")) if (!(name in result)) add(plain(`${app}/state`, ["state", name]), name, this.unit(name));
+    return [...found.values()];
+  }
+
+  // Of a value that an app names as its target does: metres of a distance. Others have none that is known.
+  unit(name) {
+    return UNITS[/_(s|m|rad)$/.exec(name)?.[1]] ?? (name === "off" || name === "sigma" || name === "x" || name === "y" ? "m" : "");
+  }
+
+  // Where the target truly is, where that is known.
+  target() {
+    const store = this.store;
+    if (store.names.some((name) => store.get(name, "sim/target"))) return { topic: "sim/target", anyone: true };
+    const target = store.swarm?.target;
+    return target ? { x: target.x, y: target.y } : null;
+  }
+
+  // How wrong robots are about their own place: against the truth, or what they claim themselves.
+  error() {
+    const store = this.store, any = (topic, field) => store.names.some((name) => typeof store.get(name, topic)?.[field] === "number");
+    if (!any("dwm/pose", "x")) return null;
+    if (any("sim/truth", "x")) return { ...apart("place error", "dwm/pose", [], { topic: "sim/truth" }), label: "Position error", unit: "m", truth: true };
+    return any("dwm/pose", "deviation_x") ? { ...plain("dwm/pose", ["deviation_x"]), label: "Claimed deviation", unit: "m", positive: true } : null;
+  }
+}

@@ -1,0 +1,74 @@
+"""Numbers of one key over time, for the charts of a page: of all robots at once, and no more of them than a chart has
+room for."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from swarm.errors import LocalError
+
+MOST = 600
+"""Points of one robot that a chart gets at most."""
+
+MOST_IN_ALL = 24_000
+"""Points of all robots together: a chart of hundreds of robots has bands, not lines."""
+
+MAX_FIELDS = 8
+MAX_DEPTH = 6
+
+Path = tuple[str, ...]
+Row = list[float | int | None]
+
+
+def most_of(robots: int) -> int:
+    """How many points each of `robots` robots may have."""
+    return max(20, min(MOST, MOST_IN_ALL // max(1, robots)))
+
+
+def wanted(asked: Any) -> tuple[str, list[Path]]:
+    """Topic and paths of fields of `{topic, fields: [[NAME, ...], ...]}`. Raises `LocalError`, `KeyError` or
+    `TypeError`."""
+    fields = [tuple(map(str, path)) for path in asked["fields"]]
+    if not fields or len(fields) > MAX_FIELDS or any(not 0 < len(path) <= MAX_DEPTH for path in fields):
+        raise LocalError(f"series: expected 1 to {MAX_FIELDS} fields, each of 1 to {MAX_DEPTH} names")
+    return str(asked["topic"]), fields
+
+
+def rows(samples: Iterable[tuple[float, object]], fields: Sequence[Path]) -> list[Row]:
+    """`[t, k, NUMBER, ...]` for each sample that has at least one of the fields as a number; `None` in place of what is
+    none. `k` is the iteration that the sample tells of."""
+    found = []
+    for t, value in samples:
+        numbers = [_number(dig(value, path)) for path in fields]
+        if any(number is not None for number in numbers):
+            found.append([t, _number(dig(value, ("k",))), *numbers])
+    return found
+
+
+def dig(value: object, path: Path) -> object:
+    """The field of a field ...; parts of a list are called by their `peer`, `anchor` or `robot`, else by their place.
+    None where there is none."""
+    for name in path:
+        if isinstance(value, dict):
+            value = value.get(name)
+        elif isinstance(value, list | tuple):
+            value = next((each for each in value if _called(each) == name), _at(value, name))
+        else:
+            return None
+    return value
+
+
+def _called(item: object) -> object:
+    if not isinstance(item, dict):
+        return None
+    return next((item[name] for name in ("peer", "anchor", "robot") if item.get(name) is not None), None)
+
+
+def _at(items: Sequence[object], name: str) -> object:
+    return items[int(name)] if name.isascii() and name.isdigit() and int(name) < len(items) else None
+
+
+def _number(value: object) -> float | int | None:
+    """A number that a chart can draw, else None."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not -1e300 < value < 1e300:
+        return None
+    return value

@@ -1,0 +1,74 @@
+"""A button floods the robot's name to the whole swarm (thesis 3.4.5). docs/reference/apps/flooding_demo.md."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from swarm import EventApp
+from swarm.messages import Flooded, Sent
+from swarm.messages.codec import Value
+
+SHOWN_S = 3.0
+"""Lamps go off so long after the last message, as the thesis' did."""
+
+
+class FloodingDemo(EventApp):
+    """Any button: yellow on every robot that has the message, green on all when the last one has it."""
+
+    floods: int = 0
+    """Own ones so far."""
+    heard: int = 0
+    """Others'."""
+    complete: int = 0
+    """Floods, own and others', of which this robot knows that all have them."""
+    _lost: int = 0
+    _began: dict[str, float]
+
+    def start(self) -> None:
+        """Nothing is under way."""
+        self._began = {}
+        self.robot.display("flooding: press a", "button")
+
+    def on_button(self, button: str) -> None:
+        """Flood."""
+        self.floods += 1
+        text = f"{self.robot.name} says {button} {self.floods}"
+        ticket = self.robot.flood(text.encode(), priority="sync", announce=True).ticket
+        self._began[ticket] = self.robot.now
+        self._show("sent", text, yellow=True)
+
+    def on_message(self, message: Any) -> None:
+        """It has come here."""
+        self.heard += 1
+        self._show("heard", message.payload.decode(errors="replace"), yellow=True)
+
+    def on_answer(self, ticket: str, outcome: Flooded | Sent) -> None:
+        """All have it, or not all could be reached."""
+        assert isinstance(outcome, Flooded)
+        took = self.robot.now - self._began.pop(ticket, self.robot.now)
+        self.robot.record("took", took)
+        if outcome.complete:
+            self.complete += 1
+            self._show("complete", f"{len(outcome.robots)} reached, {1e3 * took:.0f} ms", green=True)
+        else:
+            self._lost += 1
+            self._show("incomplete", f"{len(outcome.robots)} reached: {outcome.problem}", red=True)
+
+    def on_announced(self, origin: str, outcome: Flooded) -> None:
+        """The origin has told that all have it."""
+        if outcome.complete:
+            self.complete += 1
+            self._show("complete", f"all have {origin}'s", green=True)
+
+    def on_timer(self, name: str) -> None:
+        """Dark again."""
+        self.robot.leds(red=False, yellow=False, green=False)
+
+    def _show(self, what: str, text: str, *, red: bool = False, yellow: bool = False, green: bool = False) -> None:
+        self.robot.record(what, text)
+        self.robot.display(what, text)
+        self.robot.leds(red=red, yellow=yellow, green=green)
+        self.robot.after(SHOWN_S, "dark")
+
+    def result(self) -> Mapping[str, Value]:
+        """Floods sent, heard, known to be complete, and incomplete."""
+        return {"floods": self.floods, "heard": self.heard, "complete": self.complete, "incomplete": self._lost}

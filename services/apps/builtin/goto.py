@@ -1,0 +1,99 @@
+"""Each robot drives along its waypoints, past the others. docs/reference/apps/goto.md."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from services.apps.builtin.driving import DrivingApp
+from services.apps.core.avoidance import Point
+from swarm import parameter
+from swarm.errors import AppError
+from swarm.messages.codec import Value
+
+SLOWING = 1.0
+"""1/s: within speed / SLOWING of a waypoint the robot slows down in proportion."""
+
+
+MOST = 63
+"""Robots: a bit for each."""
+
+
+class Goto(DrivingApp):
+    """Towards the waypoint at `speed`, with the velocity nearest to that which keeps `apart` from all."""
+
+    waypoints: str = parameter("")
+    """x,y x,y ... in m, in the frame of the anchors; empty: the place opposite, by the middle between the anchors."""
+    reach: float = parameter(0.06, unit="m", low=0.02, high=1.0)
+    """How near it has to come."""
+    arrived: int = 0
+    """A bit for each robot, in the order of swarm.toml, of which is known that it has reached its last waypoint."""
+    _goals: tuple[Point, ...] = ()
+    _reached: int = 0
+
+    def start(self) -> None:
+        """Read the waypoints."""
+        super().start()
+        self._goals = read_waypoints(self.waypoints)
+        if len(self.robot.swarm) > MOST:
+            raise AppError(f"goto: {len(self.robot.swarm)} robots, at most {MOST}")
+
+    def on_parameter(self, name: str) -> None:
+        """New waypoints take the place of all old ones. Text that names no places changes nothing, and the robot's
+        display says so."""
+        if name != "waypoints":
+            return
+        try:
+            self._goals, self._reached = read_waypoints(self.waypoints), 0
+        except AppError:
+            self.robot.display("waypoints", "not read")
+
+    def step(self, neighbours: Sequence[Any]) -> None:
+        """One look, one command; the end when all have arrived. Until then those who have give way to others. A robot
+        that got new waypoints after its arrival drives there first."""
+        here = self.look(neighbours)
+        self.go((0.0, 0.0) if here is None else self._wish(here))
+        for neighbour in neighbours:
+            self.arrived |= neighbour.arrived
+        if self._goals and self._reached == len(self._goals):
+            self.arrived |= 1 << self.robot.swarm.index(self.robot.name)
+        arrived = self._reached == len(self._goals)
+        if arrived and self.arrived == (1 << len(self.robot.swarm)) - 1:
+            self.finish("all have arrived")
+
+    def _wish(self, here: Point) -> Point:
+        if not self._goals:
+            self._goals = (self._opposite(here),)
+        if self._reached < len(self._goals) and math.dist(here, self._goals[self._reached]) < self.reach:
+            self._reached += 1
+            self.robot.record("reached", self._reached)
+        if self._reached == len(self._goals):
+            return 0.0, 0.0
+        x, y = self._goals[self._reached]
+        left = math.dist(here, (x, y))
+        pace = min(self.speed, SLOWING * left) / left
+        return pace * (x - here[0]), pace * (y - here[1])
+
+    def _opposite(self, here: Point) -> Point:
+        anchors = self.robot.anchors
+        if not anchors:
+            raise AppError("waypoints: there are none, and no anchors between which a place could be opposite")
+        xs, ys = [anchor.x for anchor in anchors], [anchor.y for anchor in anchors]
+        return min(xs) + max(xs) - here[0], min(ys) + max(ys) - here[1]
+
+    def result(self) -> Mapping[str, Value]:
+        """Its place (m), how many others it knows, and waypoints reached."""
+        return {**self.told(), "reached": self._reached, "of": len(self._goals)}
+
+
+def read_waypoints(text: str) -> tuple[Point, ...]:
+    """ "0.5,1.5 1,1" as points, m; raises `AppError`."""
+    points = []
+    for word in text.split():
+        try:
+            x, y = map(float, word.split(","))
+        except ValueError:
+            raise AppError(f'waypoints: expected "x,y x,y ..." in m, got {word!r}') from None
+        if not (math.isfinite(x) and math.isfinite(y)):
+            raise AppError(f"waypoints: {word!r} is no place")
+        points.append((x, y))
+    return tuple(points)

@@ -1,0 +1,82 @@
+"""Buttons send a message to one robot, over as many links as it takes (thesis 3.4.6).
+
+See docs/reference/apps/unicast_demo.md.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from swarm import EventApp
+from swarm.messages import Flooded, Sent
+from swarm.messages.codec import Value
+
+BUTTONS = ("a", "b", "c")
+SHOWN_S = 3.0
+"""Lamps go off so long after the last message, as the thesis' did."""
+TIMEOUT_S = 10.0
+
+
+class UnicastDemo(EventApp):
+    """Buttons A, B and C send to the next robot of swarm.toml, the one after it, and the third.
+
+    Yellow at the sender until the receiver's mesh has confirmed it, then green; green at the receiver; red where it was
+    not delivered in 10 s. Robots on the way only forward: they stay dark.
+    """
+
+    sent: int = 0
+    delivered: int = 0
+    received: int = 0
+    _under_way: dict[str, tuple[str, float]]
+    """By ticket: the receiver, and when."""
+
+    def start(self) -> None:
+        """Nothing is under way."""
+        self._under_way = {}
+        self.robot.display("unicast: press a", "button", f"A {self._target('a')}", f"B {self._target('b')}")
+
+    def on_button(self, button: str) -> None:
+        """Send."""
+        to = self._target(button)
+        if to == self.robot.name:
+            self._show("alone", f"no robot for {button.upper()}", red=True)
+            return
+        self.sent += 1
+        text = f"{self.robot.name} to {to}: {self.sent}"
+        ticket = self.robot.send(to, text.encode(), priority="sync", timeout=TIMEOUT_S).ticket
+        self._under_way[ticket] = (to, self.robot.now)
+        self._show("sent", text, yellow=True)
+
+    def on_message(self, message: Any) -> None:
+        """It has arrived here."""
+        self.received += 1
+        self._show("received", message.payload.decode(errors="replace"), green=True)
+
+    def on_answer(self, ticket: str, outcome: Flooded | Sent) -> None:
+        """What became of it."""
+        assert isinstance(outcome, Sent)
+        to, began = self._under_way.pop(ticket)
+        took = self.robot.now - began
+        self.robot.record("took", took)
+        if outcome.delivered:
+            self.delivered += 1
+            self._show("delivered", f"{to} has it, {1e3 * took:.0f} ms", green=True)
+        else:
+            self._show("lost", f"{to}: {outcome.problem}", red=True)
+
+    def on_timer(self, name: str) -> None:
+        """Dark again."""
+        self.robot.leds(red=False, yellow=False, green=False)
+
+    def _target(self, button: str) -> str:
+        swarm = self.robot.swarm
+        return swarm[(swarm.index(self.robot.name) + 1 + BUTTONS.index(button)) % len(swarm)]
+
+    def _show(self, what: str, text: str, *, red: bool = False, yellow: bool = False, green: bool = False) -> None:
+        self.robot.record(what, text)
+        self.robot.display(what, text)
+        self.robot.leds(red=red, yellow=yellow, green=green)
+        self.robot.after(SHOWN_S, "dark")
+
+    def result(self) -> Mapping[str, Value]:
+        """Messages sent, delivered, and received from others."""
+        return {"sent": self.sent, "delivered": self.delivered, "received": self.received}

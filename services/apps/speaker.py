@@ -1,0 +1,136 @@
+"""What an app says by `print` and `self.robot.log` goes onto the robot's bus, into its recording and the robot's log.
+
+`print` knows no robot: who has called it is found on the stack, so that nothing is done for an app that prints nothing.
+"""
+
+import contextlib
+import io
+import logging
+import sys
+from collections.abc import Callable, Iterator
+from types import FrameType
+from typing import Any, TextIO
+
+from services.apps.runner import AppRunner
+from swarm.app.robot import Robot
+from swarm.bus.protocol import BusLike
+from swarm.messages import AppLog
+from swarm.messages.keys import key
+from swarm.process.log import MAX_LINE
+from swarm.process.text import printable
+
+MOST_LINES_S = 100
+"""Lines of one app and robot that are told in a second; how many were more is said in the next one."""
+
+PRINTED = "print"
+"""In place of a level, of what was printed."""
+
+Sink = Callable[[AppLog], None]
+
+
+class Speaker:
+    """Tells what one app on one robot says."""
+
+    def __init__(self, robot: Robot, bus: BusLike, *sinks: Sink) -> None:
+        """`sinks` get each line besides the bus."""
+        self._robot = robot
+        self._bus = bus
+        self._sinks = sinks
+        self._key = key(robot.name, f"app/{robot.app}", "log")
+        self._second, self._count = -1, 0
+
+    def __call__(self, level: str, text: str) -> None:
+        """Tell a text: `debug`, `info`, `warning`, `error` or `print`."""
+        now = self._robot.now
+        if int(now) != self._second:
+            left_out = self._count - MOST_LINES_S
+            self._second, self._count = int(now), 0
+            if left_out > 0:
+                self._tell(AppLog(now, "warning", f"{left_out} lines more within a second were left out"))
+        for line in text.splitlines():
+            self._count += 1
+            if self._count <= MOST_LINES_S:
+                self._tell(AppLog(now, level, printable(line, MAX_LINE)))
+
+    def _tell(self, line: AppLog) -> None:
+        self._bus.publish(self._key, line)
+        for sink in self._sinks:
+            sink(line)
+
+
+def let_speak(robot: Robot, bus: BusLike, parent: logging.Logger | None, *sinks: Sink) -> None:
+    """Let an app be heard. `parent`: the log of the process that runs it, which gets all lines, too."""
+    speaker = Speaker(robot, bus, *sinks)
+    # Not one of `getLogger`: under virtual time each robot has one, in one process and in run after run.
+    log = logging.Logger(robot.app, min(logging.INFO, logging.getLogger().level))  # noqa: LOG001
+    log.parent = parent
+    log.addHandler(_Handler(speaker))
+    robot.log, robot.said = log, speaker
+
+
+@contextlib.contextmanager
+def prints_heard(log: logging.Logger | None = None) -> Iterator[None]:
+    """Within this, what apps print is theirs to say; `log` gets it, too. What others print goes where it did."""
+    before = sys.stdout
+    sys.stdout = _Printed(before, log)
+    try:
+        yield
+    finally:
+        sys.stdout = before
+
+
+class _Handler(logging.Handler):
+    def __init__(self, speaker: Speaker) -> None:
+        super().__init__()
+        self._speaker = speaker
+
+    def emit(self, record: logging.LogRecord) -> None:
+        try:
+            text = record.getMessage()
+        except (TypeError, ValueError) as error:  # logging itself does not end a program for a wrong format
+            text = f"{record.msg} ({error})"
+        self._speaker(record.levelname.lower(), text)
+
+
+class _Printed(io.TextIOBase):
+    """In place of stdout."""
+
+    def __init__(self, before: TextIO, log: logging.Logger | None) -> None:
+        self._before = before
+        self._log = log
+        self._begun: dict[str, str] = {}
+        """Lines that are not at their end, by robot."""
+
+    def write(self, text: str) -> int:
+        robot = _speaking(sys._getframe(1))
+        if robot is None or robot.said is None:
+            return self._before.write(text)
+        *lines, rest = (self._begun.get(robot.name, "") + text).split("\n")
+        self._begun[robot.name] = rest[-MAX_LINE:]
+        for line in lines:
+            robot.said(PRINTED, line)
+            if self._log is not None:
+                self._log.info("%s", line)
+        return len(text)
+
+    def flush(self) -> None:
+        self._before.flush()
+
+    def isatty(self) -> bool:
+        return self._before.isatty()
+
+    def fileno(self) -> int:
+        return self._before.fileno()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._before, name)
+
+
+def _speaking(frame: FrameType | None) -> Robot | None:
+    """The robot whose app's code has called."""
+    while frame is not None:
+        if frame.f_code is AppRunner._call.__code__:
+            found: Robot = frame.f_locals["self"].app.robot
+            return found
+        frame = frame.f_back
+    return None

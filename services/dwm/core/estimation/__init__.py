@@ -1,0 +1,1 @@
+"""From ranges and odometry to a pose: filters, multilateration and the Kalman filter. No IO."""

@@ -1,0 +1,85 @@
+"""Which links carry a topology: those of its own graph, or a tree of few hubs.
+
+On a radio with piconets a link for each edge makes robots wait for one another, since a robot in several piconets
+attends to one at a time. A hub that calls all others forms a single piconet, and hands on what its robots tell each
+other.
+
+The order of the configuration is the order of hubs: the first robot calls up to seven others, the next ones call those
+that are left. Of two robots the earlier one calls.
+
+Later robots take over from a hub that is lost or does not hear a robot. Each robot calls the robots after itself that
+it does not reach any more. It waits `PAUSE` s for each robot before it, and longer while an earlier one could call.
+"""
+
+from collections.abc import Collection, Sequence, Set
+from itertools import combinations
+
+from swarm.config.types import GRAPH, MAX_RFCOMM_LINKS
+from swarm.core.graph import Edge
+
+_NEVER = float("inf")
+
+
+def physical(names: Sequence[str], edges: Sequence[Edge], way: str) -> tuple[Edge, ...]:
+    """Return the links that carry the topology `edges`; `way` is `swarm.config.types.MeshConfig.links`. A star is the
+    tree of at most eight robots."""
+    return tuple(edges) if way == GRAPH else tuple((names[_hub(place)], names[place]) for place in range(1, len(names)))
+
+
+def calls(names: Sequence[str]) -> Collection[Edge]:
+    """Return who calls whom of all pairs, where links are not those of the topology."""
+    return frozenset(combinations(names, 2))
+
+
+def _hub(place: int) -> int:
+    """The place of the hub that has a link with the robot at this place. All hubs but the first have one of their own
+    besides, so they call six."""
+    return 0 if place <= MAX_RFCOMM_LINKS else 1 + (place - MAX_RFCOMM_LINKS - 1) // (MAX_RFCOMM_LINKS - 1)
+
+
+PAUSE = 1.5
+"""s for each earlier robot until a lost one is called by a robot that is not its hub."""
+
+BRIDGE = 10.0
+"""s besides, while an earlier one is in reach: that one is about to call. Then it does not hear the lost one."""
+
+UNSEEN = 20.0
+"""s besides, for one that was never there: hubs call one robot after the other, and robots are switched on so."""
+
+FLEETING = 5.0
+"""s in reach after which a robot is no longer lost: the map of who has just lost a hub holds old news for a while."""
+
+
+class Succession:
+    """When one robot calls others than those it is the hub of."""
+
+    def __init__(self, names: Sequence[str], me: str) -> None:
+        """`names`: all robots in the order of the configuration."""
+        self._earlier = frozenset(names[: names.index(me)])
+        self._pause = PAUSE * len(self._earlier)
+        self._lost: dict[str, float] = {}
+        """Robots out of reach, and since when; the time for one that was never there is `UNSEEN` later."""
+        self._back: dict[str, float] = {}
+        """Those of them that seem to be in reach again, and since when."""
+        self._seen: set[str] = set()
+        """Robots that were in reach at any time."""
+        self._next = _NEVER
+
+    def due(self, far: Collection[str], reachable: Set[str], now: float) -> list[str]:
+        """Whom to call now, of robots out of reach that this one may call."""
+        for name in reachable - self._seen:
+            self._lost.pop(name, None)
+        self._seen |= reachable
+        for name in far:
+            self._lost.setdefault(name, now if name in self._seen else now + UNSEEN)
+        self._back = {name: self._back.get(name, now) for name in self._lost.keys() - set(far)}
+        for name in [name for name, since in self._back.items() if now >= since + FLEETING]:
+            del self._lost[name]
+        pause = self._pause + (0.0 if self._earlier.isdisjoint(reachable) else BRIDGE)
+        calls_from = {name: self._lost[name] + pause for name in far}
+        self._next = min((at for at in calls_from.values() if now < at), default=_NEVER)
+        return [name for name, at in calls_from.items() if now >= at]
+
+    def next_deadline(self) -> float:
+        """When `due` has more, as long as the same robots are in reach."""
+        return self._next

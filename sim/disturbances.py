@@ -1,0 +1,207 @@
+"""What happens to robots and links in the course of a run: links are cut, robots switched off, services killed, bodies
+pushed, buttons pressed.
+
+Times count from the first iteration of all robots. A time `2s..8s` is drawn between the two by the seed, a robot `any`
+is one of the swarm, drawn likewise: so a sweep over seeds is one over failures.
+
+Each reader of an option raises `argparse.ArgumentTypeError`, which says what was expected.
+"""
+
+import argparse
+import random
+import re
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+from sim.core.actions import MAX_IMPULSE
+from sim.quantities import duration
+from swarm.errors import ConfigError
+from swarm.frozen import frozen
+
+AT_START = "start"
+"""In place of a time: from the beginning on."""
+
+ANY = "any"
+"""In place of a robot: the seed names one."""
+
+SERVICES = ("mesh", "app", "balancer", "dwm", "bus")
+"""What can be killed; `app` is the one that the run is about."""
+
+IMPULSE = 0.1
+"""N s of a push where nothing else is said: a robot bears it. 0.5 throws it over."""
+
+_ROBOT = "[a-z][a-z0-9_-]*"
+
+
+@frozen
+class Span:
+    """A time of a run, s, or two between which the seed draws one."""
+
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.low:g}s" if self.low == self.high else f"{self.low:g}s..{self.high:g}s"
+
+
+@frozen
+class Cut:
+    """A link that passes nothing for a while."""
+
+    a: str
+    b: str
+    at: float
+    """s after the first iteration of all robots (without an app: after all are ready)."""
+    seconds: float
+    span: Span | None = None
+    """Where `at` is still to be drawn."""
+
+    def __str__(self) -> str:
+        return f"--cut {self.a}-{self.b}@{self.at:.4g}s,{self.seconds:g}s"
+
+
+@frozen
+class Off:
+    """A robot that is switched off for a while, and forgets what it knew but for its votes."""
+
+    robot: str
+    at: float | None
+    """s, counted like a cut's; None: from the beginning."""
+    seconds: float
+    span: Span | None = None
+
+    def __str__(self) -> str:
+        return f"--off {self.robot}@{AT_START if self.at is None else f'{self.at:.4g}s'},{self.seconds:g}s"
+
+
+@frozen
+class Kill:
+    """A service that ends at once, and is started again as systemd does."""
+
+    robot: str
+    service: str
+    at: float
+    """s, counted like a cut's."""
+    span: Span | None = None
+
+    def __str__(self) -> str:
+        return f"--kill {self.robot}.{self.service}@{self.at:.4g}s"
+
+
+@frozen
+class ScheduledPush:
+    """A robot that somebody pushes."""
+
+    robot: str
+    at: float
+    """s, counted like a cut's."""
+    impulse: float
+    """N s, from behind; negative: from the front."""
+    span: Span | None = None
+
+    def __str__(self) -> str:
+        return f"--push {self.robot}@{self.at:.4g}s,{self.impulse:g}"
+
+
+@frozen
+class ScheduledPress:
+    """A button that somebody presses."""
+
+    robot: str
+    button: str
+    at: float
+    """s, counted like a cut's."""
+    span: Span | None = None
+
+    def __str__(self) -> str:
+        return f"--press {self.robot}.{self.button}@{self.at:.4g}s"
+
+
+Disturbance = Cut | Off | Kill | ScheduledPush | ScheduledPress
+D = TypeVar("D", bound=Disturbance)
+
+
+def cut(text: str) -> Cut:
+    """A cut `r0-r1@12s,3s`: which link, when, how long."""
+    match = re.fullmatch(r"([a-z][a-z0-9_]*)-([a-z][a-z0-9_]*)@([^,]+),(.+)", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a cut such as r0-r1@12s,3s (link, start, length)")
+    at, span = _when(match[3])
+    return Cut(match[1], match[2], at, duration(match[4]), span)
+
+
+def off(text: str) -> Off:
+    """A robot `r2@5s,10s` that is switched off: which, when, how long; `r2@start,10s` comes late."""
+    match = re.fullmatch(rf"({_ROBOT})@([^,]+),(.+)", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a robot such as r2@5s,10s (which, from when, how long)")
+    at, span = (None, None) if match[2] == AT_START else _when(match[2])
+    seconds = duration(match[3])
+    if not seconds > 0:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a time above zero")
+    return Off(match[1], at, seconds, span)
+
+
+def kill(text: str) -> Kill:
+    """A service `r2.mesh@5s` that is killed: whose, which, when."""
+    match = re.fullmatch(rf"({_ROBOT})\.([a-z]+)@(.+)", text)
+    if match is None or match[2] not in SERVICES:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not a service such as r2.mesh@5s (robot; {', '.join(SERVICES)}; time)"
+        )
+    return Kill(match[1], match[2], *_when(match[3]))
+
+
+def push(text: str) -> ScheduledPush:
+    """A push `r1@5s` or, with its impulse in N s, `r1@5s,-0.2`."""
+    match = re.fullmatch(rf"({_ROBOT})@([^,]+)(?:,(.+))?", text)
+    try:
+        impulse = IMPULSE if match is None or match[3] is None else float(match[3])
+    except ValueError:
+        match = None
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a push such as r1@5s or r1@5s,-0.2 (robot, time, N s)")
+    if not 0.0 < abs(impulse) <= MAX_IMPULSE:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected at most {MAX_IMPULSE:g} N s either way, and not 0")
+    at, span = _when(match[2])
+    return ScheduledPush(match[1], at, impulse, span)
+
+
+def press(text: str) -> ScheduledPress:
+    """A button `r4.A@5s`: whose, which, when."""
+    match = re.fullmatch(rf"({_ROBOT})\.([ABCabc])@(.+)", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a button such as r4.A@5s (robot, button, time)")
+    return ScheduledPress(match[1], match[2].upper(), *_when(match[3]))
+
+
+def drawn(asked: Sequence[D], names: Sequence[str], seed: int) -> tuple[D, ...]:
+    """The same with the times and robots that the seed draws. Raises `ConfigError` for a robot that is none."""
+    found = []
+    for index, each in enumerate(asked):
+        numbers = random.Random(f"{seed} {type(each).__name__} {index}")
+        if not isinstance(each, Cut):
+            if each.robot not in names and each.robot != ANY:
+                raise ConfigError(f"{each}: the robots are {', '.join(names)}, or {ANY} for one that the seed draws")
+            each = replace(each, robot=numbers.choice(names) if each.robot == ANY else each.robot)  # noqa: PLW2901
+        if each.span is not None:
+            each = replace(each, at=numbers.uniform(each.span.low, each.span.high), span=None)  # noqa: PLW2901
+        found.append(each)
+    return tuple(found)
+
+
+def never(asked: Collection[Disturbance], happened: Collection[Disturbance], seconds: float) -> tuple[str, ...]:
+    """One sentence for each that did not happen, since the run ended `seconds` s after its first iteration."""
+    lost = (each for each in asked if each not in happened and each.at is not None)
+    return tuple(f"{each}: the run ended {seconds:.3g} s after its first iteration" for each in lost)
+
+
+def _when(text: str) -> tuple[float, Span | None]:
+    low, dots, high = text.partition("..")
+    if not dots:
+        return duration(text), None
+    span = Span(duration(low), duration(high))
+    if not span.low < span.high:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a time such as 5s, or two such as 2s..8s")
+    return span.low, span

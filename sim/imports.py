@@ -1,0 +1,42 @@
+"""What an app imports that robots have not: it would be loaded here, and on no robot."""
+
+import contextlib
+import re
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from services.apps import sources
+from swarm.config import load
+from swarm.errors import LocalError
+
+ROBOT_MODULES = frozenset({"eclipse_zenoh", "msgpack", "serial", "services", "smbus2", "swarm", "tomli_w", "zenoh"})
+"""What robots carry beside Python's own modules: our two packages and those of `requirements-robot.lock`."""
+
+
+def lacking(source: str, packages: Sequence[str] = ()) -> list[str]:
+    """One sentence with file and line for each import of the app in the file `source` that robots lack.
+
+    `packages`: those of `[robot] packages`. The modules beside the app go to robots with it, and are looked at, too.
+    """
+    folder = Path(source).parent
+    carried = {re.split(r"[^A-Za-z0-9_.-]", each)[0].replace("-", "_").lower() for each in packages}
+    found = []
+    for file, data in sources.of_app(Path(source)).items():
+        for line, name in sources.imports(data):
+            top = name.partition(".")[0]
+            here = top in sys.stdlib_module_names or top in ROBOT_MODULES or top.lower() in carried
+            if here or sources.beside(folder, top) or sources.beside((folder / file).parent, top):
+                continue
+            found.append(
+                f"{folder / file}, line {line}: import of {name}: robots lack it, "
+                "if [robot] packages of swarm.toml does not name it"
+            )
+    return found
+
+
+def own_packages() -> tuple[str, ...]:
+    """Those of `[robot] packages`, where there is a swarm.toml here that can be read."""
+    with contextlib.suppress(LocalError):
+        return load(addressed=False).packages
+    return ()

@@ -1,0 +1,124 @@
+"""How links of a slot radio are made: pages that are heard in scans, and the exchanges until a socket is connected.
+
+Paging takes a device's time like one more piconet, with longer stays. The called one hears it in its scans, which take
+time of its own; that its scans always meet the right train of frequencies is fitted to recorded starts. A controller
+pages one at a time; what else its host wants waits (newer Linux kernels; older ones give up at the third refusal).
+"""
+
+from collections import deque
+from collections.abc import Callable
+
+from sim.slots.radio import PAGE, Clock, Device, RadioLink, SlotRadio
+
+ABSENT = "not in range, switched off, or deaf"
+BUSY = "an earlier connection to it has not ended yet"
+FULL = "the caller's piconet is full"
+LATE = "no connection in time"
+
+SMALL = 12
+"""Bytes of a frame of the set-up."""
+
+
+class Call:
+    """One attempt to make a link."""
+
+    __slots__ = ("called", "caller", "done", "link", "step")
+
+    def __init__(self, caller: str, called: str, done: Callable[[RadioLink | None, str], None]) -> None:
+        self.caller, self.called = caller, called
+        self.done = done
+        """Called once, with the link or with the reason why there is none."""
+        self.link: RadioLink | None = None
+        self.step = 0
+
+
+class Calls:
+    """Of all robots."""
+
+    def __init__(self, clock: Clock, radio: SlotRadio) -> None:
+        self._clock = clock
+        self._radio = radio
+        self._waiting: dict[str, deque[Call]] = {name: deque() for name in radio.devices}
+        self._paging: dict[str, Call] = {}
+        """By caller."""
+        self.reachable: set[str] = set()
+        """Who scans for pages."""
+        period = radio.parameters.scan
+        for device in radio.devices.values():
+            clock.at(clock.now + radio.random.random() * period, self._scan, device)
+
+    def call(self, caller: str, called: str, timeout: float, done: Callable[[RadioLink | None, str], None]) -> None:
+        """Make a link; `done(link, reason)` is called at its end, with None after `timeout` s at the latest."""
+        call = Call(caller, called, done)
+        self._waiting[caller].append(call)
+        self._clock.at(self._clock.now + timeout, self._end, call, LATE)
+        self._next(caller)
+
+    def _next(self, caller: str) -> None:
+        radio = self._radio
+        while caller not in self._paging and self._waiting[caller]:
+            call = self._waiting[caller].popleft()
+            if call.step < 0:
+                continue
+            there = {end.device.name for each in radio.devices[caller].links for end in (each.central, each.peripheral)}
+            if call.called in there or not radio.has_room(caller):
+                self._end(call, BUSY if call.called in there else FULL)
+                continue
+            self._paging[caller] = call
+            radio.take_role(radio.devices[caller], PAGE)
+            self._clock.at(self._clock.now + radio.parameters.page_timeout, self._page_failed, call)
+
+    def _page_failed(self, call: Call) -> None:
+        if self._paging.get(call.caller) is call:
+            self._end(call, ABSENT)
+
+    def _scan(self, device: Device) -> None:
+        radio, now = self._radio, self._clock.now
+        parameters = radio.parameters
+        self._clock.at(now + parameters.scan, self._scan, device)
+        skipped = device.tuned == PAGE and radio.random.random() >= parameters.scan_paging
+        if device.name not in self.reachable or skipped:
+            return
+        device.scanning = now + parameters.scan_window
+        for caller, call in self._paging.items():
+            if call.called == device.name and radio.devices[caller].is_in(PAGE, now):
+                if radio.passes(caller, device.name):
+                    self._clock.at(now + parameters.page_answer, self._answered, call)
+                return
+
+    def _answered(self, call: Call) -> None:
+        if self._paging.get(call.caller) is not call:
+            return
+        self._hang_up_page(call)
+        call.link = link = self._radio.connect(call.caller, call.called)
+        link.lost = lambda: self._end(call, LATE)
+        self._set_up(call)
+
+    def _set_up(self, call: Call) -> None:
+        """The next frame, from either side in turn; after the last one the link is the callers' own."""
+        if call.step < 0 or call.link is None:
+            return
+        if call.step == 2 * self._radio.parameters.setup:
+            call.step = -1
+            call.link.lost = lambda: None
+            call.done(call.link, "")
+            return
+        sender = call.called if call.step % 2 else call.caller
+        call.step += 1
+        self._radio.send(call.link, sender, SMALL, lambda: self._set_up(call))
+
+    def _hang_up_page(self, call: Call) -> None:
+        del self._paging[call.caller]
+        self._radio.leave_role(self._radio.devices[call.caller], PAGE)
+        self._clock.at(self._clock.now, self._next, call.caller)
+
+    def _end(self, call: Call, reason: str) -> None:
+        """It has failed, unless it was over."""
+        if call.step < 0:
+            return
+        call.step = -1
+        if self._paging.get(call.caller) is call:
+            self._hang_up_page(call)
+        if call.link is not None:
+            self._radio.drop(call.link)
+        self._clock.at(self._clock.now, call.done, None, reason)  # its caller is still about to call

@@ -1,0 +1,94 @@
+"""What a slot radio is like. Each number has its source, or is said to be fitted.
+
+"Fitted" means: chosen so that the original lockstep over this radio takes the times of recorded runs of the thesis'
+robots (`./run bench slots` shows model and recordings side by side). Figures of robots in several piconets depend on
+`stay`; others hardly do.
+"""
+
+from dataclasses import fields, replace
+
+from swarm.errors import ConfigError
+from swarm.frozen import frozen
+
+SLOT = 625e-6
+"""s (Bluetooth Core specification, vol 2 part B, 2.2.2)."""
+
+EDR2 = ((54, 1), (367, 3), (679, 5))
+"""Bytes and slots of 2-DH1, 2-DH3 and 2-DH5 packets (Core specification, vol 2 part B, table 6.10)."""
+
+OVERHEAD = 9
+"""Bytes of L2CAP (4) and RFCOMM (address, control, length of 2, check) around what is written."""
+
+FRAME = 990
+"""Bytes that one frame carries: with `OVERHEAD` what one HCI packet of 1021 B holds (Linux, RFCOMM over a 3-DH5)."""
+
+MAX_PERIPHERALS = 7
+"""Active members of a piconet beside its central (3-bit LT_ADDR, Core specification, vol 2 part B, 4.1)."""
+
+
+@frozen
+class Parameters:
+    """Times in s where nothing else is said."""
+
+    stay: float = 0.1
+    """How long a bridge of two piconets stays in each on average. Fitted; 0.05 to 0.3 are possible."""
+    spread: float = 0.95
+    """A stay is uniform in stay * (1 +- spread). Fitted; with nearly equal stays two bridges would miss each other for
+    long."""
+    guard: int = 2
+    """Slots lost at a change of piconet, whose clocks differ (informit.com, article 21324)."""
+    poll_busy: int = 40
+    """Slots between polls of a link that carried data within `busy_for` (T_poll, commonly 40: davidcontreras.es)."""
+    poll_idle: int = 80
+    """The same of another link. Fitted."""
+    busy_for: float = 1.0
+    loss: float = 0.05
+    """Probability that a packet with data is lost; of one without, a third of that."""
+    host: float = 0.0015
+    """In kernel and UART driver, for each frame at each end, on average."""
+    host_spread: float = 0.5
+    """That time is uniform in host * (1 +- host_spread)."""
+    uart: float = 3e6
+    """bit/s between host and controller, 10 bits a byte (raspberrypi/linux, issue 2832)."""
+    buffers: int = 8
+    """Frames that a controller holds for all its links together (BCM4343x)."""
+    supervision: float = 20.0
+    """Silence after which a link is lost (Core specification, vol 2 part B, 3.1), unless the caller sets another."""
+    scan: float = 1.28
+    """Between two page scans (Linux: 0x0800 slots); 0.16 with `FastConnectable`."""
+    scan_window: float = 0.01125
+    """How long one takes (Linux: 0x0012 slots)."""
+    scan_paging: float = 0.5
+    """Share of its own scans that a paging robot keeps. Fitted."""
+    page_weight: float = 3.0
+    """Stays at paging are so many times as long as those in a piconet. Fitted."""
+    page_timeout: float = 5.12
+    """After which an absent robot is given up (Linux: 0x2000 slots)."""
+    page_answer: float = 0.01
+    """From a scan that hears the page until the link is there."""
+    setup: int = 13
+    """Exchanges of small frames before a socket is connected: LMP 6, L2CAP 3, RFCOMM 4."""
+
+    @classmethod
+    def parse(cls, text: str) -> "Parameters":
+        """Read `stay=0.2,loss=0.1`, each part optional. Raises `ConfigError`."""
+        values: dict[str, float] = {}
+        names = [field.name for field in fields(cls)]
+        for part in filter(None, text.split(",")):
+            name, _, number = part.partition("=")
+            try:
+                value = float(number)
+            except ValueError:
+                value = -1.0
+            if name not in names or not 0.0 <= value < 1e6:
+                raise ConfigError(f"{part!r}: expected {'|'.join(names)}=number, not negative")
+            values[name] = int(value) if isinstance(getattr(cls(), name), int) else value
+        found = replace(cls(), **values)  # type: ignore[arg-type]
+        if not min(found.stay, found.uart, found.buffers, found.poll_busy, found.poll_idle) > 0:
+            raise ConfigError(f"{text!r}: stay, uart, buffers, poll_busy and poll_idle must be above 0")
+        if found.loss > MAX_LOSS or not found.spread < 1 or found.host_spread > 1 or not found.scan > found.scan_window:
+            raise ConfigError(f"{text!r}: expected loss at most {MAX_LOSS}, spread below 1, scan above scan_window")
+        return found
+
+
+MAX_LOSS = 0.9

@@ -1,0 +1,382 @@
+"""Links of a slot radio: which device is in which piconet when, and what a central and its peripherals exchange there.
+
+A device is tuned to one thing at a time: a piconet (its own or one in which it is a peripheral), its pages, or nothing
+(guard slots at each change, page scans). A link carries data while both its ends are in the central's piconet. Nobody
+knows of the others' rounds: Linux negotiates no sniff mode, and how a controller shares its time is its own affair.
+
+The central begins in even slots. It serves links with data in turn, polls the others at an interval and whoever it has
+not polled in this stay, and asks those that do not answer less and less often. An exchange is a packet down and one up,
+each the smallest that holds what is there; what was not acknowledged is sent again (ARQ, Core specification, vol 2 part
+B, 7.6). So a link delivers every byte in order, or is lost.
+"""
+
+import math
+import random
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import Any, Protocol
+
+from sim.slots.parameters import EDR2, MAX_PERIPHERALS, OVERHEAD, SLOT, Parameters
+
+PAGE = ""
+"""What a device is tuned to that pages; piconets have their central's name."""
+
+EVEN = 2 * SLOT
+
+TRIED = 2
+"""Times that a peripheral may be silent until it is asked less often; then the pause doubles up to `RAREST`."""
+RAREST = 16
+"""In pairs of slots."""
+
+ABOUT = 1e-9
+"""s by which sums of slots may be off."""
+
+_NEVER = float("inf")
+
+
+def _even(time: float) -> float:
+    """The first even slot that begins at `time` or later."""
+    return math.ceil(time / EVEN - ABOUT) * EVEN
+
+
+class Clock(Protocol):
+    """Time that calls back, in the order of times and of planning."""
+
+    now: float
+
+    def at(self, time: float, call: Callable[..., object], *arguments: Any) -> None:
+        """Call at `time`."""
+
+
+class _Frame:
+    __slots__ = ("arrived", "left", "size")
+
+    def __init__(self, size: int, arrived: Callable[[], None]) -> None:
+        self.size = self.left = size
+        self.arrived = arrived
+
+
+class LinkEnd:
+    """What one end of a link has to send."""
+
+    __slots__ = ("delivered_at", "device", "got", "heard", "held", "ready_at", "waiting")
+
+    def __init__(self, device: "Device", now: float) -> None:
+        self.device = device
+        self.waiting: deque[_Frame] = deque()
+        """Frames in the host."""
+        self.held: deque[_Frame] = deque()
+        """Frames in the controller."""
+        self.got = False
+        """Whether the packet at the head has arrived and its acknowledgement has not."""
+        self.heard = now
+        """When this end last heard the other one."""
+        self.ready_at = self.delivered_at = now
+        """When the host had the last frame ready for sending, and the last one received."""
+
+    def packet(self) -> tuple[int, int]:
+        """Bytes and slots of the next packet."""
+        if not self.held:
+            return 0, 1
+        left = self.held[0].left
+        return next(((left, slots) for size, slots in EDR2 if left <= size), EDR2[-1])
+
+
+class RadioLink:
+    """One link of the baseband."""
+
+    __slots__ = ("central", "lost", "misses", "more", "peripheral", "polled", "supervision", "up", "used",
+                 "watch")  # fmt: skip
+
+    def __init__(self, central: LinkEnd, peripheral: LinkEnd, now: float) -> None:
+        self.central, self.peripheral = central, peripheral
+        self.supervision = 0.0
+        self.watch = 0
+        """Counts plans of `SlotRadio.supervise`."""
+        self.polled = now - 1.0
+        self.used = now
+        """When it last carried data."""
+        self.misses = 0
+        self.more = False
+        """Whether the peripheral has said that it has more."""
+        self.up = True
+        self.lost: Callable[[], None] = lambda: None
+        """Called when the link is lost."""
+
+    def end(self, name: str) -> LinkEnd:
+        """The end of that device."""
+        return self.central if self.central.device.name == name else self.peripheral
+
+
+class Device:
+    """The controller of one robot."""
+
+    __slots__ = ("busy", "central_of", "held", "links", "name", "polled", "ready", "roles", "scanning", "serving",
+                 "switching", "tuned", "turn", "until")  # fmt: skip
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.roles: list[str] = []
+        """What it shares its time among: piconets, and `PAGE`."""
+        self.tuned: str | None = None
+        self.ready = 0.0
+        """When the change to that is done."""
+        self.until = _NEVER
+        """When the stay ends."""
+        self.scanning = 0.0
+        """Until when it scans for pages."""
+        self.busy = 0.0
+        """Until when an exchange takes it."""
+        self.links: list[RadioLink] = []
+        self.central_of: list[RadioLink] = []
+        self.turn = 0
+        self.held = 0
+        """Frames in its buffers."""
+        self.polled: set[RadioLink] = set()
+        """In this stay."""
+        self.serving = self.switching = 0
+        """Count plans; one that another has replaced does nothing."""
+
+    def is_in(self, piconet: str, now: float) -> bool:
+        """Whether it hears that piconet now."""
+        return self.tuned == piconet and max(self.ready, self.scanning, self.busy) <= now + ABOUT
+
+
+class SlotRadio:
+    """The links of all robots."""
+
+    def __init__(self, clock: Clock, names: Iterable[str], parameters: Parameters, seed: object) -> None:
+        self._clock = clock
+        self.parameters = parameters
+        self.random = random.Random(f"{seed} slots")
+        self.devices = {name: Device(name) for name in names}
+        self.passes: Callable[[str, str], bool] = lambda a, b: True
+        """Whether two robots hear each other."""
+
+    # -- links -------------------------------------------------------------------------------------------------
+
+    def has_room(self, name: str) -> bool:
+        """Whether a central can have one more peripheral."""
+        return len(self.devices[name].central_of) < MAX_PERIPHERALS
+
+    def connect(self, central: str, peripheral: str) -> RadioLink:
+        """A link is there from now on."""
+        now = self._clock.now
+        c, p = self.devices[central], self.devices[peripheral]
+        link = RadioLink(LinkEnd(c, now), LinkEnd(p, now), now)
+        for device in (c, p):
+            device.links.append(link)
+            self.take_role(device, central)
+        c.central_of.append(link)
+        self._wake(c)
+        self.supervise(link, self.parameters.supervision)
+        return link
+
+    def supervise(self, link: RadioLink, seconds: float) -> None:
+        """Give a link up after so much silence; who has called may say so."""
+        link.supervision = seconds
+        link.watch += 1
+        self._watch(link, link.watch)
+
+    def drop(self, link: RadioLink) -> None:
+        """It is there no more; what it held is gone."""
+        if not link.up:
+            return
+        link.up = False
+        c, p = link.central.device, link.peripheral.device
+        c.central_of.remove(link)
+        for end in (link.central, link.peripheral):
+            end.device.links.remove(link)
+            end.device.held -= len(end.held)
+            self._refill(end.device)
+        if not c.central_of:
+            self.leave_role(c, c.name)
+        self.leave_role(p, c.name)
+
+    def send(self, link: RadioLink, sender: str, size: int, arrived: Callable[[], None]) -> None:
+        """Send a frame of so many bytes; `arrived()` is called when the other end's host has it, unless the link is
+        lost before."""
+        end = link.end(sender)
+        frame = _Frame(size + OVERHEAD, arrived)
+        end.ready_at = max(end.ready_at, self._clock.now + self._host(frame.size))
+        self._clock.at(end.ready_at, self._hand_over, link, end, frame)
+
+    def _watch(self, link: RadioLink, plan: int) -> None:
+        if link.up and plan == link.watch:
+            ends_at = min(link.central.heard, link.peripheral.heard) + link.supervision
+            if self._clock.now < ends_at:
+                self._clock.at(ends_at, self._watch, link, plan)
+            else:
+                self.drop(link)
+                link.lost()
+
+    # -- the host ----------------------------------------------------------------------------------------------
+
+    def _host(self, size: int) -> float:
+        p = self.parameters
+        return p.host * (1.0 + p.host_spread * (2.0 * self.random.random() - 1.0)) + size * 10.0 / p.uart
+
+    def _hand_over(self, link: RadioLink, end: LinkEnd, frame: _Frame) -> None:
+        if link.up:
+            end.waiting.append(frame)
+            self._refill(end.device)
+
+    def _refill(self, device: Device) -> None:
+        """The host hands frames over as buffers are free, to the link with the fewest first (Linux, hci_low_sent)."""
+        while device.held < self.parameters.buffers:
+            ends = [(link, link.end(device.name)) for link in device.links]
+            ready = [(link, end) for link, end in ends if end.waiting]
+            if not ready:
+                return
+            link, end = min(ready, key=lambda each: len(each[1].held))
+            end.held.append(end.waiting.popleft())
+            device.held += 1
+            if link.central is end and device.tuned == device.name:
+                self._wake(device)
+
+    # -- where a device is -------------------------------------------------------------------------------------
+
+    def take_role(self, device: Device, role: str) -> None:
+        """A device shares its time with one thing more."""
+        if role in device.roles:
+            return
+        device.roles.append(role)
+        if len(device.roles) == 1:
+            device.tuned, device.ready, device.until = role, self._clock.now, _NEVER
+        elif device.until == _NEVER:
+            self._stay(device)
+
+    def leave_role(self, device: Device, role: str) -> None:
+        """It does so no longer."""
+        if role in device.roles:
+            device.roles.remove(role)
+            if device.tuned == role:
+                device.tuned = None
+                self._switch(device, device.switching)
+
+    def _stay(self, device: Device) -> None:
+        p = self.parameters
+        weight = (p.page_weight if device.tuned == PAGE else 1.0) * min(1.0, 2.0 / len(device.roles))
+        stay = weight * p.stay * (1.0 + p.spread * (2.0 * self.random.random() - 1.0))
+        device.until = self._clock.now + stay
+        self._clock.at(device.until, self._switch, device, device.switching)
+
+    def _switch(self, device: Device, plan: int) -> None:
+        """To the next of its roles, after the exchange that is under way."""
+        if plan != device.switching:
+            return
+        now = self._clock.now
+        if device.busy > now + ABOUT:
+            self._clock.at(device.busy, self._switch, device, plan)
+            return
+        device.switching += 1
+        before, device.until = device.tuned, _NEVER
+        if not device.roles:
+            device.tuned = None
+            return
+        place = device.roles.index(before) + 1 if before in device.roles else 0
+        device.tuned = device.roles[place % len(device.roles)]
+        device.polled.clear()
+        if device.tuned != before:
+            device.ready = now + self.parameters.guard * SLOT * (0.5 + 0.5 * self.random.random())
+        if len(device.roles) > 1:
+            self._stay(device)
+        if device.tuned == device.name:
+            self._wake(device)
+
+    # -- the central -------------------------------------------------------------------------------------------
+
+    def _wake(self, device: Device) -> None:
+        """Look at the next even slot what is to be done."""
+        device.serving += 1
+        free = max(self._clock.now, device.ready, device.busy, device.scanning)
+        self._clock.at(_even(free), self._serve, device, device.serving)
+
+    def _serve(self, device: Device, plan: int) -> None:
+        if plan != device.serving or device.tuned != device.name:
+            return
+        now = self._clock.now
+        if not device.is_in(device.name, now):
+            self._wake(device)
+            return
+        links, due = device.central_of, _NEVER
+        for step in range(len(links)):
+            place = (device.turn + step) % len(links)
+            at = self._next_poll(device, links[place])
+            if at <= now + ABOUT:
+                device.turn = (place + 1) % len(links)
+                device.busy = self._exchange(links[place])
+                self._clock.at(device.busy, self._serve, device, plan)
+                return
+            due = min(due, at)
+        if due < _NEVER:
+            # Towards an even slot, or the phase would drift from poll to poll.
+            self._clock.at(max(_even(due), now + EVEN), self._serve, device, plan)
+
+    def _next_poll(self, device: Device, link: RadioLink) -> float:
+        p, now = self.parameters, self._clock.now
+        waits = bool(link.central.held)
+        if waits or link.more or (len(device.roles) > 1 and link not in device.polled):
+            if waits and link.misses > TRIED:
+                return link.polled + min(1 << link.misses, RAREST) * EVEN
+            return now
+        return link.polled + (p.poll_busy if now - link.used < p.busy_for else p.poll_idle) * SLOT
+
+    def _lost(self, size: int) -> bool:
+        p = self.parameters
+        return self.random.random() < (p.loss if size else p.loss / 3.0)
+
+    def _exchange(self, link: RadioLink) -> float:
+        """A packet down and one up; when that is over."""
+        now = self._clock.now
+        down, up = link.central, link.peripheral
+        central, peripheral = down.device, up.device
+        link.polled = now
+        central.polled.add(link)
+        size, slots = down.packet()
+        hears = peripheral.is_in(central.name, now) and self.passes(central.name, peripheral.name)
+        if not hears or self._lost(size):
+            link.misses += 1
+            return now + (slots + 1) * SLOT
+        up.heard = now
+        back, back_slots = up.packet()
+        end = now + (slots + back_slots) * SLOT
+        peripheral.busy = end
+        if size:
+            self._got(link, down, up, size, now + slots * SLOT)
+        if self._lost(back):
+            link.misses += 1
+            return end  # neither data nor the acknowledgement in it has reached the central
+        link.misses = 0
+        down.heard = now
+        if size:
+            self._acknowledged(down, size)
+        if back:
+            self._got(link, up, down, back, end)
+            self._acknowledged(up, back)  # by the next poll, whose loss is left out
+        if size or back:
+            link.used = now
+        link.more = bool(up.held)
+        return end
+
+    def _got(self, link: RadioLink, sender: LinkEnd, receiver: LinkEnd, size: int, at: float) -> None:
+        if sender.got:
+            return
+        sender.got = True
+        frame = sender.held[0]
+        if frame.left <= size:
+            receiver.delivered_at = max(receiver.delivered_at, at + self._host(frame.size))
+            self._clock.at(receiver.delivered_at, self._deliver, link, frame)
+
+    @staticmethod
+    def _deliver(link: RadioLink, frame: _Frame) -> None:
+        if link.up:
+            frame.arrived()
+
+    def _acknowledged(self, end: LinkEnd, size: int) -> None:
+        end.got = False
+        end.held[0].left -= size
+        if end.held[0].left <= 0:
+            end.held.popleft()
+            end.device.held -= 1
+            self._refill(end.device)

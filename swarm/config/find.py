@@ -1,0 +1,37 @@
+"""Where the swarm's file is: in the working directory, the user's configuration folder or /etc."""
+
+import os
+from pathlib import Path
+
+NAME = "swarm.toml"
+SYSTEM = Path("/etc/swarm")
+
+LOOKED_IN = "SWARM_CONFIG, else swarm.toml in the working directory, in ~/.config/swarm, in /etc/swarm"
+"""For help texts."""
+
+
+def user_folder() -> Path | None:
+    """Return the folder of this user's settings: `swarm` in XDG_CONFIG_HOME, else in ~/.config; None without a home."""
+    # The XDG base directory specification: a path that is not absolute is ignored. A service has no HOME.
+    homes = (Path(os.environ.get("XDG_CONFIG_HOME", "")), Path(os.environ.get("HOME", "")) / ".config")
+    return next((home / "swarm" for home in homes if home.is_absolute()), None)
+
+
+def places() -> tuple[Path, ...]:
+    """Return the paths where the file is looked for, the first one first.
+
+    The variable SWARM_CONFIG names the only one. Without it they are the working directory, `swarm` in the user's
+    configuration folder (XDG_CONFIG_HOME, else ~/.config) and /etc/swarm, where robots have it.
+    """
+    if named := os.environ.get("SWARM_CONFIG"):
+        return (Path(named),)
+    folders = (Path.cwd(), user_folder(), SYSTEM)
+    return tuple(folder / NAME for folder in folders if folder is not None)
+
+
+def find() -> Path | None:
+    """Return the path of the swarm's file, None where it is in none of its places.
+
+    A file that is there and cannot be read counts: what is wrong with it is better told than passed over.
+    """
+    return next((path for path in places() if os.path.lexists(path)), None)

@@ -1,0 +1,139 @@
+"""Fields that are numpy arrays: `x: Array[2]`, `P: Array[4, 4]`, `q: Array[3, float32]`.
+
+numpy is imported when a class declares an array, and never before: apps without arrays, and all other processes of a
+robot, do without it.
+"""
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+from swarm.errors import AppError
+from swarm.frozen import frozen
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Numbers = NDArray[Any]
+
+MAX_DIMENSIONS = 4
+"""Axes of a field that is an array."""
+
+MENDS = (
+    'on a robot write `[robot] packages = ["numpy"]` into swarm.toml and deploy again; on a laptop: pip install numpy'
+)
+
+
+@frozen
+class ArrayShape:
+    """What is declared within the brackets."""
+
+    sizes: tuple[int, ...]
+    single: bool
+    """Whether its numbers are IEEE 754 binary32."""
+
+
+class Float32:
+    """Marks a float that travels as IEEE 754 binary32."""
+
+
+float32 = Annotated[float, Float32()]
+"""A float of half the width on the air. The own value is rounded, too: all robots then count with the same.
+"""
+
+
+class Array:
+    """The annotation of a field that is a numpy array of float64, or float32 on request, and has always the same
+    shape. Raises `AppError` for a shape that is none."""
+
+    def __class_getitem__(cls, sizes: Any) -> Any:
+        given = sizes if isinstance(sizes, tuple) else (sizes,)
+        single = bool(given) and given[-1] == float32
+        sizes = given[:-1] if single else given
+        if not 0 < len(sizes) <= MAX_DIMENSIONS or any(type(size) is not int or size < 1 for size in sizes):
+            shown = ", ".join("float32" if each == float32 else repr(each) for each in given)
+            raise AppError(
+                f"Array[{shown}]: expected positive integers, as in Array[2], Array[4, 4], Array[2, float32]"
+            )
+        return Annotated[Array, ArrayShape(sizes, single)]
+
+
+def numpy() -> Any:
+    """The module; raises `AppError`, which says how to get it, where it is not there."""
+    try:
+        import numpy as np
+    except ImportError:
+        raise AppError(f"arrays need numpy, which is not installed here: {MENDS}") from None
+    return np
+
+
+def checked(value: object, shape: tuple[int, ...], *, single: bool) -> "Numbers":
+    """A new array with the numbers of `value`: an array, nested lists, or all numbers in one list, one row after the
+    other. Raises `AppError` for another shape and for what is no number."""
+    np = numpy()
+    kind = np.float32 if single else np.float64
+    try:
+        given = np.asarray(value)
+    except (TypeError, ValueError, OverflowError):
+        given = np.array(None)
+    if given.dtype.kind not in "biuf":
+        raise AppError(f"expected an array of {_named(shape)} numbers, got {_shown(value)}")
+    with np.errstate(over="ignore"):  # beyond float32: it is not finite, which is told by its name
+        found = np.array(given, dtype=kind)
+    if found.shape != shape and found.ndim == 1 and isinstance(value, tuple | list) and found.size == _size(shape):
+        found = found.reshape(shape)
+    if found.shape != shape:
+        raise AppError(f"expected an array of shape {shape}, got shape {found.shape}: {_shown(value)}")
+    array: Numbers = found
+    return array
+
+
+def are_finite(array: Any) -> bool:
+    """Whether all its numbers are."""
+    return bool(numpy().isfinite(array).all())
+
+
+def from_numbers(numbers: tuple[float, ...], shape: tuple[int, ...], *, single: bool) -> "Numbers":
+    """The array out of its packed numbers, which cannot be written to."""
+    np = numpy()
+    array: Numbers = np.array(numbers, dtype=np.float32 if single else np.float64).reshape(shape)
+    array.setflags(write=False)
+    return array
+
+
+def is_array(value: object) -> bool:
+    """Whether it is an array of numpy, one number of it included: told without importing that."""
+    return type(value).__module__ == "numpy" and hasattr(value, "dtype")
+
+
+def shape_of(value: object) -> tuple[int, ...]:
+    """Its shape; empty of a single number, and of what is no array."""
+    return tuple(getattr(value, "shape", ())) if is_array(value) else ()
+
+
+def pack(value: Any) -> tuple[str, list[int] | None, bytes]:
+    """An array, or a single number of numpy, as what msgpack holds. Raises `TypeError` where it holds objects."""
+    if value.dtype.kind not in "biufc":
+        raise TypeError(f"type {value.dtype}")
+    shape = list(value.shape) if isinstance(value, numpy().ndarray) else None
+    return value.dtype.str, shape, value.tobytes()
+
+
+def unpack(kind: str, shape: list[int] | None, data: bytes) -> Any:
+    """What `pack` packed."""
+    array = numpy().frombuffer(data, dtype=kind)
+    return array[0] if shape is None else array.reshape(shape).copy()
+
+
+def _size(shape: tuple[int, ...]) -> int:
+    size = 1
+    for each in shape:
+        size *= each
+    return size
+
+
+def _named(shape: tuple[int, ...]) -> str:
+    return " x ".join(map(str, shape))
+
+
+def _shown(value: object) -> str:
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,64 @@
+"""When a robot in lockstep asks for values that are missing: not for what is only late, and for ever."""
+
+WANT_AFTER_RTTS = 3.0
+"""A missing value is asked for after so many round-trip times without progress ..."""
+WANT_AFTER = 0.2
+"""... but not before this, in seconds: a loaded robot is late by a tenth of a second without any loss, and links lose
+nothing without saying so (`Lockstep.nudge`)."""
+WANT_AFTER_USUAL = 2.0
+"""... nor before so many times what all but three of the last `RECENT` iterations took at most. Robots that share their
+radio's time among piconets get some values ten times as late as most. An estimate from a window of the last arrivals,
+as Chen, Toueg and Aguilera (2002) have it; one by deviations (RFC 6298) is misled for long by a single outage. It
+never exceeds `WANT_AFTER_MOST`: a lost value that was asked for late would else make the next question later still."""
+RECENT = 32
+WANT_AFTER_MOST = 1.0
+"""The interval between two questions doubles up to this, in seconds, and is kept for ever."""
+
+
+class QuestionTimes:
+    """The time of the next question. It learns how long iterations take."""
+
+    __slots__ = ("_asked_at", "_late_after", "_recent", "due", "interval")
+
+    def __init__(self) -> None:
+        self.due = 0.0
+        """When to ask."""
+        self.interval = 0.0
+        """s from now, or from the last question, to the next one."""
+        self._asked_at = float("-inf")
+        self._recent: list[float] = []
+        """s that the last iterations took."""
+        self._late_after = 0.0
+        """s after which one has taken too long; 0 while nothing is known."""
+
+    def took(self, since: float, now: float, rtt: float) -> None:
+        """Learn from an iteration that is over. What came a round trip after it was asked for may have been lost, and
+        says nothing of how late values come (Karn 1987); what came sooner was only late."""
+        if since <= self._asked_at <= now - rtt:
+            return
+        recent = self._recent
+        recent.append(now - since)
+        if len(recent) > RECENT:
+            del recent[0]
+        self._late_after = min(WANT_AFTER_USUAL * sorted(recent)[-4:][0], WANT_AFTER_MOST)
+
+    def progress(self, now: float, rtt: float) -> None:
+        """An iteration begins."""
+        self.interval = max(WANT_AFTER_RTTS * rtt, WANT_AFTER, self._late_after)
+        self.due = now + self.interval
+
+    def wait_for_start(self, now: float) -> None:
+        """It is the first one: neighbours are yet to start."""
+        self.due = now + max(self.interval, WANT_AFTER_MOST)
+
+    def asked(self, now: float, rtt: float) -> None:
+        """A question went out; the next one comes later and later."""
+        self._asked_at = now
+        self.due = now + self.interval
+        self.interval = max(min(2 * self.interval, WANT_AFTER_MOST), WANT_AFTER_RTTS * rtt, self._late_after)
+
+    def hurry(self, now: float, since: float, rtt: float) -> None:
+        """Ask now, but not within a round trip of the last question or of `since`, when the iteration began: six links
+        that come up together are one reason to ask, not six; and with a link that has been up all the time, of which
+        only the host has just heard, everything is on its way."""
+        self.due = min(self.due, max(now, self._asked_at + rtt, since + rtt))

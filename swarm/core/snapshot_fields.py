@@ -1,0 +1,52 @@
+"""An app's private fields as bytes: msgpack, for a restart."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import msgpack
+
+from swarm.core import arrays
+from swarm.core.state import shown
+from swarm.errors import AppError
+
+_TUPLE = 1  # msgpack extension type: Python tuples come back as tuples, not as lists
+_ARRAY = 2  # numpy's arrays and single numbers: type, shape, bytes
+
+
+def pack_private(values: Mapping[str, object]) -> bytes:
+    """Private fields as msgpack, tuples and lists kept apart; `AppError` names the field at fault."""
+    try:
+        return _packb(dict(values))
+    except (TypeError, ValueError, OverflowError, RecursionError):
+        for name, value in values.items():
+            try:
+                _packb(value)
+            except (TypeError, ValueError, OverflowError, RecursionError) as error:
+                raise AppError(f"{name}: {shown(value)} cannot be saved for a restart ({error})") from None
+        raise
+
+
+def unpack_private(data: bytes) -> dict[str, Any]:
+    """What `pack_private` packed."""
+    values: dict[str, Any] = msgpack.unpackb(data, ext_hook=_from_extension, strict_map_key=False)
+    return values
+
+
+def _packb(value: object) -> bytes:
+    data: bytes = msgpack.packb(value, default=_to_extension, strict_types=True)
+    return data
+
+
+def _to_extension(value: object) -> object:
+    if isinstance(value, tuple):
+        return msgpack.ExtType(_TUPLE, _packb(list(value)))
+    if arrays.is_array(value):
+        return msgpack.ExtType(_ARRAY, _packb(list(arrays.pack(value))))
+    raise TypeError(f"type {type(value).__name__}")
+
+
+def _from_extension(code: int, data: bytes) -> object:
+    items = msgpack.unpackb(data, ext_hook=_from_extension, strict_map_key=False)
+    if code == _ARRAY:
+        return arrays.unpack(*items)
+    return tuple(items) if code == _TUPLE else items

@@ -1,0 +1,125 @@
+"""Messages of the mesh's overlays for apps: floods, and messages to one robot."""
+
+from swarm.frozen import frozen
+from swarm.messages.codec import MAX_REQUEST, with_telemetry
+
+
+@frozen
+class FloodRequest:
+    """Command on `mesh/set/flood`: carry a payload to the whole swarm, and say in `mesh/flooded` whom it reached.
+
+    It appears on every other robot's bus, raw, under `swarm/<this robot>/app/<app>/flood`.
+    """
+
+    LIMIT = MAX_REQUEST
+    ticket: str
+    """Names this request; a repetition of it is not flooded again but gets the answer again."""
+    app: str
+    payload: bytes
+    priority: str
+    """control, sync or bulk."""
+    announce: bool
+    """Whether the answer is flooded, too: every robot learns that the flood is complete."""
+
+
+@frozen
+class Flooded:
+    """End of a flood, on `swarm/<robot>/mesh/flooded` of its origin; elsewhere only where it is announced."""
+
+    t: float
+    """At the origin."""
+    ticket: str
+    app: str
+    robots: tuple[str, ...]
+    """Whom it reached, besides the origin."""
+    complete: bool
+    """Whether these are all that could be reached."""
+    problem: str
+    """Why it is not complete; empty otherwise."""
+
+
+@frozen
+class SendRequest:
+    """Command on `mesh/set/send`: carry a payload to one robot, and say in `mesh/sent` whether it arrived.
+
+    It appears on that robot's bus, raw, under `swarm/<this robot>/app/<app>/send/<to>`.
+    """
+
+    LIMIT = MAX_REQUEST
+    ticket: str
+    app: str
+    to: str
+    payload: bytes
+    priority: str
+    timeout: float
+    """s after which it is given up."""
+
+
+@frozen
+class Reminder:
+    """Command on `mesh/set/remind`: tell the answer to a request again or, where there is none yet, a `Progress`."""
+
+    ticket: str
+
+
+@frozen
+class Progress:
+    """How far a request is, on `swarm/<robot>/mesh/progress`."""
+
+    t: float
+    ticket: str
+    known: bool
+    """Whether there is such a request here: one that is not known was lost, and is to be made again."""
+    size: int
+    """Bytes of its payload; 0 where it is small, which takes no time worth telling."""
+    moved: int
+    """Bytes that have arrived: at the receiver, or at every neighbour that hands a flood on."""
+
+
+@frozen
+class Sent:
+    """End of a message, on `swarm/<robot>/mesh/sent`."""
+
+    t: float
+    ticket: str
+    app: str
+    to: str
+    delivered: bool
+    """Whether the other robot's mesh has confirmed it."""
+    problem: str
+    """Why not; empty otherwise. It may have arrived all the same where the answer was lost."""
+
+
+@frozen
+class Passed:
+    """A message of an app, or the answer to one, was handed to a neighbour, on `swarm/<robot>/mesh/passed` of each
+    robot on its way: so one sees which way it took, and when. Not of messages larger than a packet."""
+
+    t: float
+    app: str
+    """Empty for an answer on its way: it does not say to what."""
+    sender: str
+    """Whose message it is, also where this is the answer."""
+    to: str
+    number: int
+    """Counts what the sender's mesh has sent to that robot since its start."""
+    back: bool
+    """Whether it is the answer."""
+    next: str
+    """The neighbour."""
+    ticket: str
+    """At the sender; empty elsewhere."""
+
+
+TOPICS = with_telemetry(
+    {
+        ("mesh", "flooded"): Flooded,
+        ("mesh", "sent"): Sent,
+        ("mesh", "passed"): Passed,
+        ("mesh", "set/flood"): FloodRequest,
+        ("mesh", "set/send"): SendRequest,
+        ("mesh", "set/remind"): Reminder,
+        ("mesh", "progress"): Progress,
+    }
+)
+"""Message type of each key, by (service, topic)."""

@@ -1,0 +1,175 @@
+"""`swarm commission ROBOT`: the shell around the procedure: one robot's bus, the person's keys, and the report's file.
+
+It speaks to a robot of a simulation that runs here, else to this robot itself. With `--json` each line is a JSON
+object: `say` for people, `report` at the end; that is what a laptop reads over ssh.
+"""
+
+import argparse
+import contextlib
+import json
+import queue
+import re
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from swarm import __version__, clock
+from swarm.bus.zenoh_bus import Bus
+from swarm.config import Config, load
+from swarm.errors import LocalError, PayloadError
+from swarm.files import atomic_write
+from swarm.messages import Arm, ImuRequest, MeasureI2C, SetDisplay, SetMode, Stop, TryMotors, read
+from swarm.messages.keys import STOP, key
+from swarm.onboard import buses
+from swarm.onboard.arguments import add_json
+from swarm.onboard.ask import PATIENCE
+from swarm.onboard.body.drive import one
+from swarm.onboard.body.keyboard import Keys
+from swarm.onboard.commission.core.procedure import Action, Ask, Procedure, Say, Send, Subject
+from swarm.onboard.commission.core.steps import STEPS
+from swarm.process.simulations import CONFIG
+from swarm.process.terminal import write_lines
+
+HELP = "check a new robot part by part until it stands; writes a report"
+
+TOPICS = (
+    "balancer/state", "balancer/odometry", "balancer/imu", "balancer/buttons", "balancer/fault", "balancer/notice",
+    "balancer/display", "balancer/i2c", "balancer/firmware", "dwm/ranges", "mesh/links",
+)  # fmt: skip
+_KEYS: dict[type, str] = {
+    SetMode: "balancer/set/mode",
+    TryMotors: "balancer/set/motors",
+    ImuRequest: "balancer/set/imu",
+    MeasureI2C: "balancer/set/i2c",
+    SetDisplay: "balancer/set/display",
+    Arm: "mesh/set/arm",
+}
+_TICK_S = 0.05
+_QUEUE = 4000
+"""Messages that may wait: 20 s of all that a robot says."""
+YES, NO = ("enter", "a", "y"), ("n", "c")
+ENDS = ("x", "escape")
+RELEASE = Path("/opt/swarm/current")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare `[ROBOT] [--out FILE]`."""
+    parser.add_argument(
+        "name", nargs="?", metavar="ROBOT", help="a robot of the simulation, or over ssh (default: this robot)"
+    )
+    parser.add_argument("--out", type=Path, metavar="FILE", help="file for the report (commission-ROBOT-DATE.json)")
+    add_json(parser)
+    buses.add_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Lead through all steps; code 1 where not all of them have passed."""
+    robot, directory = one(args)
+    config = load(directory.parent / CONFIG) if (directory.parent / CONFIG).is_file() else load()
+    procedure = Procedure(subject_of(config, robot), STEPS)
+    ended = ""
+    with Bus.of(directory) as bus:
+        if not bus.wait_connected(PATIENCE):
+            raise LocalError(f"{robot}: no bus is there ({directory}); is the robot switched on?")
+        session = _Session(bus, robot, procedure, as_json=args.json)
+        try:
+            with session.keys.raw():
+                ended = session.run()
+        except KeyboardInterrupt:
+            ended = "ended by Ctrl-C"
+        finally:
+            session.command(SetMode("rest"))
+    report = procedure.report() | ({"ended": ended} if ended else {})
+    if args.json:
+        write_lines([json.dumps({"report": report})])
+    else:
+        finish(report, args.out)
+    return 0 if report["verdict"] == "passed" else 1
+
+
+def subject_of(config: Config, robot: str) -> Subject:
+    """Return what the procedure has to know of a robot."""
+    date = datetime.now(tz=UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    release = RELEASE.resolve().name if RELEASE.is_symlink() else __version__
+    anchors = {each.address: (each.x, each.y, each.z - config.dwm.height) for each in config.anchors}
+    return Subject(robot, anchors, config.balancing_of(robot).battery_warning, date, release)
+
+
+def finish(report: dict[str, Any], out: Path | None) -> None:
+    """Write the report to its file and say how it ended; raises `LocalError` where it cannot be written."""
+    path = out or Path(f"commission-{report['robot']}-{re.sub('[^0-9TZ]', '', str(report['date']))}.json")
+    try:
+        atomic_write(path, json.dumps(report, indent=2).encode() + b"\n")
+    except OSError as error:
+        raise LocalError(f"{path}: {error.strerror}") from None
+    lines = [f"{row['name']:<10} {row['verdict']}" for row in report["steps"]]
+    write_lines([*lines, f"{report['robot']}: {report['verdict']}; report: {path}"])
+    if any(row["name"] == "offset" and "range_offset_m" in row.get("figures", {}) for row in report["steps"]):
+        write_lines(
+            [f"its UWB offset into its calibration: swarm calibrate offset {path} --robots {report['robot']} --write"]
+        )
+
+
+class _Session:
+    """One procedure on one bus."""
+
+    def __init__(self, bus: Bus, robot: str, procedure: Procedure, *, as_json: bool) -> None:
+        self._bus, self._robot, self._procedure, self._as_json = bus, robot, procedure, as_json
+        self._heard: queue.Queue[tuple[str, bytes]] = queue.Queue(_QUEUE)
+        self.keys = Keys(sys.stdin)
+        for topic in TOPICS:
+            bus.subscribe(key(robot, *topic.split("/")), self._take)
+
+    def run(self) -> str:
+        """Go on until the procedure is done; returns why it was ended before, or ""."""
+        procedure = self._procedure
+        self._say(
+            "a or Enter: yes. n or c: no (also the robot's buttons A and C). Space: stop all robots and end. x: end."
+        )
+        while not procedure.done:
+            for pressed in self.keys.read(_TICK_S):
+                if pressed == " ":
+                    self._bus.publish(STOP, Stop(clock.now(), self._robot, "swarm commission"))
+                    return "stopped by the person: swarm arm takes the stop back"
+                if pressed in ENDS:
+                    return "ended by the person"
+                if pressed in (*YES, *NO):
+                    self._do(procedure.answer(pressed in YES, clock.now()))
+            if self.keys.ended:
+                return "the connection or the input has ended"
+            self._read_all()
+            self._do(procedure.handle_timer(clock.now()))
+        return ""
+
+    def command(self, message: object) -> None:
+        """Send a command to the robot, or a stop to all."""
+        if isinstance(message, Stop):
+            self._bus.publish(STOP, message)
+        else:
+            self._bus.publish(key(self._robot, *_KEYS[type(message)].split("/")), message, urgent=True)
+
+    def _take(self, name: str, payload: bytes) -> None:
+        with contextlib.suppress(queue.Full):
+            self._heard.put_nowait((name, payload))
+
+    def _read_all(self) -> None:
+        for _ in range(self._heard.qsize()):
+            name, payload = self._heard.get_nowait()
+            with contextlib.suppress(PayloadError):
+                self._do(self._procedure.receive(read(name, payload), clock.now()))
+
+    def _do(self, actions: list[Action]) -> None:
+        for action in actions:
+            match action:
+                case Say(text):
+                    self._say(text)
+                case Ask(what, text):
+                    self._say(text, what)
+                case Send(message):
+                    self.command(message)
+
+    def _say(self, text: str, what: str = "") -> None:
+        said = {"say": text} | ({"ask": what} if what else {})
+        write_lines([json.dumps(said) if self._as_json else (f"  ? {text}" if what else text)])
+        sys.stdout.flush()

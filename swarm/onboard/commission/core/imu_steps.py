@@ -1,0 +1,160 @@
+"""Steps that find a part that is mounted the wrong way, by hand alone: IMU and encoders."""
+
+import math
+from collections.abc import Generator
+
+from swarm.messages import ImuRequest, SetMode
+from swarm.onboard.commission.core.procedure import Desk, Script, StepError
+from swarm.onboard.commission.core.robot_view import ImuMean
+
+GRAVITY = 9.81
+IMU_RATE = 50.0
+SAMPLE_S = 1.0
+ANGLE = math.radians(40)
+"""A hand is no gauge: so far may a posture or a turn be off."""
+ZERO_TRIES = 5
+ZERO_S = 4.0
+LEAST_TURN = math.radians(30)
+LYING = math.radians(110)
+ROLLED_M = 0.12
+"""Half a turn of a wheel."""
+ROLL_S = 60.0
+UP, AXLE, BACK = range(3)
+"""Axes of the IMU: X up, Y to the left along the axle, Z backward."""
+
+MOUNTING = "the IMU is part of the Balboa's board: mount that board (or the IMU of your own) the right way round"
+
+
+def imu(desk: Desk) -> Script:
+    """The IMU's axes are those of the body, of its accelerometer and its gyro."""
+    yield from desk.confirm("lay-back", "Lay the robot on its back and leave it alone. A or Enter when it lies.")
+    yield from _find_zero(desk)
+    back = yield from _mean(desk)
+    front = yield from _sample(desk, "lay-front", "Lay it on its front.")
+    upright = yield from _sample(desk, "lift-upright", "Take it in your hand and hold it upright, wheels in the air.")
+    tilts = {name: _tilt(mean) for name, mean in (("back", back), ("front", front), ("upright", upright))}
+    desk.figures |= {f"{name}_deg": round(math.degrees(tilt), 1) for name, tilt in tilts.items()}
+    desk.figures |= {
+        "gyro_zero_rad_s": [round(rate, 5) for rate in back.gyro],
+        "gyro_noise_rad_s": round(max(back.gyro_noise), 6),
+        "acceleration_noise_m_s2": round(max(back.acceleration_noise), 5),
+    }
+    if any(not 0.8 * GRAVITY < math.hypot(*mean.acceleration) < 1.2 * GRAVITY for mean in (back, front, upright)):
+        raise StepError("the accelerometer does not feel 1 g at rest", "hold the robot still; else the IMU is broken")
+    if upright.acceleration[UP] < 0.0:
+        raise StepError("the IMU is mounted upside down: upright it feels gravity from above", MOUNTING)
+    if _near(tilts["back"], LYING) and _near(tilts["front"], -LYING):
+        raise StepError(
+            "the IMU is mounted backward: it takes the robot's back for its front (or it was laid the other way round)",
+            MOUNTING,
+        )
+    for name, angle in (("back", -LYING), ("front", LYING), ("upright", 0.0)):
+        if not _near(tilts[name], angle):
+            raise StepError(
+                f"{name}: the IMU sees {math.degrees(tilts[name]):.0f} degrees, expected {math.degrees(angle):.0f}",
+                "hold it as asked; else the IMU is not mounted along the body's axes",
+            )
+    yield from _gyro(desk, back.gyro)
+
+
+def _gyro(desk: Desk, zero: tuple[float, float, float]) -> Script:
+    robot = desk.robot
+    _listen(desk)
+    yield from desk.confirm("tip-forward", "Tip it slowly forward by a quarter turn, as if it fell on its face.")
+    tipped, by_gyro = _tilt_of(desk), robot.turned(AXLE, zero[AXLE])
+    _listen(desk)
+    yield from desk.confirm("lift-upright", "Hold it upright again.")
+    _listen(desk)
+    yield from desk.confirm("turn-left", "Turn it slowly to the left by a quarter turn, upright.")
+    turned = robot.turned(UP, zero[UP])
+    desk.figures |= {
+        "tipped_deg": round(math.degrees(tipped), 1),
+        "tipped_by_gyro_deg": round(math.degrees(by_gyro), 1),
+        "turned_by_gyro_deg": round(math.degrees(turned), 1),
+    }
+    if tipped < LEAST_TURN or abs(by_gyro) < LEAST_TURN / 2 or abs(turned) < LEAST_TURN:
+        raise StepError("it was not turned far enough to tell", "a quarter turn each, in one go")
+    if by_gyro < 0.0:
+        raise StepError(
+            "the IMU is mirrored: its gyro turns the other way than its accelerometer",
+            "another part than an LSM6DS33 or LSM6DSO answers, or its axes are set otherwise: change the IMU",
+        )
+    if turned < 0.0:
+        raise StepError("the gyro's vertical axis is reversed: to the left it turns right", MOUNTING)
+
+
+def encoders(desk: Desk) -> Script:
+    """Each encoder counts its own wheel, forward as forward; by hand, so that no motor is needed."""
+    yield from desk.confirm("lift-upright", "Hold it upright in your hand, wheels in the air. A or Enter.")
+    for side, name in enumerate(("left", "right")):
+        before = desk.robot.rolled()
+        desk.prompt(f"roll-{name}", f"Turn the {name} wheel forward by hand, a whole turn.")
+
+        def moved(before: tuple[float, float] = before) -> tuple[float, float]:
+            left, right = desk.robot.rolled()
+            return left - before[0], right - before[1]
+
+        if not (yield from desk.until(lambda moved=moved: max(map(abs, moved())) > ROLLED_M, ROLL_S)):  # type: ignore[misc]
+            raise StepError(f"no encoder counts when the {name} wheel turns", f"the plug of the {name} encoder")
+        own, other = moved()[side], moved()[1 - side]
+        desk.figures[f"{name}_m"] = round(own, 3)
+        if abs(other) > abs(own):
+            raise StepError("the encoders are swapped: each counts the other wheel", "swap the motors' plugs")
+        if own < 0.0:
+            raise StepError(
+                f"the {name} encoder is reversed: forward it counts backward",
+                f"swap the two signal wires of the {name} encoder, or turn its board",
+            )
+        yield from desk.wait(1.5)
+
+
+def _sample(desk: Desk, what: str, text: str) -> Generator[None, None, ImuMean]:
+    """Have the robot held so, and return what the IMU shows for a second."""
+    yield from desk.confirm(what, f"{text} A or Enter when it is done.")
+    return (yield from _mean(desk))
+
+
+def _find_zero(desk: Desk) -> Script:
+    """Have the balancer find its gyro's zero anew: the IMU may have been mounted otherwise since it did."""
+    notices = desk.robot.notices
+    for _ in range(ZERO_TRIES):
+        notices.clear()
+        desk.send(SetMode("calibrate"))
+        if (yield from desk.until(lambda: any(each.about in ("calibrate", "mode") for each in notices), ZERO_S)):
+            if any(each.about == "calibrate" and each.text == "done" for each in notices):
+                return
+            yield from desk.wait(0.5)
+    raise StepError(
+        "the gyro's zero is not found", "leave it alone; after another IMU: swarm services restart balancer"
+    )
+
+
+def _mean(desk: Desk) -> Generator[None, None, ImuMean]:
+    """Return what the IMU shows for a second."""
+    _listen(desk)
+    yield from desk.wait(SAMPLE_S)
+    if len(desk.robot.imu) < SAMPLE_S * IMU_RATE / 4:
+        raise StepError("the balancer tells no samples of the IMU", "swarm doctor: does the IMU answer?")
+    return desk.robot.imu_mean()
+
+
+def _listen(desk: Desk) -> None:
+    """Forget samples of before, and have more of them told for a minute."""
+    desk.robot.imu.clear()
+    desk.send(ImuRequest(IMU_RATE, 60.0))
+
+
+def _tilt(mean: ImuMean) -> float:
+    return math.atan2(mean.acceleration[BACK], mean.acceleration[UP])
+
+
+def _tilt_of(desk: Desk) -> float:
+    """Return the tilt by gravity in the newest sample, rad; 0 without any."""
+    if not desk.robot.imu:
+        return 0.0
+    acceleration = desk.robot.imu[-1].acceleration
+    return math.atan2(acceleration[BACK], acceleration[UP])
+
+
+def _near(angle: float, expected: float) -> bool:
+    return abs(math.remainder(angle - expected, math.tau)) < ANGLE

@@ -1,0 +1,172 @@
+"""Steps with motors: one at a time at low power, stop and watchdog, wheels that follow the tilt, and standing."""
+
+import math
+from statistics import fmean
+
+from swarm.messages import Arm, SetMode, Stop, TryMotors
+from swarm.onboard.commission.core.procedure import Desk, Script, StepError
+
+DUTY = 0.15
+"""Of full power; the balancer takes no more than 0.2 without balancing."""
+TURN_S = 1.0
+MOVED_M = 0.02
+"""What a wheel rolls at least in a second at that duty: a tenth of what a free one does."""
+WRONG_M = 0.015
+"""A wheel that has rolled so far the wrong way is stopped at once."""
+STILL = 0.02
+"""m/s: below, a wheel stands."""
+STOP_S = 0.5
+WATCHDOG_S = 0.8
+"""From the only command on: the ATmega waits 0.2 s, then the wheels run out."""
+TIPPED = 0.12
+"""rad."""
+TIP_S = 60.0
+FOLLOW_S = 0.6
+STAND_S = 15.0
+CALM_S = 2.0
+MEASURED_S = 10.0
+LIE_S = 8.0
+
+
+def motors(desk: Desk) -> Script:
+    """Each motor turns its own wheel, forward as forward; the encoders are known to be right by now."""
+    yield from desk.confirm("lift-upright", "Hold it upright in your hand, wheels free and in the air. A or Enter.")
+    for side, name in enumerate(("left", "right")):
+        before = desk.robot.rolled()
+        desk.say(f"the {name} wheel turns forward for a second, slowly")
+        desk.send(TryMotors(DUTY * (side == 0), DUTY * (side == 1), TURN_S))
+
+        def rolled(before: tuple[float, float] = before, side: int = side) -> tuple[float, float]:
+            now = desk.robot.rolled()
+            return now[side] - before[side], now[1 - side] - before[1 - side]
+
+        def wrong(rolled: object = rolled) -> bool:
+            assert callable(rolled)
+            own, other = rolled()
+            return bool(own < -WRONG_M or abs(other) > WRONG_M)
+
+        if (yield from desk.until(wrong, TURN_S + 0.5)):
+            desk.send(SetMode("rest"))
+        own, other = rolled()
+        desk.figures[f"{name}_m_s"] = round(own / TURN_S, 3)
+        if abs(other) > max(WRONG_M, abs(own)):
+            raise StepError("the motors are swapped: each turns the other wheel", "swap the motors' plugs")
+        if own < -WRONG_M:
+            raise StepError(f"the {name} motor is reversed: forward it turns backward", _wires(name))
+        if own < MOVED_M:
+            raise StepError(f"the {name} motor does not turn its wheel", "its plug; is the wheel free?")
+        yield from desk.wait(0.5)
+
+
+def _wires(name: str) -> str:
+    return f"swap the two wires of the {name} motor (not of its encoder)"
+
+
+def stop(desk: Desk) -> Script:
+    """A stop ends the motors' motion at once, and holds until it is taken back."""
+    yield from desk.confirm("lift-upright", "Wheels free, in your hand: they turn, then are stopped. A or Enter.")
+    yield from _turning(desk, "turn")
+    desk.send(Stop(desk.now, desk.subject.robot, "swarm commission"))
+    begin = desk.now
+    stopped = yield from desk.until(lambda: desk.robot.wheel_speed() < STILL and desk.robot.mode == "fault", STOP_S)
+    desk.figures["stopped_s"] = round(desk.now - begin, 3)
+    desk.send(Arm(desk.now, "swarm commission"))
+    if not stopped:
+        desk.send(SetMode("rest"))
+        raise StepError("a stop does not stop the wheels", "swarm services restart balancer; swarm doctor")
+    yield from desk.wait(1.0)
+    desk.send(SetMode("rest"))
+    if not (yield from desk.until(lambda: desk.robot.mode == "idle", 3.0)):
+        raise StepError("the stop is not taken back", "swarm arm; is another robot stopped?")
+
+
+def watchdog(desk: Desk) -> Script:
+    """The ATmega stops the motors by itself when their commands cease."""
+    yield from desk.confirm("lift-upright", "Wheels free again: they turn, and must stop by themselves. A or Enter.")
+    desk.send(TryMotors(DUTY, DUTY, 3.0, "watchdog"))
+    begin = desk.now
+    if not (yield from desk.until(lambda: STILL < desk.robot.wheel_speed() < math.inf, 1.0)):
+        raise StepError("the wheels did not turn", "try again; else the motors step has more to say")
+    stopped = yield from desk.until(lambda: desk.robot.wheel_speed() < STILL, WATCHDOG_S)
+    desk.figures["stopped_s"] = round(desk.now - begin, 3)
+    desk.send(SetMode("rest"))
+    if not stopped:
+        raise StepError("the ATmega's watchdog does not stop the motors", "flash this release's firmware: swarm flash")
+
+
+def _turning(desk: Desk, kind: str) -> Script:
+    desk.send(TryMotors(DUTY, DUTY, 3.0, kind))
+    if not (yield from desk.until(lambda: STILL < desk.robot.wheel_speed() < math.inf, 1.0)):
+        raise StepError("the wheels did not turn", "try again; else the motors step has more to say")
+    yield from desk.wait(0.4)
+
+
+def held(desk: Desk) -> Script:
+    """In the hand, at low power, the wheels run to the side that the robot tips to."""
+    yield from desk.confirm("lift-upright", "Hold it upright in your hand, wheels free: they follow it. A or Enter.")
+    for name, sign in (("forward", 1), ("backward", -1)):
+        desk.prompt(f"tip-a-bit-{name}", f"Tip it {name} by some 15 degrees, and hold it there.")
+        renewed, end = -math.inf, desk.now + TIP_S
+        while not _tipped(desk, sign):
+            if desk.now >= end:
+                raise StepError(f"it was not tipped {name}", "tip it by 15 degrees at least")
+            if desk.now >= renewed + 5.0:
+                renewed = desk.now
+                desk.send(TryMotors(0.0, 0.0, 10.0, "tilt"))
+            yield
+        yield from desk.wait(0.5)
+        before = desk.robot.rolled()
+        yield from desk.wait(FOLLOW_S)
+        after = desk.robot.rolled()
+        ways = [sign * (new - old) for old, new in zip(before, after, strict=True)]
+        desk.figures[f"{name}_m"] = round(min(ways), 3)
+        if min(ways) < MOVED_M / 2:
+            raise StepError(
+                f"tipped {name}, the wheels do not run {name}",
+                "begin again: imu, encoders, motors; trim in [body]",
+            )
+    desk.send(SetMode("rest"))
+    yield from desk.until(lambda: desk.robot.mode == "idle", 3.0)
+
+
+def _tipped(desk: Desk, sign: int) -> bool:
+    return desk.robot.state is not None and sign * desk.robot.state.tilt > TIPPED
+
+
+def standing(desk: Desk) -> Script:
+    """It balances on the floor, first in the hand, then alone."""
+    robot = desk.robot
+    text = "Stand it upright on the floor, wheels on the ground, and hold it loosely. A or Enter: it balances."
+    yield from desk.confirm("stand-on-floor", text)
+    desk.send(SetMode("stand"))
+    if not (yield from desk.until(lambda: robot.mode == "balancing", STAND_S)):
+        raise _fallen(desk, "it does not begin to balance")
+    desk.say("it balances: let it go, and leave it alone")
+    yield from desk.wait(CALM_S)
+    first = robot.state
+    robot.states.clear()
+    fell = yield from desk.until(lambda: robot.mode != "balancing", MEASURED_S)
+    states, last = list(robot.states), robot.state
+    if fell or not states or first is None or last is None:
+        raise _fallen(desk, "it has fallen")
+    tilts = [state.tilt for state in states]
+    trim = fmean(tilts)
+    desk.figures |= {
+        "trim_rad": round(trim, 4),
+        "tilt_rms_deg": round(math.degrees(math.sqrt(fmean((tilt - trim) ** 2 for tilt in tilts))), 3),
+        "duty_rms": round(math.sqrt(fmean(state.duty_left**2 for state in states)), 3),
+        "late_p99_ms": round(1e3 * max(state.late_p99 for state in states), 3),
+        "missed": last.missed - first.missed,
+        "bus_errors": last.bus_errors - first.bus_errors,
+        "battery_v": None if last.battery is None else round(last.battery, 2),
+    }
+    desk.say("it lies down now: catch it, or let it")
+    desk.send(SetMode("lie"))
+    yield from desk.until(lambda: robot.mode == "idle", LIE_S)
+
+
+def _fallen(desk: Desk, text: str) -> StepError:
+    fault = desk.robot.fault
+    if fault.name:
+        return StepError(f"{text}: {fault.reason}", f"trim and gear_ratio in swarm.toml; {fault.recovery}")
+    return StepError(text, "trim and gear_ratio in swarm.toml, the wheels' grip; hold it upright when it begins")

@@ -1,0 +1,95 @@
+"""Pages keep to what a program can see of plain language.
+
+No line of prose is over 120 characters, so that a difference shows what has changed. Sentences are short, phrases that
+hide who does what are not used, and pages to be read in one go are short.
+"""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted([*(ROOT / "docs").rglob("*.md"), *ROOT.glob("*.md"), ROOT / "firmware" / "README.md"])
+WIDTH = 120
+MOST_WORDS_OF_A_PAGE = 1200
+"""Of a page that is read from its beginning to its end, code left out. Reference pages are looked into."""
+MOST_WORDS_OF_A_SENTENCE = 32
+BANNED = re.compile(
+    r"\A(?:Who|Whose|What) (?![^?]*\?\Z)|"
+    r"\b(?:be it|while which|(?:is|are) (?:told|said)|as the thing has it|whoever|who waits|to and fro|all else)\b",
+    re.IGNORECASE,
+)
+"""Phrases without a subject that can be pointed at, and old-fashioned ones."""
+
+
+def prose(text: str) -> Iterator[tuple[int, str]]:
+    """Lines that are neither code nor rows of a table, with their numbers."""
+    code = False
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.lstrip().startswith("```"):
+            code = not code
+        elif not code and not line.startswith(("|", "    ")):
+            yield number, line
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_lines_of_a_page_fit(page: Path) -> None:
+    long = [number for number, line in prose(page.read_text(encoding="utf-8")) if len(line) > WIDTH]
+    assert long == [], f"{page.relative_to(ROOT)}: lines over {WIDTH} characters"
+
+
+def test_there_are_pages() -> None:
+    assert len(PAGES) > 35
+
+
+def sentences(text: str) -> Iterator[str]:
+    """Sentences of a page's prose and lists, with code and the targets of links left out."""
+    text = re.sub(r"^( *)```.*?^ *```$", "\n\n", text, flags=re.MULTILINE | re.DOTALL)
+    paragraphs: list[list[str]] = [[]]
+    for line in text.splitlines():
+        item = re.match(r"\s*([-*]|\d+\.) (.*)", line)
+        if not line.strip() or item or line.startswith(("|", "#", "    ", "!!!", "<!--")):
+            paragraphs.append([item[2]] if item else [])
+        else:
+            paragraphs[-1].append(line.strip())
+    for paragraph in map(" ".join, paragraphs):
+        plain = re.sub(r"`[^`]*`", "code", re.sub(r"\]\([^)]*\)", "]", paragraph))
+        yield from filter(None, re.split(r"(?<=[.!?:])[\s*_)\"]+(?=[A-Z\[*(c])", plain))
+
+
+def breaches(page: Path) -> list[str]:
+    """What a page's sentences do wrong."""
+    found = []
+    for sentence in sentences(page.read_text(encoding="utf-8")):
+        if (count := len(sentence.split())) > MOST_WORDS_OF_A_SENTENCE:
+            found.append(f"{count} words: {sentence}")
+        found += [f"{phrase[0]!r}: {sentence}" for phrase in BANNED.finditer(sentence)]
+    return found
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_sentences_are_short_and_plain(page: Path) -> None:
+    name = str(page.relative_to(ROOT))
+    if name in ("CHANGELOG.md", "docs/reference/glossary.md"):
+        return  # of many hands and many days; a table of terms, among them those that are not used
+    found = breaches(page)
+    assert not found, "\n".join([name, *found])
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_a_page_that_is_read_in_one_go_is_short(page: Path) -> None:
+    name = page.relative_to(ROOT)
+    if name.parts[0] != "docs" or name.parts[1] == "reference":
+        return
+    text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    count = len(re.findall(r"[^\s|]+", text))
+    assert count <= MOST_WORDS_OF_A_PAGE, f"{name} has {count} words: split it, or move facts into a reference page"
+
+
+def test_what_the_rules_are_about_is_found(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    long = f"A short one: {'word ' * 33}end."
+    page.write_text(f"# Title\n\n{long} Whoever waits [comes](whoever.md) back.\nWhat is this? What is refused goes.\n")
+    assert [line.partition(":")[0] for line in breaches(page)] == ["37 words", "'Whoever'", "'What '"]

@@ -1,0 +1,100 @@
+"""`swarm export --table`: any topic, as CSV, npz, mat or parquet, on one time axis."""
+
+import argparse
+import csv
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from laptop.cli.runs import export
+from laptop.runs import tables
+from sim.virtual.run import simulate
+from swarm.errors import LocalError, RecordingError
+from swarm.recording.run import Run
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("run") / "run"
+    simulate("led_sync", "--robots", "3", "--seconds", "4", "--clock-skew", "20ppm", "--record", str(place))
+    return place
+
+
+def exported(recorded: Path, *words: str) -> int:
+    parser = argparse.ArgumentParser()
+    export.add_arguments(parser)
+    return export.run(parser.parse_args([str(recorded), *words]))
+
+
+TOPICS = ("dwm/pose", "balancer/state", "mesh/links", "sim/leds")
+
+
+def test_every_topic_is_a_table_on_the_runs_time_axis(recorded: Path, tmp_path: Path) -> None:
+    wanted = [word for topic in TOPICS for word in ("--topic", topic)]
+    assert exported(recorded, "--table", str(tmp_path), *wanted) == 0
+    for topic in TOPICS:
+        with (tmp_path / f"{topic.replace('/', '.')}.csv").open() as file:
+            rows = list(csv.DictReader(file))
+        assert {row["robot"] for row in rows} == {"r0", "r1", "r2"}
+        times = [float(row["t"]) for row in rows]
+        assert times == sorted(times)
+        assert -1.0 < times[0] < 1.5  # clocks that began up to an hour apart
+        assert times[-1] < 6.0
+    with (tmp_path / "mesh.links.csv").open() as file:
+        last = list(csv.DictReader(file))[-1]
+    assert last["links.r1.state"] == "up"
+    with (tmp_path / "balancer.state.csv").open() as file:
+        assert {row["battery"] for row in csv.DictReader(file)} == {"7.4"}
+
+
+def test_npz_holds_numbers(recorded: Path, tmp_path: Path) -> None:
+    assert exported(recorded, "--table", str(tmp_path), "--topic", "sim/truth", "--format", "npz") == 0
+    table = np.load(tmp_path / "sim.truth.npz")
+    assert table["x"].dtype == np.float64
+    assert len(table["t"]) == len(table["x"]) == len(table["robot"]) > 40
+
+
+@pytest.mark.parametrize(("kind", "needs"), [("mat", "scipy"), ("parquet", "pyarrow")])
+def test_what_is_not_installed_is_named(
+    recorded: Path, tmp_path: Path, kind: str, needs: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, needs, None)
+    with pytest.raises(LocalError, match=f'{kind} files need {needs}: pip install "balboa-swarm'):
+        exported(recorded, "--table", str(tmp_path), "--topic", "sim/truth", "--format", kind)
+
+
+TABLE = {"k": [0, 1], "x[0]": [0.5, None], "x_0": [1.0, 2.0], "2nd": [True, False], "name": ["a", None]}
+
+
+def test_mat_files_are_read_by_scipy(tmp_path: Path) -> None:
+    io = pytest.importorskip("scipy.io", reason="mat files need scipy, of the extra `tables`")
+    tables.write(tmp_path / "a.mat", {**TABLE, "y" * 70: [1, 2], "y" * 71: [3, 4]})
+    found = io.loadmat(tmp_path / "a.mat", squeeze_me=True)
+    assert list(found["k"]) == [0, 1]
+    assert found["x_0"][0] == 0.5
+    assert np.isnan(found["x_0"][1])
+    assert list(found["x_0_2"]) == [1.0, 2.0]
+    assert list(found["x2nd"]) == [True, False]
+    assert [text.strip() for text in found["name"]] == ["a", ""]
+    assert [list(each) for name, each in found.items() if name.startswith("yyy")] == [[1, 2], [3, 4]]
+
+
+def test_parquet_files_are_read_by_pyarrow(tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet", reason="parquet files need pyarrow, of the extra `tables`")
+    tables.write(tmp_path / "a.parquet", TABLE)
+    found = parquet.read_table(tmp_path / "a.parquet").to_pydict()
+    assert list(found) == list(TABLE)
+    assert found["k"] == [0, 1]
+    assert found["2nd"] == [True, False]
+    assert found["name"] == ["a", ""]
+
+
+def test_a_topic_that_is_none_is_named_with_those_that_are_there(recorded: Path, tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"no topic sim/nothing is recorded; there are: .*sim/leds"):
+        tables.of_topic(Run(recorded), "sim/nothing")
+    tables.write(tmp_path / "a.csv", {"t": [0.0, 1.0], "text": ['a,"b"', None]})
+    assert (tmp_path / "a.csv").read_text() == 't,text\n0.0,"a,""b"""\n1.0,\n'
+    with pytest.raises(LocalError, match="it is there already"):
+        tables.write(tmp_path / "a.csv", {"t": [0.0]})

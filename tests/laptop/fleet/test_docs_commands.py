@@ -1,0 +1,144 @@
+"""The commands of the how-to pages about fleets and robots and the tutorial's robot step, as they stand there.
+
+What ssh servers in place of robots suffice for is run here, in the order of the pages. What needs a robot's system is
+named, with the test that runs it on one.
+"""
+
+import hashlib
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from fake_robots import FakeRobots
+from needs import needs_ssh
+from test_fleet import add_python, add_robot
+
+from laptop.fleet import release
+from swarm.config import parse
+from swarm.config.example import EXAMPLE
+
+pytest_plugins = ["fleet_fixtures"]
+
+DOCS = Path(__file__).parents[3] / "docs"
+BUILD = (
+    "robots/build-a-robot.md",
+    "robots/first-power-on.md",
+    "robots/commission.md",
+)
+FLEET = (
+    "fleet/deploy.md",
+    "fleet/provision.md",
+    "fleet/pair.md",
+    "fleet/find-faults.md",
+    "fleet/install-by-hand.md",
+)
+TUTORIAL = DOCS / "tutorials/own-algorithm.md"
+
+ELSEWHERE = {
+    "swarm bundle": "Debian's archive: tests/laptop/fleet/test_bundle.py",
+    "swarm provision": "a robot's system: tests/deploy/test_provision_boot.py, tests/laptop/fleet/test_provision.py",
+    "swarm pair": "bluetoothd: tests/lab/test_lab_pairing.py, tests/laptop/fleet/test_pair.py",
+    "swarm doctor": "a robot's system: tests/laptop/fleet/test_doctor.py",
+    "swarm dwm": "modules: tests/services/dwm/test_dwm_tool.py",
+    "swarm calibrate": "a robot's module: tests/laptop/fleet/test_calibrations.py",
+    "swarm flash": "avr-gcc: tests/laptop/fleet/test_flash_fleet.py",
+    "swarm deploy dist/balboa-swarm-ID.tar.gz": "ID is none: tests/laptop/fleet/test_fleet.py",
+    "deploy/release": "the network: tests/deploy/test_boot.py",
+    "swarm commission": "a robot's body: tests/laptop/fleet/test_commission_ssh.py, tests/sim/test_action_effects.py",
+    "swarm balance": "a robot's body: tests/laptop/fleet/test_balance_ssh.py",
+    "swarm drive": "a keyboard: tests/laptop/fleet/test_drive_ssh.py",
+    "swarm sim": "a simulation: tests/sim/test_action_effects.py, tests/sim/test_commission_report.py",
+    "swarm hand": "a simulation: tests/sim/test_action_effects.py",
+}
+"""Commands that are not run here: what they need, and what runs them."""
+
+
+def commands() -> list[str]:
+    """Each command line of the pages, without its comment, in their order."""
+    build, deploy = ("\n".join((DOCS / "how-to" / page).read_text() for page in pages) for pages in (BUILD, FLEET))
+    tutorial = TUTORIAL.read_text()
+    blocks = "\n".join(re.findall(r"^```(?:sh)?\n(.*?)^```$", deploy, re.M | re.S))
+    step = tutorial[tutorial.index("Onto robots") :]
+    found = re.findall(r"`((?:swarm|deploy/release) [^`\n]+)`", build)
+    found += re.findall(r"^((?:swarm [a-z]|deploy/release).*)$", blocks, re.M)
+    found += re.findall(r"^    (swarm .*)$", step, re.M)
+    return [line.partition("  #")[0].partition(" #")[0].strip() for line in found]
+
+
+def is_elsewhere(command: str) -> bool:
+    return any(command.startswith(each) for each in ELSEWHERE)
+
+
+def test_each_command_of_the_pages_is_run_here_or_named_with_what_runs_it() -> None:
+    here = {command for command in commands() if not is_elsewhere(command)}
+    assert here == {
+        "swarm key new swarm.key",
+        "swarm config --example > swarm.toml",
+        "swarm deploy",
+        "swarm deploy --key swarm.key",
+        "swarm run descent.py",
+    }
+
+
+def rig(robots: FakeRobots) -> dict[str, str]:
+    """Six robots as the example has them, and the environment in which the pages' commands reach them."""
+    for number in range(6):
+        home = add_robot(robots, f"r{number}")
+        add_python(home)
+        sudo = (home / "bin/sudo").read_text()
+        installed = 'echo "$@" >>$HOME/installed; echo "install: $(cat ID) runs"'
+        (home / "bin/sudo").write_text(sudo.replace("case $1 in", f"case $1 in ./install) {installed} ;;", 1))
+    (far,) = [robot for robot in parse(EXAMPLE, robots.config).robots if robot.host is not None]
+    # One robot's address stands in the example, with a user that this machine lacks: it is one of these robots, too.
+    named = f'[ "$word" != {far.host} ] || word={far.name}; set -- "$@" "$word"'
+    ssh = f'for word; do shift; {named}; done; exec /usr/bin/ssh -F {robots.ssh_config} "$@"'
+    tools = robots.folder / "tools"
+    tools.mkdir()
+    for name, line in (
+        ("swarm", f'exec {sys.executable} -P -m laptop.cli "$@"'),
+        ("ssh", ssh),
+    ):
+        (tools / name).write_text(f"#!/bin/sh\n{line}\n")
+        (tools / name).chmod(0o755)
+    # The packages of a release as an earlier one has left them, since this test has no network.
+    lock = (DOCS.parent / release.LOCK).read_text()
+    key = hashlib.sha256("\n".join([os.uname().machine, "3.11", lock]).encode()).hexdigest()[:16]
+    cache = robots.folder / "cache/balboa-swarm/wheels" / key
+    cache.mkdir(parents=True)
+    (cache / release.LOCK).write_text(lock)
+    own = {name: value for name, value in os.environ.items() if not name.startswith("SWARM_")}
+    return {
+        **own,
+        "PATH": f"{tools}:{os.environ['PATH']}",
+        "PYTHONPATH": str(DOCS.parent),
+        "XDG_CACHE_HOME": str(robots.folder / "cache"),
+        "XDG_RUNTIME_DIR": str(robots.folder / "none"),
+    }
+
+
+@needs_ssh
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_the_commands_of_the_pages_work_in_their_order_as_they_stand(robots: FakeRobots) -> None:
+    environment = rig(robots)
+    descent = re.search(r"```python descent\.py\n(.*?)```", TUTORIAL.read_text(), re.S)
+    assert descent is not None
+    (robots.folder / "descent.py").write_text(descent[1])
+    robots.config.unlink()
+    robots.ready()
+    for command in dict.fromkeys(each for each in commands() if not is_elsewhere(each)):
+        done = subprocess.run(
+            ["/bin/sh", "-c", command], cwd=robots.folder, env=environment, capture_output=True, text=True,
+            check=False, timeout=120,
+        )  # fmt: skip
+        assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
+    for number in range(6):
+        home = robots.folder / f"r{number}"
+        first, *_, last = (home / "installed").read_text().splitlines()
+        assert first.startswith(f"./install --name r{number} --config ")
+        assert "--key" in first + last
+        assert list(home.glob("lib/apps/descent-*/descent.py"))
+        assert (home / "systemctl.log").read_text().splitlines()[-1] == "restart --no-block swarm-app@descent.service"

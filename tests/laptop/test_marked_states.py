@@ -1,0 +1,51 @@
+"""Pictures show what an author marks, counts in steps, and names that keep clear of each other."""
+
+from itertools import combinations
+from pathlib import Path
+from typing import Annotated
+
+import pytest
+
+from swarm import SyncApp, Vector, simulate
+
+figure = pytest.importorskip("matplotlib.figure")
+
+
+class Marked(SyncApp):
+    """Counts, and has a vector."""
+
+    p: Annotated[Vector, 2] = (0.0, 1.0)
+    count: int = 0
+    plotted = ("spread", "count")
+
+    def step(self, neighbours: object) -> None:
+        """Count."""
+        self.count += 1
+
+    def result(self) -> dict[str, float]:
+        """Something else, and the count again."""
+        return {"spread": self.p[1], "count": self.count}
+
+
+def test_what_the_author_marks_comes_first_and_counts_are_steps() -> None:
+    made = simulate(Marked, robots=2, iterations=5, progress=False).plot()
+    left = made.axes[::2]
+    assert [axes.get_ylabel() for axes in left] == ["spread", "count"]
+    assert [axes.lines[0].get_drawstyle() for axes in left] == ["default", "steps-post"]
+
+
+def test_names_keep_clear_of_each_other() -> None:
+    from laptop.plotting import style
+
+    axes = figure.Figure(figsize=(4, 4)).add_subplot()
+    axes.set(xlim=(0, 1), ylim=(0, 1))
+    style.name_points(axes, [(f"r{i}", (0.5 + 0.03 * i, 0.5), "black") for i in range(4)], [])
+    boxes = [text.get_window_extent() for text in axes.texts]
+    assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
+
+
+def test_a_formation_has_its_misfit_and_the_nearest_two_and_true_paths(tmp_path: Path) -> None:
+    run = simulate("formation", robots=3, seconds=4, devices=True, progress=False)
+    place, distances = run.plot(kind="map").axes
+    assert [line.get_label() for line in distances.lines] == ["nearest two", "robots touch", "from the formation"]
+    assert "true path" in place.get_legend_handles_labels()[1]

@@ -1,0 +1,265 @@
+"""Runs from Python: `simulate`, `load` and `sweep` as a script, a test or a notebook uses them."""
+
+import asyncio
+import io
+import sys
+import types
+from pathlib import Path
+
+import numpy as np
+import pytest
+from runs_apps import Beside, Light, Mean, Place, Raises
+
+import swarm
+from sim.virtual.run import simulate as by_command
+from swarm import load, rehearse, simulate, sweep
+from swarm.errors import AppError, ConfigError, LocalError, RecordingError
+
+STARTS = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+
+
+def test_a_class_of_a_test_is_simulated_and_its_states_are_an_array_by_iteration_and_robot() -> None:
+    run = simulate(Mean, robots=6, topology="loop", values={"x": STARTS}, iterations=50)
+    assert run.robots == ("r0", "r1", "r2", "r3", "r4", "r5")
+    assert run["x"].shape == run.times.shape == (51, 6)
+    assert run["x"].dtype == np.float64
+    assert run["x"][0].tolist() == STARTS
+    assert np.abs(run["x"][50] - 2.5).max() < 1e-3
+    assert run.times[0].min() == 0.0
+    assert (np.diff(run.times, axis=0) > 0).all()
+    assert run.columns == ("x",)
+    assert run.iterations == 50
+    assert run.messages is not None
+    assert 600 <= run.messages <= 660  # one for each neighbour and iteration, and those at start and end
+    assert not run.problems
+
+
+def test_simulate_computes_what_swarm_sim_virtual_does_to_the_bit() -> None:
+    run = simulate("consensus", robots=6, topology="thesis-d", jitter=0.01, seed=3, iterations=40)
+    words = "consensus --robots 6 --topology thesis-d --jitter 0.01 --seed 3 --iterations 40"
+    _, outcome = by_command(*words.split(), rows=True)
+    for place, path in enumerate(outcome.trajectories.values()):
+        assert [path.value(k, "value") for k in range(41)] == run["value"][:, place].tolist()
+
+
+def test_a_saved_run_is_loaded_as_the_same_arrays_and_is_never_written_over(tmp_path: Path) -> None:
+    run = simulate(Mean, robots=3, values={"x": {"r1": 4.0}}, iterations=10)
+    run.save(tmp_path / "kept")
+    again = load(tmp_path / "kept")
+    assert repr(again) == repr(run)
+    for one, other in ((run["x"], again["x"]), (run.times, again.times), (run.truth, again.truth)):
+        assert np.array_equal(one, other)
+    assert again.messages == run.messages
+    with pytest.raises(LocalError, match="name a new folder"):
+        run.save(tmp_path / "kept")
+    with pytest.raises(RecordingError):
+        load(tmp_path / "nothing")
+
+
+def test_vectors_integers_truth_values_and_texts_have_arrays_of_their_own_kind() -> None:
+    run = simulate(Place, robots=2, values={"q": [[1.0, 2.0], [3.0, 4.0]]}, iterations=4)
+    assert run.columns == ("q", "count", "even", "far", "word")
+    assert run["q"].shape == (5, 2, 2)
+    assert run["q"][:, 1].tolist() == [[3.0 + k, 4.0] for k in range(5)]
+    assert run["count"].dtype == np.int64
+    assert run["count"][:, 0].tolist() == [0, 1, 2, 3, 4]
+    assert run["even"].dtype == bool
+    assert run["word"][:, 0].tolist() == ["odd", "odd", "even", "odd", "even"]
+    assert run["far"][4].tolist() == [7.0, 11.0]
+
+
+def test_an_unknown_column_is_an_error_that_names_the_columns() -> None:
+    run = simulate(Mean, robots=2, iterations=2)
+    with pytest.raises(LocalError, match=r"no column 'y'; there are: x$"):
+        run["y"]
+    with pytest.raises(LocalError, match="no column 'y'"):
+        run.plot("y")
+    assert "x" in run
+    assert "y" not in run
+
+
+def test_an_apps_fault_is_raised_with_file_and_line_and_can_be_looked_at_instead() -> None:
+    with pytest.raises(AppError, match=r"Raises on r\d, iteration 3: .*runs_apps.py, line \d+: ZeroDivisionError"):
+        simulate(Raises, robots=2)
+    run = simulate(Raises, robots=2, check=False)
+    assert "ZeroDivisionError" in run.problems[0]
+    assert run["x"].shape == (4, 2)
+
+
+def test_faults_happen_and_a_robot_that_is_away_has_no_numbers() -> None:
+    plain = simulate(Mean, robots=4, topology="loop", values={"x": STARTS[:4]}, iterations=60)
+    cut = simulate(Mean, robots=4, topology="loop", values={"x": STARTS[:4]}, iterations=60,
+                   faults=["cut r0-r1@0.5s,2s"])  # fmt: skip
+    assert np.array_equal(plain["x"], cut["x"])
+    assert cut.times[-1].max() > plain.times[-1].max() + 1.0
+    away = simulate(Mean, robots=4, topology="loop", absent="drop", drop_after=1.0, seconds=4.0,
+                    faults=["off r3@1s,100s"])  # fmt: skip
+    assert np.isnan(away["x"][-3, 3])
+    assert np.isnan(away.times[-3, 3])
+    assert np.isfinite(away["x"][-3, :3]).all()
+
+
+def test_the_truth_follows_a_robot_that_drives_and_a_target_that_moves() -> None:
+    run = simulate("goto", robots=2, iterations=40, target_velocity=(0.1, 0.0))
+    assert run.truth is not None
+    assert run.target is not None
+    assert run.truth.shape == (*run.times.shape, 3)
+    assert np.hypot(*(run.truth[-1, 0, :2] - run.truth[0, 0, :2])) > 0.05
+    late = run.times[:, 0] > 1.0
+    speed = np.gradient(run.target[late, 0, 0], run.times[late, 0])
+    assert np.allclose(speed, 0.1, atol=1e-6)
+
+
+def test_periodic_apps_and_channels_are_runs_too() -> None:
+    run = simulate(Light, robots=3, seconds=3.0, faults=["press r0.A@1s"])
+    assert run["lit"][-1].any()
+    channels = simulate(Beside, robots=3, seconds=2.0)
+    assert np.abs(channels["mean.x"][20] - 1.0).max() < 0.2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"robot": 3}, "no option 'robot'"),
+        ({"values": {"y": 1.0}}, "unknown parameter 'y'; Mean has .*x"),
+        ({"values": {"x": [1.0]}}, "one for each of 6 robots; got shape"),
+        ({"values": {"x": {"r9": 1.0}}}, "x: expected values by robot, r0, .*; got one of 'r9'"),
+        ({"values": {"x": object()}}, "x: expected numbers"),
+        ({"values": {"gain": True}}, "gain: expected a finite number, got True"),
+        ({"faults": ["burn r0@1s"]}, "no fault such as .* there are cut"),
+        ({"faults": ["cut r0-r1"]}, "--cut: 'r0-r1' is not a cut"),
+        ({"topology": "ring"}, "--topology ring"),
+        ({"iterations": 3, "seconds": 2.0}, "not allowed with"),
+    ],
+)
+def test_a_wrong_argument_is_named(arguments: dict[str, object], message: str) -> None:
+    with pytest.raises((AppError, ConfigError), match=message):
+        simulate(Mean, **arguments)  # type: ignore[arg-type]
+    with pytest.raises(AppError, match="expected the name or file of an app, or a class"):
+        simulate(7)  # type: ignore[arg-type]
+
+
+def test_a_notebooks_cell_under_a_running_event_loop_can_define_and_simulate_an_app() -> None:
+    cell = """
+from swarm import SyncApp, simulate
+class CellApp(SyncApp):
+    x: float
+    def step(self, neighbours):
+        self.x += 1.0 / (self.k - 5)
+run = simulate(CellApp, robots=2, iterations=3)
+"""
+    notebook = types.ModuleType("__main__")
+
+    async def execute(text: str) -> None:
+        exec(compile(text, "/tmp/ipykernel_1/17.py", "exec"), vars(notebook))
+
+    was = sys.modules["__main__"]
+    sys.modules["__main__"] = notebook
+    try:
+        asyncio.run(execute(cell))
+        assert vars(notebook)["run"].app == "cell_app"
+        with pytest.raises(AppError, match=r"ipykernel_1/17.py, line 6: ZeroDivisionError"):
+            asyncio.run(execute("simulate(CellApp, robots=2, iterations=9)"))
+    finally:
+        sys.modules["__main__"] = was
+
+
+def test_without_pandas_a_table_is_refused_by_the_extras_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = simulate(Place, robots=2, iterations=2)
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(LocalError, match=r"balboa-swarm\[notebook\]"):
+        run.to_pandas()
+
+
+def test_a_table_has_a_row_for_each_robot_and_iteration(monkeypatch: pytest.MonkeyPatch) -> None:
+    pandas = types.ModuleType("pandas")
+    pandas.DataFrame = lambda columns: columns  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "pandas", pandas)
+    run = simulate(Place, robots=2, values={"q": [1.0, 2.0]}, iterations=2)
+    table: dict[str, np.ndarray] = run.to_pandas()  # type: ignore[assignment]
+    assert list(table) == ["iteration", "robot", "t", "q[0]", "q[1]", "count", "even", "far", "word"]
+    assert table["iteration"].tolist() == [0, 0, 1, 1, 2, 2]
+    assert table["robot"].tolist() == ["r0", "r1"] * 3
+    assert table["q[0]"].tolist() == [1.0, 1.0, 2.0, 2.0, 3.0, 3.0]
+
+
+def test_a_run_is_drawn_into_a_figure_and_a_file(tmp_path: Path) -> None:
+    run = simulate(Place, robots=2, iterations=3)
+    figure = run.plot("q", path=tmp_path / "run.png")
+    assert len(figure.axes) == 4  # two parts of the vector, each over iterations and over time
+    assert (tmp_path / "run.png").stat().st_size > 5000
+    with pytest.raises(LocalError, match="no picture of kind 'pie'; there are: states"):
+        run.plot(kind="pie")
+
+
+def test_a_sweep_is_a_table_of_all_combinations(tmp_path: Path) -> None:
+    found = sweep(Mean, {"topology": ["line", "loop"], "gain": [1.0, 9.0]}, values={"x": STARTS}, seeds=2)
+    assert [(row["topology"], row["gain"], row["runs"], row["failed"]) for row in found.rows] == [
+        ("line", 1.0, 2, 0), ("line", 9.0, 2, 2), ("loop", 1.0, 2, 0), ("loop", 9.0, 2, 2),
+    ]  # fmt: skip
+    assert found.rows[2]["settled"] < found.rows[0]["settled"]
+    assert len(found.runs) == 8
+    assert "diverges" in found.runs[2]["problem"]
+    assert "settled after" in str(found)
+    found.plot(tmp_path / "sweep.png")
+    assert (tmp_path / "sweep.png").stat().st_size > 5000
+
+
+def test_a_sweep_refuses_what_no_run_can_be_made_of() -> None:
+    with pytest.raises(ConfigError, match="jobs: a class cannot go to other processes"):
+        sweep(Mean, {"gain": [1.0]}, jobs=2)
+    with pytest.raises(ConfigError, match="a list is empty"):
+        sweep(Mean, {"gain": []})
+    with pytest.raises(ConfigError, match="there is no option 'sped'"):
+        sweep(Mean, {"gain": [1.0]}, sped=3)
+
+
+def test_a_robot_says_that_it_carries_no_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [name for name in sys.modules if name.partition(".")[0] == "laptop"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setattr(sys, "meta_path", [_Absent("laptop"), *sys.meta_path])
+    with pytest.raises(ImportError, match=r"swarm.simulate is for a laptop"):
+        swarm.simulate  # noqa: B018
+
+
+class _Absent:
+    """An import finder for which a package is not there."""
+
+    def __init__(self, package: str) -> None:
+        self.package = package
+
+    def find_spec(self, name: str, path: object, target: object = None) -> None:
+        if name.partition(".")[0] == self.package:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=self.package)
+
+
+def test_rehearse_takes_classes_and_lists_of_values() -> None:
+    played = rehearse(Mean, robots=6, topology="loop", values={"x": STARTS})
+    played.run(100)
+    assert played.result("r3")["x"] == pytest.approx(2.5)
+
+
+class _Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(("shown", "terminal"), [(True, True), (False, True), (True, False)])
+def test_the_progress_of_a_run_is_drawn_on_a_terminal_alone_and_taken_away(
+    shown: bool, terminal: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stream = _Terminal() if terminal else io.StringIO()
+    monkeypatch.setattr(sys, "stderr", stream)
+    monkeypatch.setattr("laptop.runs.progress.PATIENCE_S", 0.0)
+    monkeypatch.setattr("laptop.runs.progress.EVERY_S", 0.0)
+    simulate(Mean, robots=2, iterations=100, progress=shown)
+    lines = stream.getvalue().split("\r")
+    if not (shown and terminal):
+        assert lines == [""]
+        return
+    shares = [int(line.rpartition("]")[2].strip(" %")) for line in lines[1:-2]]
+    assert len(shares) >= 2
+    assert shares == sorted(shares)
+    assert 0 <= shares[0] <= shares[-1] <= 100
+    assert all(line.startswith("mean: 2 robots [") for line in lines[1:-2])
+    assert not lines[-2].strip()

@@ -1,0 +1,244 @@
+"""The design's acceptance checks, in a real browser: what is in sight without a click, and on which screens."""
+
+import itertools
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from browsing import PATIENCE_MS, seek, shown, until
+from virtual_run import recorded
+
+pytest.importorskip("aiohttp", reason="the lab extra is not installed")
+expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
+
+pytest_plugins = ("view_fixtures",)
+pytestmark = [pytest.mark.timeout(120), pytest.mark.filterwarnings("ignore::ResourceWarning")]
+
+DESK = {"width": 1440, "height": 900}
+SIX = ("map", "values", "pace", "error", "robots", "events")
+ACTS = (
+    "swarmView.store.swarm.acts = ['stop', 'arm', 'mode', 'set', 'start', 'end', 'cut', 'kill', 'press', 'push', 'lay']"
+)
+
+INSIDE = """(selector) => [...document.querySelectorAll(selector)].every((each) => {
+  const {left, top, right, bottom} = each.getBoundingClientRect();
+  return left >= 0 && top >= 0 && right <= innerWidth && bottom <= innerHeight && right > left && bottom > top;
+})"""
+
+ON_TOP = """(() => {
+  const {left, top, width, height} = document.querySelector("#stop").getBoundingClientRect();
+  return document.elementFromPoint(left + width / 2, top + height / 2)?.id === "stop" && width >= 44 && height >= 34;
+})()"""
+
+CUT = """(() => [...document.querySelectorAll(
+  "#answers b, #answers small, .hero b, #robots td.num, #clock output")].filter((each) => each.offsetParent
+  && each.scrollWidth > each.clientWidth + 1 && !/^(event)$/.test(each.closest("[data-answer]")?.dataset.answer ?? ""))
+  .map((each) => each.textContent))()"""
+"""Figures that do not fit where they stand."""
+
+LINKS_IN_RIMS = """(() => {
+  const map = swarmView.map, {width, height} = map.canvas, {x: mx, y: my, scale} = map.shown;
+  const [r, g, b] = [0xc0, 0x26, 0x2d], radius = Math.floor(1.7 * Math.max(8 * map.ratio, 0.055 * scale));
+  const side = 2 * radius;
+  let found = 0;
+  for (const {x, y} of map.placed.values()) {
+    const px = Math.round(width / 2 + (x - mx) * scale), py = Math.round(height / 2 - (y - my) * scale);
+    const data = map.context.getImageData(px - radius, py - radius, side, side).data;
+    for (let i = 0; i < data.length; i += 4) {
+      const at = i / 4, inside = Math.hypot((at % side) - radius, Math.floor(at / side) - radius) < radius;
+      if (inside && Math.abs(data[i] - r) + Math.abs(data[i + 1] - g) + Math.abs(data[i + 2] - b) < 30) found += 1;
+    }
+  }
+  return found;
+})()"""
+
+
+@pytest.fixture(scope="module")
+def waits(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six robots in lockstep, of which two lose each other at 2 s."""
+    folder = tmp_path_factory.mktemp("runs") / "waits"
+    recorded(folder, "consensus", "--robots", "6", "--topology", "line", "--seconds", "9", "--cut", "r2-r3@2s,60s")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def forms(waits: Path) -> Path:
+    """Three robots of a periodic app, in the same folder of runs."""
+    folder = waits.parent / "forms"
+    recorded(folder, "formation", "--robots", "3", "--seconds", "8")
+    return folder
+
+
+@pytest.fixture
+def waiting(browser: Any, waits: Path) -> Iterator[Any]:
+    with shown(browser, waits, viewport=DESK, color_scheme="light") as page:
+        seek(page, 8)
+        yield page
+
+
+def test_five_answers_and_six_panels_are_in_sight_and_a_cut_link_is_named(waiting: Any) -> None:
+    held = waiting.locator("[data-answer=held] b")
+    expect(held).to_contain_text("Link r2–r3 down", timeout=PATIENCE_MS)
+    expect(waiting.locator("[data-answer=held] small")).to_contain_text("all 6 wait")
+    expect(waiting.locator("[data-answer=converging] b")).to_have_text("Held")
+    for selector in ("#answers button", "#bar", "footer", *(f"#{each}" for each in SIX)):
+        assert waiting.evaluate(INSIDE, selector), selector
+    assert waiting.evaluate("document.documentElement.scrollHeight <= innerHeight")
+    expect(waiting.locator("#values .plot canvas")).to_be_visible(timeout=PATIENCE_MS)
+    assert waiting.evaluate(INSIDE, "#robots tbody tr")
+
+
+@pytest.mark.slow
+def test_a_periodic_app_has_its_values_and_steps_and_no_columns_of_iterations(browser: Any, forms: Path) -> None:
+    with shown(browser, forms, viewport=DESK) as page:
+        seek(page, 7)
+        expect(page.locator("#values .plot canvas")).to_be_visible(timeout=PATIENCE_MS)
+        expect(page.locator("#values select")).to_have_value("app/formation/record/off value", timeout=PATIENCE_MS)
+        expect(page.locator("#lockstep")).to_be_hidden()
+        expect(page.locator("#lanes h2")).to_have_text("Steps")
+        assert page.evaluate("swarmView.lanes.rate()") == pytest.approx(10.0, rel=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("width", "height"), [(320, 640), (390, 844), (1024, 768), (1920, 1080)])
+def test_nothing_is_cut_and_stop_is_on_top_on_any_screen(browser: Any, waits: Path, width: int, height: int) -> None:
+    with shown(browser, waits, viewport={"width": width, "height": height}) as page:
+        seek(page, 8)
+        page.locator("#values").scroll_into_view_if_needed(timeout=PATIENCE_MS)
+        expect(page.locator("#values .plot canvas")).to_be_visible(timeout=PATIENCE_MS)
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        assert page.evaluate(CUT) == []
+        page.evaluate(ACTS)
+        expect(page.locator("#stop")).to_be_visible(timeout=PATIENCE_MS)
+        for act in (
+            "scrollTo(0, 0)",
+            "scrollTo(0, document.body.scrollHeight)",
+            "swarmView.select('r0')",
+            "document.querySelector('#find').click()",
+            "swarmView.layout.arrange()",
+        ):
+            page.evaluate(act)
+            until(page, ON_TOP)
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+
+
+@pytest.mark.slow
+def test_names_of_robots_20_cm_apart_do_not_meet_and_links_end_at_rims(waiting: Any) -> None:
+    robots = {
+        f"r{n}": {"sim/truth": {"t": 8.0, "x": 0.2 * (n % 3), "y": 0.2 * (n // 3), "heading": 0.0, "tilt": 0.0}}
+        for n in range(6)
+    }
+    links = {"mesh/links": {"t": 8.0, "links": [{"peer": "r1", "state": "down"}, {"peer": "r4", "state": "down"}]}}
+    for robot in robots.values():
+        robot.update(links)
+    waiting.evaluate(
+        "(robots) => {const was = swarmView.store.swarm; swarmView.store.clear(); swarmView.store.become({...was,"
+        " robots: Object.keys(robots), kind: 'simulation',"
+        " edges: [['r0', 'r1'], ['r1', 'r2'], ['r0', 'r4'], ['r3', 'r4'], ['r4', 'r5'], ['r1', 'r5']]});"
+        " swarmView.store.take({t: 8, live: true, robots}, performance.now() - 1000); swarmView.map.box = null}",
+        robots,
+    )
+    waiting.evaluate("swarmView.map.draw(performance.now())")
+    boxes = waiting.evaluate("[...swarmView.map.boxes].filter(([name]) => name.length === 2).map(([, box]) => box)")
+    assert len(boxes) == 6
+    for a, b in itertools.combinations(boxes, 2):
+        assert a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] or b[3] <= a[1]
+    assert waiting.evaluate(LINKS_IN_RIMS) == 0
+
+
+@pytest.mark.slow
+def test_a_run_beside_is_at_the_same_instant_and_its_differences_are_told(
+    browser: Any, waits: Path, forms: Path
+) -> None:
+    with shown(browser, forms, viewport=DESK) as page:
+        seek(page, 4)
+        page.keyboard.press("r")
+        page.get_by_role("button", name="put waits beside").click(timeout=PATIENCE_MS)
+        expect(page.locator("#difference tbody")).to_contain_text("length, s", timeout=PATIENCE_MS)
+        seek(page, 5)
+        until(page, "Object.keys(swarmView.store.besidePlaces ?? {}).length === 6")
+        page.get_by_role("button", name="show waits").click()
+        until(page, "swarmView.store.swarm.recording.name === 'waits'")
+        expect(page.locator("#lockstep")).to_be_visible(timeout=PATIENCE_MS)
+
+
+@pytest.mark.slow
+def test_a_layout_outlives_a_reload(waiting: Any) -> None:
+    waiting.keyboard.press("l")
+    waiting.get_by_label("show pace").uncheck(timeout=PATIENCE_MS)
+    waiting.get_by_label("name of the layout").fill("mine")
+    waiting.get_by_role("button", name="keep").click()
+    expect(waiting.locator("#layout")).to_have_value("mine", timeout=PATIENCE_MS)
+    waiting.reload()
+    expect(waiting.locator("#layout")).to_have_value("mine", timeout=PATIENCE_MS)
+    expect(waiting.locator("#pace")).to_be_hidden()
+    expect(waiting.locator("#map")).to_be_visible()
+
+
+@pytest.mark.slow
+def test_a_click_on_the_map_sets_a_goal_and_a_held_arrow_drives_until_it_is_let_go(waiting: Any) -> None:
+    waiting.evaluate(ACTS.replace("'lay'", "'drive'"))
+    waiting.evaluate(
+        "const send = WebSocket.prototype.send; globalThis.sent = [];"
+        "WebSocket.prototype.send = function (text) { const { do: act } = JSON.parse(text);"
+        " if (act) sent.push(act); else send.call(this, text); }; 0"
+    )
+    waiting.locator("#robots tr[data-robot=r1]").click(timeout=PATIENCE_MS)
+    box = waiting.locator("#map canvas").bounding_box()
+    waiting.mouse.click(box["x"] + 40, box["y"] + box["height"] - 60)
+    send = waiting.locator("#send-goal")
+    expect(send).to_contain_text("Send r1 to", timeout=PATIENCE_MS)
+    send.click()
+    assert waiting.evaluate("sent.map(({act, app, robot}) => [act, app, robot])") == [["start", "goto", "r1"]]
+    waiting.evaluate("sent.length = 0")
+    waiting.get_by_role("button", name="drive r1 forward while held").hover()
+    waiting.mouse.down()
+    until(waiting, "sent.length >= 2")
+    waiting.mouse.up()
+    until(waiting, "sent.at(-1).speed === 0")
+    assert waiting.evaluate("sent[0]") == {"act": "drive", "robot": "r1", "speed": 0.15, "turn": 0}
+    before = waiting.evaluate("sent.length")
+    waiting.wait_for_timeout(400)
+    assert waiting.evaluate("sent.length") == before
+
+
+@pytest.mark.slow
+def test_a_bracket_of_the_strip_zooms_the_charts_by_hand_and_by_keys(waiting: Any) -> None:
+    first, last = waiting.evaluate("swarmView.bracket.range")
+    begin = waiting.get_by_role("slider", name="charts show from, s")
+    box, track = begin.bounding_box(timeout=PATIENCE_MS), waiting.locator("#track").bounding_box()
+    waiting.mouse.move(box["x"] + 12, box["y"] + 12)
+    waiting.mouse.down()
+    waiting.mouse.move(track["x"] + track["width"] / 2, box["y"] + 12)
+    waiting.mouse.up()
+    half = waiting.evaluate("swarmView.bracket.range[0]")
+    assert half == pytest.approx((first + last) / 2, abs=0.02 * (last - first))
+    least = "swarmView.values.chart.plot.plot?.scales.x.min"
+    until(waiting, f"Math.abs({least} - swarmView.bracket.range[0]) < 1e-6")
+    end = waiting.get_by_role("slider", name="charts show up to, s")
+    end.press("ArrowLeft")
+    assert waiting.evaluate("swarmView.bracket.range") == pytest.approx([half, last - 0.01 * (last - first)])
+    assert waiting.evaluate("swarmView.store.t") == 8
+    begin.dblclick()
+    assert waiting.evaluate("swarmView.bracket.range") == [first, last]
+
+
+@pytest.mark.slow
+def test_a_picture_of_what_is_shown_is_made_by_the_server(waiting: Any) -> None:
+    with waiting.expect_download(timeout=2 * PATIENCE_MS) as download:
+        waiting.get_by_role("button", name="Picture").click()
+    assert download.value.suggested_filename == "waits.png"
+    assert download.value.path().read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+@pytest.mark.slow
+def test_of_many_robots_there_are_cells_in_sight_and_trouble_is_marked(browser: Any, tmp_path: Path) -> None:
+    recorded(tmp_path / "many", "consensus", "--robots", "40", "--seconds", "6", "--cut", "r2-r3@1s,60s")
+    with shown(browser, tmp_path / "many", viewport=DESK) as page:
+        seek(page, 5.5)
+        expect(page.locator("#robots tr[data-robot=r3]")).to_have_attribute("data-kind", "bad", timeout=PATIENCE_MS)
+        assert page.evaluate(INSIDE, "#robots tbody tr")
+        expect(page.locator("#robots tr[data-robot=r39] td.b")).not_to_have_text("-")
+        page.get_by_role("button", name="Network").click()
+        expect(page.locator("#robots thead")).to_be_visible()

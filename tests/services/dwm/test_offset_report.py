@@ -1,0 +1,75 @@
+"""A robot's own UWB offset goes from its commissioning report into its calibration."""
+
+import json
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.dwm.calibrate import __main__ as calibrate
+from services.dwm.calibrate import making
+from services.dwm.core.calibration import calibration_file
+from swarm.errors import LocalError, RecordingError
+
+SWARM = """network = "lab"
+[[robots]]
+name = "r0"
+link = "tcp:127.0.0.1:9000"
+[[anchors]]
+address = "D001"
+x = 0.0
+y = 0.0
+[dwm]
+calibration = "of/{robot}.toml"
+[dwm.distance]
+gain = 0.95
+offset = -0.06
+"""
+FIGURES = {"range_offset_m": 0.04, "anchor_errors_m": {"C933": 0.03, "D10A": 0.05}, "places": 3}
+
+
+def report(folder: Path, figures: object, robot: str = "r0", verdict: str = "passed") -> Path:
+    path = folder / "report.json"
+    step = {"name": "offset", "verdict": verdict, "tries": 1, "figures": figures}
+    path.write_text(json.dumps({"report": 1, "robot": robot, "steps": [step]}))
+    return path
+
+
+def test_it_is_added_to_the_model_in_use(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "swarm.toml").write_text(SWARM)
+    monkeypatch.setenv("SWARM_CONFIG", str(tmp_path / "swarm.toml"))
+    words = ["offset", str(report(tmp_path, FIGURES)), "--robots", "r0", "--write"]
+    path = tmp_path / "of" / "r0.toml"
+    for total in (0.04, 0.08):  # the second report says by how much ranges are too long under the first correction
+        assert calibrate.main(words) == 0
+        file = calibration_file.parse(path.read_text(), "f")
+        assert file.distance is not None
+        model, evidence = file.distance
+        assert (model.gain, model.offset, model.robot) == (0.95, -0.06, pytest.approx(total))
+        assert (evidence.places, evidence.nested) == (3, pytest.approx(0.01))
+
+
+def test_a_report_without_an_offset_or_of_another_robot_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="is of r1, not of r0"):
+        making.offset_of(report(tmp_path, FIGURES, robot="r1"), "r0")
+    for path in (report(tmp_path, {}), report(tmp_path, FIGURES, verdict="failed")):
+        with pytest.raises(RecordingError, match="no offset was learned; swarm commission r0"):
+            making.offset_of(path, "r0")
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from([*FIGURES, "C933"]), inner, max_size=3),
+    max_leaves=6,
+)
+
+
+@given(JSON | st.fixed_dictionaries(dict.fromkeys(FIGURES, JSON)))
+def test_any_report_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory, figures: object) -> None:
+    path = report(tmp_path_factory.mktemp("report"), figures)
+    try:
+        learned = making.offset_of(path, "r0")
+    except LocalError:
+        return
+    assert abs(learned.offset) < 1e6

@@ -1,0 +1,45 @@
+"""Who calls whom: every link once, the same on all robots, one piconet where the graph has two sides."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.mesh.core.routing.roles import callers, piconets, waiting
+from swarm.core.graph import Graph
+
+
+def graph(shape, n):
+    return Graph.of_shape(shape, [f"r{number}" for number in range(n)])
+
+
+@given(st.integers(3, 9), st.integers(0, 20))
+def test_every_link_has_one_caller_and_turning_any_does_not_help(n, seed):
+    found = graph(f"random:{seed}", n)
+    calls = callers(found.names, found.edges)
+    assert {frozenset(call) for call in calls} == {frozenset(edge) for edge in found.edges}
+    assert len(calls) == len(found.edges)
+    links = sorted(calls)
+    assert waiting(links) <= waiting([(min(link), max(link)) for link in links])
+    for place, (caller, called) in enumerate(links):
+        assert waiting([*links[:place], (called, caller), *links[place + 1 :]]) >= waiting(links)
+
+
+@given(st.integers(3, 9), st.integers(0, 20), st.randoms(use_true_random=False))
+def test_all_robots_find_the_same_in_whatever_order_links_are_written(n, seed, random):
+    found = graph(f"random:{seed}", n)
+    names, edges = list(found.names), [edge[:: random.choice((1, -1))] for edge in found.edges]
+    random.shuffle(names)
+    random.shuffle(edges)
+    assert callers(names, edges) == callers(found.names, found.edges)
+
+
+@pytest.mark.parametrize(("shape", "n", "most"), [("line", 3, 1), ("line", 6, 2), ("loop", 6, 2), ("thesis-d", 6, 3)])
+def test_graphs_of_the_thesis_need_few_piconets(shape, n, most):
+    found = graph(shape, n)
+    assert max(piconets(sorted(callers(found.names, found.edges))).values()) <= most
+
+
+def test_the_hub_of_a_star_calls():
+    names = [f"r{number}" for number in range(6)]
+    assert callers(names, [("r0", name) for name in names[1:]]) == {("r0", name) for name in names[1:]}
+    assert callers(names, [(name, "r5") for name in names[:5]]) == {("r5", name) for name in names[:5]}

@@ -1,0 +1,96 @@
+"""The thread that reads, accepts and keeps time for a mesh, where the process has no descriptor left."""
+
+import contextlib
+import errno
+import logging
+import os
+import socket
+from collections import Counter
+from collections.abc import Iterator
+from typing import cast
+
+import pytest
+from conftest import wait_until
+
+from services.mesh import sockets
+from services.mesh.core.link.calls import Caller
+from services.mesh.links.pipe import Pipe
+from services.mesh.mesh import Mesh
+from services.mesh.sockets import Sockets
+from swarm import clock
+from swarm.bus.protocol import BusLike
+from swarm.process.locked_runtime import LockedRuntime
+
+PAUSE = 0.02
+
+
+class FullListener:
+    """A listener with a caller in its queue, which cannot be accepted until a descriptor is free."""
+
+    def __init__(self) -> None:
+        self.free = False
+        self.tries = 0
+        self.near, self.far = socket.socketpair()
+        self._waiting = os.eventfd(1)
+
+    def fileno(self) -> int:
+        return self._waiting
+
+    def accept(self) -> Pipe:
+        self.tries += 1
+        if not self.free:
+            raise OSError(errno.EMFILE, "Too many open files")
+        os.eventfd_read(self._waiting)
+        return Pipe(self.near)
+
+    def close(self) -> None:
+        os.close(self._waiting)
+        for sock in (self.near, self.far):
+            sock.close()
+
+
+class MeshWithoutRoom:
+    """A mesh that notes its callers and takes none."""
+
+    def __init__(self) -> None:
+        self.callers: list[Caller] = []
+
+    def accepted(self, caller: Caller) -> None:
+        self.callers.append(caller)
+
+    def carry_out(self) -> None:
+        """Nothing is to be done."""
+
+    due = stop = carry_out
+
+
+@pytest.fixture
+def listener() -> Iterator[FullListener]:
+    with contextlib.closing(FullListener()) as made:
+        yield made
+
+
+@pytest.mark.parametrize("epoll_works", [True, False])
+def test_mesh_without_descriptors_waits_keeps_time_and_accepts_when_one_is_free(
+    listener: FullListener, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, epoll_works: bool
+) -> None:
+    monkeypatch.setattr(sockets, "_PAUSE_EXHAUSTED", PAUSE)
+    if not epoll_works:
+        monkeypatch.setattr(sockets.select, "epoll", lambda: (_ for _ in ()).throw(OSError(errno.EMFILE, "none")))
+    runtime = LockedRuntime(cast(BusLike, None), Counter(), logging.getLogger("mesh"))
+    tested, mesh = Sockets(runtime, [listener], dial=lambda peer: Pipe(listener.far)), MeshWithoutRoom()
+    times: list[float] = []
+    start = clock.now()
+    runtime.at(start + 2.5 * PAUSE, lambda: times.append(clock.now()))
+    # The mesh has no timers of its own.
+    tested.wake(float("inf"))
+    tested.start(cast(Mesh, mesh))
+    wait_until(lambda: times and listener.tries >= 3)
+    assert listener.tries <= (clock.now() - start) / PAUSE + 1
+    listener.free = True
+    wait_until(lambda: mesh.callers)
+    assert len(mesh.callers) == 1
+    assert runtime.counters["calls_not_accepted"] == listener.tries - 1
+    tested.stop()
+    (warning,) = caplog.records
+    assert warning.getMessage() == "robots that call cannot be accepted: too many open files; trying every 0.02 s"

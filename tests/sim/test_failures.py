@@ -1,0 +1,113 @@
+"""Failures as part of an experiment: for every kind of app, by time and by seed, and told when they did not happen."""
+
+from pathlib import Path
+
+import pytest
+
+from sim.disturbances import Off, drawn, off
+from sim.virtual.run import simulate
+from swarm.errors import ConfigError
+from swarm.recording.run import Run
+
+BODIES = {
+    "SyncApp": "    def step(self, neighbours):\n        self.n += 1\n",
+    "PeriodicApp": "    def step(self, neighbours):\n        self.n += 1\n",
+    "EventApp": """
+    def start(self):
+        self.robot.after(0.1, 'x')
+    def on_timer(self, name):
+        self.n += 1
+        self.robot.after(0.1, 'x')
+""",
+}
+FAILURES = (
+    "--off",
+    "r1@2s,3s",
+    "--kill",
+    "r2.app@3s",
+    "--kill",
+    "r0.mesh@4s",
+    "--push",
+    "r3@1s,0.6",
+    "--cut",
+    "r0-r1@6s,1s",
+)
+
+
+@pytest.mark.parametrize("kind", BODIES)
+def test_every_kind_of_app_goes_through_failures(tmp_path: Path, kind: str) -> None:
+    app = f"from swarm import {kind}\nclass Mine({kind}):\n    n: int = 0\n{BODIES[kind]}"
+    (tmp_path / "mine.py").write_text(app)
+    swarm = (str(tmp_path / "mine.py"), "--robots", "4", "--topology", "loop", "--seconds", "16", "--absent", "drop")
+    report, outcome = simulate(*swarm, *FAILURES, "--latency", "0.1", "--record", str(tmp_path / "run"), rows=True)
+    assert report["problems"] == []
+    assert report["never"] == []
+    assert outcome.restarts == {"r0": 1, "r1": 1, "r2": 1, "r3": 0}
+    recorded = Run(tmp_path / "run")
+    paths = recorded.trajectories()
+    assert recorded.damage == []
+    for name, path in paths.items():
+        anew = kind != "SyncApp" and name in ("r1", "r2")
+        assert len(path.breaks) == anew
+        assert (path.rows, path.breaks) == (outcome.trajectories[name].rows, outcome.trajectories[name].breaks)
+        # The time of a path never goes back, and all that a robot did before it was away is still there.
+        times = [path.times[k] for k in sorted(path.times)]
+        assert times == sorted(times)
+        assert path.value(path.last, "n") > (70 if anew else 100 if kind != "SyncApp" else 50)
+        assert not anew or path.value(path.breaks[0] - 1, "n") > 10
+    (fault,) = (sample.message for sample in recorded.samples("swarm/r3/balancer/fault"))
+    assert fault["name"] == "fell"
+
+
+def test_a_killed_lockstep_app_goes_on_from_its_snapshot_to_the_same_bits() -> None:
+    swarm = ("consensus", "--robots", "4", "--topology", "loop", "--iterations", "120")
+    _, plain = simulate(*swarm, rows=True)
+    report, outcome = simulate(*swarm, "--kill", "r1.app@1s", "--kill", "any.mesh@2s..3s", rows=True)
+    assert report["restarts"] == 2
+    assert {name: path.rows for name, path in outcome.trajectories.items()} == {
+        name: path.rows for name, path in plain.trajectories.items()
+    }
+
+
+def test_a_push_throws_a_robot_over_only_where_it_is_hard_enough() -> None:
+    for impulse, lies in (("0.2", False), ("0.6", True), ("-0.6", True)):
+        _, outcome = simulate(
+            "stand_up",
+            "--lying",
+            "back",
+            "--press",
+            "r0.A@0s",
+            "--robots",
+            "2",
+            "--seconds",
+            "9",
+            "--push",
+            f"r1@7s,{impulse}",
+        )
+        assert (outcome.scene["lies"] == ["r1"]) == lies
+
+
+def test_what_never_happened_is_named() -> None:
+    report, _ = simulate(
+        "consensus", "--robots", "3", "--iterations", "50", "--cut", "r0-r1@5s,60s", "--kill", "r0.app@1s"
+    )
+    (never,) = report["never"]
+    assert never.startswith("--cut r0-r1@5s,60s: the run ended 1.")
+
+
+def test_the_seed_draws_times_and_robots() -> None:
+    asked = [off("any@2s..8s,10s"), off("r1@1s,1s")]
+    names = ("r0", "r1", "r2", "r3")
+    assert drawn(asked, names, 1) == drawn(asked, names, 1)
+    found = {drawn(asked, names, seed)[0] for seed in range(40)}
+    assert {each.robot for each in found} == set(names)
+    assert len({each.at for each in found}) == 40
+    assert all(each.at is not None and 2.0 <= each.at <= 8.0 for each in found)
+    assert drawn(asked, names, 7)[1] == Off("r1", 1.0, 1.0)
+    with pytest.raises(ConfigError, match="--off r9@1s,1s: the robots are r0, r1"):
+        drawn([off("r9@1s,1s")], names, 1)
+
+
+def test_the_services_of_virtual_time_are_named() -> None:
+    with pytest.raises(ConfigError, match="mesh and app are processes of their own"):
+        simulate("consensus", "--robots", "3", "--kill", "r0.dwm@1s")

@@ -1,0 +1,133 @@
+"""Metrics of an app's own: `error(self, truth)` in results, report, sweep and picture, and nowhere on a real robot."""
+
+import math
+from pathlib import Path
+
+import pytest
+
+from laptop.cli.runs import plot, sweep_results
+from services.apps import loader
+from services.apps.event_runner import EventRunner
+from services.apps.runner import metrics_of
+from sim.rehearsal import rehearse
+from sim.sweep.measure import measure
+from sim.sweep.plan import Job, Point
+from sim.virtual.run import simulate
+from swarm.app.truth import Truth, TruthWatch
+from swarm.config import Config
+from swarm.errors import LocalError
+from swarm.messages import Target
+from swarm.messages import Truth as TruePose
+from swarm.messages.codec import encode
+
+OWN_PLACE = """
+import math
+from swarm import PeriodicApp
+
+class Own(PeriodicApp):
+    x: float
+    y: float
+    gain: float = 0.2
+
+    def step(self, neighbours):
+        if (pose := self.robot.pose) is not None:
+            self.x, self.y = pose.x, pose.y
+
+    def error(self, truth):
+        return math.dist((self.x, self.y), (truth.x, truth.y))
+
+    def error_gain(self, truth):
+        return abs(self.gain - truth.told["r0"].get("gain", 0.2))
+"""
+
+FINDS = """
+from swarm import SyncApp
+
+class Finds(SyncApp):
+    x: float
+    y: float
+    measured = True
+
+    def step(self, neighbours):
+        self.x, self.y = 0.5, 1.1
+"""
+
+
+def write(place: Path, text: str) -> str:
+    (place / "mine.py").write_text(text)
+    return str(place / "mine.py")
+
+
+def test_an_apps_own_errors_are_results_and_stand_in_the_report(tmp_path: Path) -> None:
+    app = write(tmp_path, OWN_PLACE)
+    arguments = ("--robots", "3", "--seconds", "6", "--set", "r0.gain=0.3")
+    report, outcome = simulate(app, *arguments, "--record", str(tmp_path / "run"), rows=True)
+    path = outcome.trajectories["r1"]
+    assert path.columns[-2:] == ("result.error", "result.error_gain")
+    assert path.value(1, "result.error") > 0.5
+    assert report["error"] < report["error_most"] < 0.2
+    assert (report["error_gain"], report["error_gain_most"]) == (pytest.approx(0.2 / 3), pytest.approx(0.1))
+    plot.draw(tmp_path / "run", "mine", tmp_path / "run.png")
+    assert (tmp_path / "run.png").stat().st_size > 5000
+
+
+def test_an_app_that_measures_and_says_where_gets_the_error_of_the_target(tmp_path: Path) -> None:
+    report, _ = simulate(write(tmp_path, FINDS), "--robots", "2", "--iterations", "5")
+    assert report["error"] == pytest.approx(0.1)
+    report, _ = simulate("goto", "--robots", "2", "--seconds", "2")  # x and y are its own place
+    assert "error" not in report
+
+
+def test_only_methods_are_metrics() -> None:
+    assert metrics_of(loader.load("localization").algorithms["thesis"]) == ()
+    assert metrics_of(loader.load("consensus").algorithms["metropolis"]) == ()
+
+
+def test_a_metric_that_raises_is_named_with_file_and_line(tmp_path: Path) -> None:
+    app = write(tmp_path, OWN_PLACE.replace("return math.dist", "return 1 / 0 or math.dist"))
+    report, _ = simulate(app, "--robots", "2", "--seconds", "2")
+    assert f"error() at iteration 0: {app}, line 15: ZeroDivisionError" in report["problems"][0]
+    app = write(tmp_path, OWN_PLACE.replace("return math.dist", "return str or math.dist"))
+    report, _ = simulate(app, "--robots", "2", "--seconds", "2")
+    assert "error() at iteration 0: expected a number, got <class 'str'>" in report["problems"][0]
+
+
+def test_without_a_simulation_there_is_no_error(tmp_path: Path) -> None:
+    found = loader.load(write(tmp_path, OWN_PLACE))
+    swarm = rehearse(found.source, robots=2)
+    runner = EventRunner(found.make(swarm.world.config, "r0"), found.source)
+    assert math.isnan(runner.result()["error"])
+
+
+def test_a_process_hears_the_truth_from_its_bus() -> None:
+    config = rehearse("consensus", robots=2, values={"r1": {"value": 3.0}})._world.config
+    heard: dict[str, object] = {}
+
+    class Bus:
+        def subscribe(self, keys: list[str], callback: object) -> None:
+            heard.update(dict.fromkeys(keys, callback))
+
+    watch = TruthWatch(Bus(), "r1", "consensus", config)  # type: ignore[arg-type]
+    assert watch() is None
+    take = heard["swarm/r1/sim/truth"]
+    take("swarm/r1/sim/truth", b"nonsense")  # type: ignore[operator]
+    assert watch() is None
+    take("swarm/r1/sim/truth", encode(TruePose(1.0, 0.5, 0.25, 0.1, 0.0)))  # type: ignore[operator]
+    take("swarm/r1/sim/target", encode(Target(1.0, 0.7, 0.8)))  # type: ignore[operator]
+    assert isinstance(config, Config)
+    found = watch()
+    assert isinstance(found, Truth)
+    assert (found.x, found.y, found.target, found.told["r1"]["value"]) == (0.5, 0.25, (0.7, 0.8), 3.0)
+
+
+def test_a_sweep_has_the_apps_error_and_says_so_where_there_is_nothing(tmp_path: Path) -> None:
+    app = write(tmp_path, FINDS)
+    points = [Point((("robots", "2"),)), Point((("robots", "3"),))]
+    jobs = [Job(i, 1, (app, *each.arguments(), "--iterations", "5"), 0.01) for i, each in enumerate(points)]
+    found = [measure(job) for job in jobs]
+    assert [run.error for run in found] == [pytest.approx(0.1)] * 2
+    sweep_results.draw("mine", points, found, tmp_path / "sweep.png")
+    assert (tmp_path / "sweep.png").stat().st_size > 5000
+    found = [run.__class__(run.point, run.seed, 5, None, None, 0.1, None, 0.1, "") for run in found]
+    with pytest.raises(LocalError, match="nothing to draw: no result settled"):
+        sweep_results.draw("mine", points, found, tmp_path / "none.png")

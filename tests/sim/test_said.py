@@ -1,0 +1,92 @@
+"""What apps print and log is seen: live, by robot, and in the recording."""
+
+import argparse
+import sys
+from pathlib import Path
+
+import pytest
+
+from laptop.cli.robots import logs
+from services.apps.speaker import MOST_LINES_S, Speaker
+from sim.options import parse
+from sim.scenario import build
+from sim.virtual.run import PLACE, VirtualRun, simulate
+from swarm.app.robot import Robot
+from swarm.core.graph import Graph
+from swarm.messages import AppLog
+
+TALKS = """
+from swarm import {kind}
+
+class Talks({kind}):
+    n: int
+
+    def start(self):
+        print("hello", end=" ")
+        print("there")
+
+    def step(self, neighbours):
+        self.n += 1
+        if self.n == 3:
+            self.robot.log.warning("three is %d", self.n)
+        if self.n == 4:
+            print("two\\nlines")
+"""
+
+
+def write(place: Path, kind: str) -> str:
+    (place / "talks.py").write_text(TALKS.format(kind=kind))
+    return str(place / "talks.py")
+
+
+@pytest.mark.parametrize("kind", ["SyncApp", "PeriodicApp"])
+def test_every_line_comes_with_its_robot_and_is_recorded(
+    tmp_path: Path, kind: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    heard: list[tuple[str, str, str]] = []
+    words = ["--robots", "2", "--iterations", "6", "--virtual", "--record"]
+    options = parse([write(tmp_path, kind), *words, str(tmp_path / "run")])
+    (tmp_path / "run").mkdir()
+    before = sys.stdout
+    VirtualRun(
+        options, build(options, PLACE), said=lambda robot, line: heard.append((robot, line.level, line.text))
+    ).go()
+    assert sys.stdout is before
+    lines = [("print", "hello there"), ("warning", "three is 3"), ("print", "two"), ("print", "lines")]
+    for robot in ("r0", "r1"):
+        assert [(level, text) for who, level, text in heard if who == robot] == lines
+    assert capsys.readouterr().out == ""
+    parser = argparse.ArgumentParser()
+    logs.add_arguments(parser)
+    assert logs.run(parser.parse_args([str(tmp_path / "run"), "--robots", "r1"])) == 0
+    printed = capsys.readouterr().out.splitlines()
+    assert [line.partition("r1  ")[2] for line in printed] == [
+        "hello there",
+        "warning: three is 3",
+        "two",
+        "lines",
+    ]
+
+
+def test_a_sweep_is_not_flooded_by_what_apps_print(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    simulate(write(tmp_path, "SyncApp"), "--robots", "2", "--iterations", "6")
+    assert capsys.readouterr().out == ""
+
+
+def test_an_app_that_never_stops_talking_is_cut_short_and_says_so() -> None:
+    now = 0.0
+    robot = Robot("r0", Graph(("r0",), ()), app="talks", time=lambda: now)
+    told: list[AppLog] = []
+
+    class Bus:
+        def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
+            assert key == "swarm/r0/app/talks/log"
+
+    speaker = Speaker(robot, Bus(), told.append)  # type: ignore[arg-type]
+    for _ in range(2 * MOST_LINES_S):
+        speaker("info", "again \x1b[2J")
+    assert len(told) == MOST_LINES_S
+    assert "\x1b" not in told[0].text
+    now = 1.0
+    speaker("info", "later")
+    assert [line.text for line in told[-2:]] == ["100 lines more within a second were left out", "later"]

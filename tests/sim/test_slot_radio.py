@@ -1,0 +1,216 @@
+"""The slot radio: every byte arrives in order or the link is lost, time never runs backwards, no link is faster than
+its packets; one exchange and one page calculated by hand."""
+
+import itertools
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sim.slots.calls import ABSENT, BUSY, FULL, Calls
+from sim.slots.parameters import EDR2, FRAME, MAX_PERIPHERALS, OVERHEAD, SLOT, Parameters
+from sim.slots.radio import SlotRadio
+from sim.virtual.events import EventQueue
+from swarm.errors import ConfigError
+
+EXACT = Parameters(loss=0.0, host=0.0, uart=1e30)
+"""Nothing is drawn, and hosts take no time."""
+
+
+class Swarm:
+    """Robots with links, and what arrives where."""
+
+    def __init__(self, links, parameters=EXACT, seed=1):
+        self.time = EventQueue()
+        names = sorted({name for link in links for name in link})
+        self.radio = SlotRadio(self.time, names, parameters, seed)
+        self.links = {link: self.radio.connect(*link) for link in links}
+        self.heard, self.lost = [], []
+        for link, there in self.links.items():
+            there.lost = lambda link=link: self.lost.append((link, self.time.now))
+
+    def send(self, link, sender, size, number=0):
+        where = lambda: self.heard.append((self.time.now, link, sender, number))  # noqa: E731
+        self.radio.send(self.links[link], sender, size, where)
+
+    def run(self, seconds):
+        self.time.run(seconds)
+
+
+def test_an_exchange_takes_the_slots_calculated_by_hand():
+    swarm = Swarm([("a", "b")])
+    # At 10.1 ms the central has something: its next even slot begins at 11.25 ms, and 359 B take a packet of three.
+    swarm.time.at(0.0101, swarm.send, ("a", "b"), "a", 350)
+    # The peripheral's answer is in its controller meanwhile: it goes in the slot after those three, and takes five.
+    swarm.time.at(0.0102, swarm.send, ("a", "b"), "b", 600)
+    swarm.run(0.05)
+    assert [at for at, *_ in swarm.heard] == pytest.approx([0.01125 + 3 * SLOT, 0.01125 + 8 * SLOT])
+    assert [sender for _, _, sender, _ in swarm.heard] == ["a", "b"]
+
+
+def test_a_peripheral_that_has_something_waits_for_the_poll():
+    swarm = Swarm([("a", "b")])
+    swarm.time.at(0.5, swarm.send, ("a", "b"), "b", 10)
+    swarm.run(1.0)
+    polled = [n * 40 * SLOT for n in range(60)]  # used at its start, so that it is polled every 40 slots for 1 s
+    (at, *_), *_ = swarm.heard
+    assert any(at == pytest.approx(poll + 4 * SLOT, abs=4 * SLOT) for poll in polled)
+    assert 0.5 < at < 0.5 + 44 * SLOT
+
+
+GRAPHS = st.sampled_from(
+    [
+        [("a", "b")],
+        [("a", "b"), ("c", "b")],
+        [("a", "b"), ("b", "c"), ("c", "a")],
+        [("a", "b"), ("a", "c"), ("b", "c"), ("d", "a"), ("d", "b")],
+    ]
+)
+FRAMES = st.lists(st.tuples(st.floats(0.0, 0.3), st.integers(0, 9), st.booleans(), st.integers(0, FRAME)), max_size=25)
+
+
+@settings(max_examples=60, deadline=None)
+@given(GRAPHS, FRAMES, st.sampled_from((0.05, 0.3)), st.sampled_from((0.0, 0.05, 0.5)), st.integers(0, 9))
+def test_every_frame_arrives_once_and_in_order_on_any_graph(graph, frames, stay, loss, seed):
+    swarm = Swarm(graph, Parameters(stay=stay, loss=loss), seed)
+    at, sent = 0.0, {}
+    for number, (gap, which, down, size) in enumerate(frames):
+        at += gap
+        link = graph[which % len(graph)]
+        sender = link[0] if down else link[1]
+        swarm.time.at(at, swarm.send, link, sender, size, number)
+        sent.setdefault((link, sender), []).append((number, at, size))
+    swarm.run(at + 60.0)
+    assert not swarm.lost
+    times = [time for time, *_ in swarm.heard]
+    assert times == sorted(times)
+    for way, numbers in sent.items():
+        got = [(number, time) for time, link, sender, number in swarm.heard if (link, sender) == way]
+        assert [number for number, _ in got] == [number for number, *_ in numbers]
+        for (_, left, size), (_, came) in zip(numbers, got, strict=True):
+            packets = -(-(size + OVERHEAD) // EDR2[-1][0])
+            assert came >= left + packets * SLOT
+
+
+@settings(max_examples=20, deadline=None)
+@given(GRAPHS, st.integers(0, 9))
+def test_the_same_seed_gives_the_same_times(graph, seed):
+    def times():
+        swarm = Swarm(graph, Parameters(), seed)
+        for number, link in enumerate(graph * 3):
+            swarm.time.at(0.1 * number, swarm.send, link, link[number % 2], 100, number)
+        swarm.run(5.0)
+        return swarm.heard
+
+    assert times() == times()
+
+
+def test_a_saturated_link_carries_what_its_packets_hold_and_no_more():
+    swarm = Swarm([("a", "b")])
+    for number in range(400):
+        swarm.send(("a", "b"), "a", EDR2[-1][0] - OVERHEAD, number)
+    swarm.run(100.0)
+    seconds = swarm.heard[-1][0] - swarm.heard[0][0]
+    assert 399 * 679 / seconds == pytest.approx(679 / (6 * SLOT), rel=0.01)  # 181 kB/s, five slots and one back
+
+
+def test_bridges_share_their_time_and_are_slower_than_one_piconet():
+    def mean(graph):
+        swarm = Swarm(graph, Parameters())
+        sent = {}
+        for number in range(200):
+            sent[number] = 0.1 * number
+            swarm.time.at(sent[number], swarm.send, ("a", "b"), "a", 100, number)
+        swarm.run(30.0)
+        return sum(at - sent[number] for at, _, _, number in swarm.heard) / 200
+
+    alone, hub, bridge = mean([("a", "b")]), mean([("a", "b"), ("a", "c")]), mean([("a", "b"), ("c", "b")])
+    assert hub < 1.5 * alone
+    assert bridge > 3 * hub
+
+
+def test_a_cut_link_is_lost_after_its_supervision_time_out():
+    swarm = Swarm([("a", "b"), ("a", "c")], replace(EXACT, supervision=2.0))
+    swarm.time.at(10.0, setattr, swarm.radio, "passes", lambda a, b: {a, b} != {"a", "b"})
+    swarm.run(20.0)
+    assert [link for link, _ in swarm.lost] == [("a", "b")]
+    assert 11.8 < swarm.lost[0][1] < 12.1
+
+
+class Made(Swarm):
+    """Robots that call."""
+
+    def __init__(self, names, parameters=EXACT):
+        self.time = EventQueue()
+        self.radio = SlotRadio(self.time, names, parameters, 1)
+        self.calls = Calls(self.time, self.radio)
+        self.calls.reachable.update(names)
+        self.made, self.failed = {}, {}
+
+    def call(self, caller, called):
+        def done(link, reason):
+            if link is None:
+                self.failed[caller, called] = reason, self.time.now
+            else:
+                self.made[caller, called] = link, self.time.now
+
+        self.calls.call(caller, called, 30.0, done)
+
+
+def test_a_call_takes_a_page_scan_of_the_called_one_and_the_set_up():
+    swarm = Made(["a", "b"])
+    swarm.call("a", "b")
+    swarm.run(10.0)
+    link, at = swarm.made["a", "b"]
+    assert link.up
+    assert link.central.device.name == "a"
+    # 13 answers wait for a poll after 40 slots each at most, all else for the next even slot.
+    assert at < 1.28 + 0.01 + 13 * (44 * SLOT) + 0.1
+
+
+def test_a_fast_connectable_robot_is_met_sooner():
+    swarm = Made(["a", "b"], replace(EXACT, scan=0.16))
+    swarm.call("a", "b")
+    swarm.run(10.0)
+    assert swarm.made["a", "b"][1] < 0.16 + 0.01 + 13 * (44 * SLOT) + 0.1
+
+
+def test_calls_fail_with_their_reasons():
+    swarm = Made(["a", "b", "gone"])
+    swarm.calls.reachable.discard("gone")
+    swarm.call("a", "gone")
+    swarm.call("a", "b")
+    swarm.run(8.0)
+    assert swarm.failed["a", "gone"] == (ABSENT, pytest.approx(5.12))
+    assert swarm.made["a", "b"][1] > 5.12  # one page at a time
+    swarm.call("a", "b")
+    swarm.run(9.0)
+    assert swarm.failed["a", "b"][0] == BUSY
+
+
+def test_a_piconet_has_room_for_seven():
+    names = [f"r{n}" for n in range(MAX_PERIPHERALS + 2)]
+    swarm = Made(names)
+    for called in names[1:]:
+        swarm.call("r0", called)
+    swarm.run(40.0)
+    assert len(swarm.made) == MAX_PERIPHERALS
+    assert [reason for reason, _ in swarm.failed.values()] == [FULL]
+
+
+def test_all_robots_of_a_full_graph_can_call_each_other_at_once():
+    names = [f"r{n}" for n in range(4)]
+    swarm = Made(names, Parameters())
+    pairs = list(itertools.combinations(names, 2))
+    for pair in pairs:
+        swarm.call(*pair)
+    swarm.run(60.0)
+    assert swarm.made.keys() == set(pairs)
+
+
+def test_parameters_are_read_and_refused_by_name():
+    assert Parameters.parse("stay=0.2,buffers=6") == Parameters(stay=0.2, buffers=6)
+    for wrong in ("stay=0", "stay=long", "speed=2", "loss=0.95", "loss=-1", "stay=nan", "spread=1"):
+        with pytest.raises(ConfigError):
+            Parameters.parse(wrong)

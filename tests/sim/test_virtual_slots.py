@@ -1,0 +1,52 @@
+"""`swarm sim --virtual --radio slots`: the services' own cores over a radio with piconets."""
+
+import pytest
+
+from sim.options import parse
+from sim.virtual.run import simulate
+from swarm.errors import ConfigError
+
+CONSENSUS = ("consensus", "--robots", "3", "--topology", "line", "--set", "r2.value=4", "--iterations", "60")
+
+
+def test_a_run_over_the_slot_radio_ends_with_the_same_bits_as_one_over_plain_links():
+    plain, _ = simulate(*CONSENSUS)
+    slots, _ = simulate(*CONSENSUS, "--radio", "slots")
+    assert slots["problems"] == []
+    assert slots["result"] == plain["result"]
+
+
+def test_a_slot_run_is_reproducible_and_depends_on_its_seed():
+    runs = [simulate(*CONSENSUS, "--radio", "slots", "--seed", seed)[0] for seed in ("1", "1", "2")]
+    for run in runs:
+        del run["computed_s"]
+    assert runs[0] == runs[1]
+    assert runs[0]["seconds"] != runs[2]["seconds"]
+
+
+def test_a_cut_ends_a_link_of_the_slot_radio_and_it_comes_back():
+    report, _ = simulate(*CONSENSUS, "--iterations", "200", "--radio", "slots", "--cut", "r0-r1@0.5s,8s")
+    assert report["problems"] == []
+    assert report["iterations"] == 200
+    assert report["seconds"] > 8
+
+
+def test_a_robot_that_comes_late_is_called_and_waited_for_over_the_slot_radio():
+    report, _ = simulate(*CONSENSUS, "--radio", "slots", "--off", "r2@start,7s")
+    assert report["problems"] == []
+    assert report["iterations"] == 60
+
+
+@pytest.mark.parametrize(
+    "more", [(), ("--virtual", "--loss", "0.1"), ("--virtual", "--jitter", "10ms"), ("--virtual", "--mesh", "delay")]
+)
+def test_what_contradicts_the_slot_radio_is_refused(more):
+    with pytest.raises(ConfigError, match="--radio slots"):
+        parse(["consensus", "--radio", "slots", *more])
+
+
+@pytest.mark.parametrize("radio", ["waves", "slots:stay=0", "slots:colour=1"])
+def test_another_radio_or_parameter_is_refused(radio, capsys):
+    with pytest.raises(SystemExit):
+        parse(["consensus", "--virtual", "--radio", radio])
+    assert "--radio" in capsys.readouterr().err

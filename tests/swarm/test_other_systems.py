@@ -1,0 +1,49 @@
+"""Virtual time, checks, plots and sweeps run where a system lacks what only Linux has; the rest says what it needs."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PROGRAM = Path(__file__).parent / "other_systems.py"
+ROOT = Path(__file__).parents[2]
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
+
+
+def on_another_system(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    environment = {name: value for name, value in os.environ.items() if name != "XDG_RUNTIME_DIR"}
+    environment |= {"PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg"}
+    return subprocess.run(
+        [sys.executable, str(PROGRAM), *words], cwd=folder, env=environment, capture_output=True, text=True, timeout=100
+    )
+
+
+def test_a_run_from_python_is_simulated_saved_and_loaded(tmp_path: Path) -> None:
+    done = on_another_system(tmp_path)
+    assert done.returncode == 0, done.stderr
+
+
+def test_an_author_writes_checks_simulates_plots_and_exports(tmp_path: Path) -> None:
+    for words in (
+        "new mine.py",
+        "check mine.py",
+        "sim mine.py --virtual --robots 4 --iterations 30 --record runs/mine --plot mine.png",
+        "plot runs/mine -o plot.png",
+        "export runs/mine --table tables",
+        "sweep consensus --robots 4 --topology line,loop --seeds 1",
+        "config --example",
+        "view --help",
+    ):
+        done = on_another_system(tmp_path, *words.split())
+        assert done.returncode == 0, f"{words}: {done.stdout}{done.stderr}"
+    assert (tmp_path / "mine.png").stat().st_size > 5000
+
+
+@pytest.mark.parametrize("words", ["sim consensus --robots 3 --seconds 2", "estop", "view --no-open"])
+def test_what_needs_processes_says_so(tmp_path: Path, words: str) -> None:
+    done = on_another_system(tmp_path, *words.split())
+    assert done.returncode == 2
+    assert "need Linux" in done.stderr, done.stderr
