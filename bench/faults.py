@@ -70,7 +70,7 @@ class Sizes:
 
 
 FULL = Sizes()
-SMOKE = Sizes(6, 1, 3, ("mesh",), 40, 10, 0.5)
+SMOKE = Sizes(6, 1, 3, ("mesh",), 150, 10, 0.5)
 
 
 def rows(sizes: Sizes = FULL) -> Iterator[Row]:

@@ -9,6 +9,8 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from laptop.cli.hand import end_service
+from swarm.errors import LocalError
 from swarm.recording.reader import SUFFIX
 from swarm.recording.trajectory import Trajectory, TrajectoryReader
 
@@ -74,13 +76,11 @@ class Simulation:
             time.sleep(POLL_S)
 
     def kill(self, robot: str, service: str, signal: str = "KILL") -> None:
-        """`swarm hand kill`: end (or stop, or continue) one service of one robot. Raises `SimulationError`."""
-        command = ["hand", "kill", robot, service, "--signal", signal, "--run-dir", str(self.run_dir)]
-        done = subprocess.run(
-            [sys.executable, "-m", "laptop.cli", *command], capture_output=True, text=True, check=False
-        )
-        if done.returncode != 0:
-            raise SimulationError(f"{' '.join(command)}: {done.stderr}")
+        """`swarm hand kill`, at once: a command takes a second to start. Raises `SimulationError`."""
+        try:
+            end_service(self.run_dir / robot, service, signal)
+        except LocalError as error:
+            raise SimulationError(f"{error}: {self.said()}") from None
 
     def finish(self, timeout_s: float = 180.0) -> dict[str, object]:
         """Wait for the end; the object of `--json`. Raises `SimulationError` when it failed."""

@@ -4,6 +4,8 @@ import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -18,9 +20,16 @@ BLOCK = re.compile(r"```sh rehearsal\n(swarm sim .*)\n(swarm calibrate .*)\n(swa
 START = re.compile(r"place \d+ of \d+: \((\S+), (\S+)\) m, heading 0 degrees: start\?")
 
 
-def started(command: str, folder: Path) -> "subprocess.Popen[str]":
+@contextmanager
+def started(command: str, folder: Path) -> "Iterator[subprocess.Popen[str]]":
+    """A command that is ended with the block, whatever ends that: else a failure here would be one of later tests."""
     words = [sys.executable, "-m", "laptop.cli", *shlex.split(command, comments=True)[1:]]
-    return subprocess.Popen(words, cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    pipe = subprocess.PIPE
+    with subprocess.Popen(words, cwd=folder, stdin=pipe, stdout=pipe, stderr=subprocess.STDOUT, text=True) as process:
+        try:
+            yield process
+        finally:
+            process.terminate()
 
 
 @pytest.mark.slow
@@ -48,8 +57,6 @@ def test_a_calibration_is_rehearsed_on_a_simulated_robot(
                     session.stdin.write("\n")
                     session.stdin.flush()
             assert session.wait(30) == 0, "".join(said)
-        simulation.terminate()
-        simulation.communicate()
     file = calibration_file.parse((tmp_path / "r0.toml").read_text(), "r0.toml")
     assert file.distance is not None
     assert file.distance[1].nested < 0.8 * file.distance[1].left_out["raw"]
