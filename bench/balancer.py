@@ -29,6 +29,7 @@ from pathlib import Path
 from bench.balancer_world import World
 from bench.cpu import cpu_s
 from bench.rows import Row
+from bench.running import running
 from services.balancer.realtime import PRIORITY
 from sim import footprint
 from sim.processes import Child, Processes
@@ -168,10 +169,10 @@ class Robot:
         """One of r0's services."""
         return next(child for child in self._processes.of("r0") if child.service == service)
 
-    def start(self, *arguments: str) -> subprocess.Popen[bytes]:
+    def load(self, name: str) -> contextlib.AbstractContextManager[subprocess.Popen[bytes]]:
         """A load, in a process of its own."""
         environment = {**os.environ, "SWARM_RUNTIME": str(self.home / "r0"), "SWARM_PARENT": str(os.getpid())}
-        return subprocess.Popen([sys.executable, "-m", "bench.loads", *arguments], env=environment)
+        return running([sys.executable, "-m", "bench.loads", name], env=environment)
 
     def restart(self, service: str, pause_s: float = 0.0) -> None:
         """Kill a service and start it again."""
@@ -191,12 +192,12 @@ class Robot:
 
 
 def _flood(robot: Robot, seconds: float) -> None:
-    with _running(robot.start("flood")), _running(robot.start("listen")):
+    with robot.load("flood"), robot.load("listen"):
         time.sleep(seconds)
 
 
 def _stopped(robot: Robot, seconds: float) -> None:
-    with _running(robot.start("flood")), _running(robot.start("listen")) as listener:
+    with robot.load("flood"), robot.load("listen") as listener:
         time.sleep(1.0)
         listener.send_signal(signal.SIGSTOP)
         time.sleep(seconds - 1.0)
@@ -211,7 +212,7 @@ def _router(robot: Robot, seconds: float) -> None:
 def _hog(robot: Robot, seconds: float) -> None:
     with contextlib.ExitStack() as stack:
         for _ in range(os.cpu_count() or 1):
-            stack.enter_context(_running(robot.start("hog")))
+            stack.enter_context(robot.load("hog"))
         time.sleep(seconds)
 
 
@@ -238,15 +239,6 @@ LOADS: dict[str, Callable[[Robot, float], None]] = {
     RESTARTS: _restarts,
 }
 SHORT = tuple(load for load in LOADS if load != RESTARTS)
-
-
-@contextlib.contextmanager
-def _running(process: subprocess.Popen[bytes]) -> Iterator[subprocess.Popen[bytes]]:
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.wait()
 
 
 def rows(sizes: Sizes = FULL) -> Iterator[Row]:

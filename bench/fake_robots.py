@@ -9,6 +9,8 @@ import subprocess
 import time
 from pathlib import Path
 
+from bench.running import running
+
 SSHD = next((path for path in ("/usr/sbin/sshd", "/usr/local/sbin/sshd") if Path(path).exists()), None)
 
 CONFIG = """Port {port}
@@ -65,6 +67,7 @@ class FakeRobots:
         self.config = folder / "swarm.toml"
         self._key = folder / "id"
         self._servers: dict[str, subprocess.Popen[bytes]] = {}
+        self._ending = contextlib.ExitStack()
         self._waiting: set[str] = set()
         """Servers that have not been seen to take connections yet."""
         self._ports: dict[str, int] = {}
@@ -93,7 +96,7 @@ class FakeRobots:
             if os.geteuid() == 0:
                 Path("/run/sshd").mkdir(exist_ok=True)
             command = [SSHD, "-D", "-f", str(home / "sshd_config")]
-            self._servers[name] = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+            self._servers[name] = self._ending.enter_context(running(command, stderr=subprocess.DEVNULL))
             self._waiting.add(name)
         self._write()
         return home
@@ -110,10 +113,7 @@ class FakeRobots:
 
     def close(self) -> None:
         """End the servers, and what hangs."""
-        for server in self._servers.values():
-            server.terminate()
-        for server in self._servers.values():
-            server.wait()
+        self._ending.close()
         for hung in self.folder.glob("*/hung"):  # sshd leaves what it has started
             for pid in hung.read_text().split():
                 with contextlib.suppress(ProcessLookupError):

@@ -2,7 +2,6 @@
 
 import contextlib
 import resource
-import signal
 import subprocess
 import sys
 import tempfile
@@ -13,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bench.rows import Row
+from bench.running import running
 from services.apps.persistence.recorder import Recorder
 from swarm.recording import trajectory
 from swarm.recording.file import RecordingFile
@@ -90,10 +90,10 @@ def _lost_s(before: int) -> float:
     )
     with tempfile.TemporaryDirectory() as place, contextlib.ExitStack() as stack:
         path = Path(place) / "r0.x.mcap"
-        process = stack.enter_context(subprocess.Popen([sys.executable, "-c", program, path]))
+        process = stack.enter_context(running([sys.executable, "-c", program, path]))
         while not path.exists() or trajectory.read(path).last < before:
             time.sleep(0.05)
-        process.send_signal(signal.SIGKILL)
+        process.kill()
         killed = time.monotonic()
         process.wait()
         return killed - max(trajectory.read(path).times.values())

@@ -5,13 +5,13 @@
 
 import os
 import socket
-import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
 
 from bench import socket_mesh, tcp_radio
+from bench.running import running
 from laptop.cli.runs import sim
 from sim import run
 from swarm.config.keyfile import new_key_file
@@ -30,11 +30,8 @@ def main() -> int:
         run.SERVICE_MODULES["mesh"] = "bench.socket_mesh"
         environment = {**os.environ, "SWARM_PARENT": str(os.getpid())}
         command = [sys.executable, "-m", "bench.tcp_radio", str(ROBOTS), port]
-        with subprocess.Popen(command, env=environment) as between:
-            try:
-                return sim.main()
-            finally:
-                between.terminate()
+        with running(command, env=environment):
+            return sim.main()
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 from bench.rows import Row
+from bench.running import running
 from bench.stop_estop import NewerStop
 from bench.stop_robots import RobotsOnALine
 from bench.transfer import FULL as TRANSFER
@@ -112,14 +113,11 @@ def _replaced(module: object, name: str, value: object) -> Iterator[None]:
 @contextlib.contextmanager
 def _loads(robots: RobotsOnALine, what: str, count: int = 1) -> Iterator[None]:
     command = [sys.executable, "-m", "bench.loads", what]
-    processes = [subprocess.Popen(command, env=robots.environment("r0")) for _ in range(count)]
-    try:
+    with contextlib.ExitStack() as stack:
+        for _ in range(count):
+            stack.enter_context(running(command, env=robots.environment("r0")))
         time.sleep(FLOOD_SETTLES_S)
         yield
-    finally:
-        for process in processes:
-            process.kill()
-            process.wait()
 
 
 @contextlib.contextmanager

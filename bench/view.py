@@ -21,6 +21,7 @@ from typing import Any
 
 from bench.cpu import cpu_s
 from bench.rows import Row
+from bench.running import running
 from bench.simulation import Simulation
 from laptop.view import chromium
 from swarm import clock
@@ -163,13 +164,9 @@ def _pairs(how: str, seen: Seen, sizes: Sizes, cores: tuple[int, int] | None = N
 def _turn(arguments: list[str], seconds: float, settle_s: float, seen: Seen) -> tuple[float, float]:
     """Watch with a page for a while; from when to when."""
     command = [sys.executable, "-m", "laptop.cli", "view", "--no-open", *arguments]
-    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
+    with running(command, stdout=subprocess.PIPE, text=True) as server:
         assert server.stdout is not None
         return asyncio.run(_watch(server.stdout.readline().strip(), server.pid, seconds, settle_s, seen))
-    finally:
-        server.terminate()
-        server.communicate()
 
 
 async def _watch(address: str, server: int, seconds: float, settle_s: float, seen: Seen) -> tuple[float, float]:

@@ -6,10 +6,12 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import pytest
+
+from bench.running import running
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 PATIENCE_MS = 30_000
@@ -22,15 +24,16 @@ class View:
         command = [sys.executable, "-m", "laptop.cli", "view", "--no-open", *map(str, arguments)]
         self._kept = tempfile.TemporaryDirectory()
         environment = os.environ | {"XDG_CONFIG_HOME": self._kept.name}  # not the layouts of whoever runs the tests
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+        self._stack = ExitStack()
+        self._stack.callback(self._kept.cleanup)
+        process = running(command, stdout=subprocess.PIPE, text=True, env=environment)
+        self.process = self._stack.enter_context(process)
         assert self.process.stdout is not None
         self.address = self.process.stdout.readline().strip()
 
     def close(self) -> None:
         """End it; safe to call twice."""
-        self.process.terminate()
-        self.process.communicate(timeout=60)
-        self._kept.cleanup()
+        self._stack.close()
 
 
 @contextmanager

@@ -12,6 +12,7 @@ import sys
 import tempfile
 import threading
 import time
+import warnings
 from collections.abc import Callable, Generator, Iterator
 from functools import cache
 from pathlib import Path
@@ -144,6 +145,21 @@ def pytest_terminal_summary(terminalreporter: "pytest.TerminalReporter") -> None
         terminalreporter.section("measured")
     for test, text in sorted(told):
         terminalreporter.write_line(f"{test.partition('::')[2]}: {text}")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """What a test that fails has left open goes with it. Its traceback holds that until the next one runs, which the
+    warnings would otherwise fail."""
+    failed = item.session.testsfailed
+    outcome = yield
+    if item.session.testsfailed > failed:
+        for name in ("last_value", "last_traceback", "last_exc"):
+            vars(sys).pop(name, None)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            gc.collect()
+    return outcome
 
 
 def wait_until(condition: Callable[[], object], timeout: float = 60.0, what: str = "") -> None:

@@ -2,10 +2,12 @@
 
 import os
 import shutil
-import subprocess
 import sys
 import tempfile
+from contextlib import ExitStack
 from pathlib import Path
+
+from bench.running import running
 
 ROOT = Path(__file__).parents[2]
 
@@ -21,17 +23,15 @@ class Neighbour:
         environment = {**os.environ, "PYTHONPATH": str(ROOT), **{name: str(value) for name, value in own.items()}}
         self._log = (self._home / "log").open("w")
         commands = (["services.bus"], ["services.mesh"], ["services.apps", str(app), *arguments])
-        self._processes = [
-            subprocess.Popen([sys.executable, "-m", *command], env=environment, stdout=self._log, stderr=self._log)
-            for command in commands
-        ]
+        self._processes = ExitStack()  # which ends the app first; it then finishes its recording
+        for command in commands:
+            words = [sys.executable, "-m", *command]
+            self._processes.enter_context(running(words, env=environment, stdout=self._log, stderr=self._log))
 
     def __enter__(self) -> "Neighbour":
         return self
 
     def __exit__(self, *_: object) -> None:
-        for process in reversed(self._processes):  # the app first, which finishes its recording
-            process.terminate()
-            process.wait(60)
+        self._processes.close()
         self._log.close()
         shutil.rmtree(self._home)

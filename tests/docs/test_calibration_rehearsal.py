@@ -4,13 +4,13 @@ import re
 import shlex
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
 from conftest import wait_until
 
+from bench.running import running
 from services.dwm.core.calibration import calibration_file
 from swarm.process.simulations import default_run_dir, is_live
 
@@ -20,16 +20,11 @@ BLOCK = re.compile(r"```sh rehearsal\n(swarm sim .*)\n(swarm calibrate .*)\n(swa
 START = re.compile(r"place \d+ of \d+: \((\S+), (\S+)\) m, heading 0 degrees: start\?")
 
 
-@contextmanager
-def started(command: str, folder: Path) -> "Iterator[subprocess.Popen[str]]":
-    """A command that is ended with the block, whatever ends that: else a failure here would be one of later tests."""
+def started(command: str, folder: Path) -> "AbstractContextManager[subprocess.Popen[str]]":
+    """A command that is ended with the block."""
     words = [sys.executable, "-m", "laptop.cli", *shlex.split(command, comments=True)[1:]]
     pipe = subprocess.PIPE
-    with subprocess.Popen(words, cwd=folder, stdin=pipe, stdout=pipe, stderr=subprocess.STDOUT, text=True) as process:
-        try:
-            yield process
-        finally:
-            process.terminate()
+    return running(words, cwd=folder, stdin=pipe, stdout=pipe, stderr=subprocess.STDOUT, text=True)
 
 
 @pytest.mark.slow

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from bench.running import running
+
 ROOT = Path(__file__).parents[2]
 PAGES = ("how-to/tools/zenoh-client.md", "how-to/runs/export.md")
 PROGRAM = re.compile(r"^```python (\S+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -21,12 +23,8 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(200)]
 def simulation(tmp_path: Path) -> Iterator[Path]:
     """The folder of a simulation that runs."""
     words = ("sim", "consensus", "--robots", "2", "--seconds", "120", "--run-dir", tmp_path / "run")
-    with subprocess.Popen(
-        [sys.executable, "-m", "laptop.cli", *map(str, words)], cwd=ROOT, stdout=subprocess.PIPE, text=True
-    ) as process:
+    with running([sys.executable, "-m", "laptop.cli", *words], cwd=ROOT, stdout=subprocess.DEVNULL):
         yield tmp_path
-        process.terminate()
-        process.communicate()
 
 
 def run_program(name: str, folder: Path, *arguments: object) -> str:

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import termios
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgpack
@@ -19,6 +20,7 @@ from conftest import Processes, wait_until
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bench.running import running
 from sim.control import datagrams
 from sim.core.action_effects import ActionEffects
 from sim.core.actions import BodyPlace, Carry, Lay, Press, Push, Unplug, check, pack, unpack
@@ -358,13 +360,13 @@ def test_a_robot_drives_by_keyboard_and_stops_when_the_key_is_let_go(robot: Robo
     terminal, end = pty.openpty()
     before = termios.tcgetattr(end)
 
-    def begin() -> subprocess.Popen[bytes]:
-        words = [sys.executable, "-m", "laptop.cli", "drive", "r0", "--run-dir", str(robot.run)]
-        started = subprocess.Popen(
-            words, env=robot.processes.environment(SWARM_RUNTIME=""), stdin=end, stdout=end, stderr=end
-        )
-        wait_until(lambda: b"space" in said(), what="it says which keys there are")
-        return started
+    @contextlib.contextmanager
+    def begun() -> Iterator[subprocess.Popen[bytes]]:
+        words = [sys.executable, "-m", "laptop.cli", "drive", "r0", "--run-dir", robot.run]
+        environment = robot.processes.environment(SWARM_RUNTIME="")
+        with running(words, env=environment, stdin=end, stdout=end, stderr=end) as process:
+            wait_until(lambda: b"space" in said(), what="it says which keys there are")
+            yield process
 
     def said() -> bytes:
         return os.read(terminal, 4096) if select.select([terminal], [], [], 0)[0] else b""
@@ -372,22 +374,20 @@ def test_a_robot_drives_by_keyboard_and_stops_when_the_key_is_let_go(robot: Robo
     def demanded() -> float:
         return robot.states[-1].demanded_speed
 
-    first = begin()
-    assert not termios.tcgetattr(end)[3] & termios.ECHO
-    os.write(terminal, b"w")
-    wait_until(lambda: demanded() > 0.05, what="it drives forward")
-    wait_until(lambda: demanded() == 0.0, what="it stops: no key has come again")
-    os.write(terminal, b"\x1b[B")
-    wait_until(lambda: demanded() < -0.05, what="it drives backward")
-    first.terminate()
-    first.wait(60)
+    with begun():
+        assert not termios.tcgetattr(end)[3] & termios.ECHO
+        os.write(terminal, b"w")
+        wait_until(lambda: demanded() > 0.05, what="it drives forward")
+        wait_until(lambda: demanded() == 0.0, what="it stops: no key has come again")
+        os.write(terminal, b"\x1b[B")
+        wait_until(lambda: demanded() < -0.05, what="it drives backward")
     assert termios.tcgetattr(end) == before
     wait_until(lambda: demanded() == 0.0, what="it stops: nobody drives it")
 
-    second = begin()
-    os.write(terminal, b"w ")
-    wait_until(lambda: robot.states[-1].mode == "fault", what="space stops it")
-    assert second.wait(60) == 1
+    with begun() as second:
+        os.write(terminal, b"w ")
+        wait_until(lambda: robot.states[-1].mode == "fault", what="space stops it")
+        assert second.wait(60) == 1
     assert termios.tcgetattr(end) == before
     os.close(terminal)
     os.close(end)

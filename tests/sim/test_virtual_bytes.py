@@ -4,10 +4,12 @@ add floats by `sum` differently, as Python does before 3.12 and since."""
 import json
 import subprocess
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
+from bench.running import running
 from services.apps import loader
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -70,14 +72,11 @@ class Recordings:
     """What one process says of each app, as soon as it says it: problems, digests of all files and bytes of the
     recording."""
 
-    def __init__(self, folder: Path, salt: str) -> None:
+    def __init__(self, folder: Path, salt: str, stack: ExitStack) -> None:
         runs = json.dumps({name: [*APPS[name], *DISTURBED] for name in sorted(APPS)})
-        self.process = subprocess.Popen(
-            [sys.executable, "-c", RUN, runs, str(folder), salt],
-            env={"PYTHONHASHSEED": salt, "PATH": "", "PYTHONPATH": ":".join(sys.path)},
-            stdout=subprocess.PIPE,
-            text=True,
-        )
+        words = [sys.executable, "-c", RUN, runs, folder, salt]
+        environment = {"PYTHONHASHSEED": salt, "PATH": "", "PYTHONPATH": ":".join(sys.path)}
+        self.process = stack.enter_context(running(words, env=environment, stdout=subprocess.PIPE, text=True))
         self._found = {}
 
     def of(self, app: str) -> list:
@@ -91,11 +90,8 @@ class Recordings:
 
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory):
-    both = [Recordings(tmp_path_factory.mktemp(f"hash{salt}"), salt) for salt in ("1", "2")]
-    yield both
-    for each in both:
-        each.process.kill()
-        each.process.communicate()
+    with ExitStack() as stack:
+        yield [Recordings(tmp_path_factory.mktemp(f"hash{salt}"), salt, stack) for salt in ("1", "2")]
 
 
 @pytest.mark.parametrize("app", sorted(APPS))

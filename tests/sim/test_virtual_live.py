@@ -16,6 +16,7 @@ from conftest import wait_until
 pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 from aiohttp.test_utils import TestClient, TestServer
 
+from bench.running import running
 from laptop.view.feeds.virtual_feed import BEHIND_S, LAST_S, VirtualFeed
 from laptop.view.server import application
 from sim import options as arguments
@@ -152,19 +153,15 @@ def test_the_command_serves_until_it_is_interrupted_and_reports() -> None:
         "--iterations",
         "5",
     ]
-    process = subprocess.Popen(
+    with running(
         [*command, "--view", "--no-open", "--speed", "max"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2],
-    )  # fmt: skip
-    try:
+    ) as process:  # fmt: skip
         assert process.stdout is not None
         assert process.stderr is not None
         assert process.stdout.readline().startswith("http://127.0.0.1:")
         assert "until Ctrl-C" in process.stderr.readline()
         process.send_signal(signal.SIGINT)
         output, errors = process.communicate(timeout=60)
-    finally:
-        process.kill()
-        process.wait()
     assert (process.returncode, errors) == (0, "")
     assert "r1" in output

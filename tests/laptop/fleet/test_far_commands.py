@@ -12,6 +12,7 @@ from conftest import wait_until
 from fake_robots import FakeRobots, Run
 from needs import needs_ssh
 
+from bench.running import running
 from laptop.cli import main
 from laptop.cli.commands import SECTIONS
 from swarm.onboard.command_line import Command, CommandGroup, commands_of
@@ -107,8 +108,7 @@ def test_status_logs_services_and_apps_of_a_simulation(runtime: Path) -> None:
         return subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
 
     words = ["sim", "consensus", "--robots", "2", "--seconds", "100", "--run-dir", str(runtime / "run")]
-    simulation = subprocess.Popen([sys.executable, "-m", "laptop.cli", *words], stdout=subprocess.DEVNULL)
-    try:
+    with running([sys.executable, "-m", "laptop.cli", *words], stdout=subprocess.DEVNULL):
         wait_until(lambda: swarm("status", "--json").returncode == 0, what="both robots answer")
         rows = json.loads(swarm("status", "--json").stdout)["robots"]
         assert sorted(rows) == ["r0", "r1"]
@@ -121,6 +121,3 @@ def test_status_logs_services_and_apps_of_a_simulation(runtime: Path) -> None:
         assert refused.returncode == 2
         assert "a simulation runs every service: restart dwm" in refused.stderr
         assert swarm("services", "stop", "consensus").returncode == 0
-    finally:
-        simulation.terminate()
-        simulation.wait(60)

@@ -6,11 +6,13 @@ import os
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 from fake_robots import SSHD, FakeRobots
 
+from bench.running import running
 from laptop.cli import main
 from laptop.fleet import remote
 from laptop.fleet.ssh import Host, Ssh
@@ -49,7 +51,7 @@ class Air:
         self.folder = folder
         self.log = folder / "air.log"
         self.spec: dict[str, dict[str, object]] = {}
-        self._processes: list[subprocess.Popen[str]] = []
+        self._stack = ExitStack()
 
     def add(self, name: str, **spec: object) -> None:
         path = self.folder / f"{name}.bus"
@@ -69,8 +71,7 @@ class Air:
         self.robots.ready()
 
     def _start(self, command: list[str]) -> None:
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        self._processes.append(process)
+        process = self._stack.enter_context(running(command, stdout=subprocess.PIPE, text=True))
         assert process.stdout is not None
         assert process.stdout.readline() != "", command
 
@@ -79,11 +80,7 @@ class Air:
 
     def close(self) -> None:
         self.robots.close()
-        for process in reversed(self._processes):
-            process.kill()
-            process.wait()
-            assert process.stdout is not None
-            process.stdout.close()
+        self._stack.close()
 
 
 @pytest.fixture

@@ -16,6 +16,7 @@ import msgpack
 import pytest
 from conftest import Processes, stop, wait_until
 
+from bench.running import running
 from swarm.bus.zenoh_bus import Bus
 from swarm.messages import (
     AppState,
@@ -224,15 +225,12 @@ def test_the_bridge_ends_when_the_loop_lets_go(processes: Processes, router: obj
     our_stops, their_stops = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with ours, theirs, our_stops, their_stops:
         descriptors = [theirs.fileno(), their_stops.fileno()]
-        bridge = subprocess.Popen(
-            [sys.executable, "-m", "services.balancer.bridge", *map(str, descriptors)],
-            env=processes.environment(),
-            pass_fds=descriptors,
-            stderr=subprocess.DEVNULL,
-        )
-        theirs.close()
-        ours.close()
-    assert bridge.wait(60) == 0
+        command = [sys.executable, "-m", "services.balancer.bridge", *descriptors]
+        environment = processes.environment()
+        with running(command, env=environment, pass_fds=descriptors, stderr=subprocess.DEVNULL) as bridge:
+            for each in (theirs, ours, their_stops, our_stops):
+                each.close()
+            assert bridge.wait(60) == 0
 
 
 def test_the_bridge_is_not_for_hands(processes: Processes) -> None:

@@ -10,6 +10,7 @@ from collections import Counter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bench.running import running
 from swarm.recording import budget as module
 from swarm.recording.budget import RESTING_S, Budget, runs_of
 from swarm.recording.file import RecordingFile
@@ -58,13 +59,12 @@ def test_a_run_that_goes_on_stays_however_old_and_large(tmp_path, caplog):
         "file = os.open(sys.argv[1], os.O_RDWR)\nhold(file)\nprint('held', flush=True)\nsys.stdin.read()"
     )
     path = str(tmp_path / "x-1" / "r0.x.mcap")
-    with subprocess.Popen([sys.executable, "-c", code, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+    with running([sys.executable, "-c", code, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
         assert other.stdout.readline() == b"held\n"
         tight = Budget(tmp_path, 1.0, lambda: NOW)
         with caplog.at_level(logging.WARNING, "record"):
             assert tight.keep() == tight.keep() == []
         assert caplog.text.count("none of them is over") == 1
-        other.kill()
     assert [run.path.name for run in Budget(tmp_path, 1.0, lambda: NOW).keep()] == ["x-1"]
 
 

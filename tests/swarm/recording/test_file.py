@@ -3,7 +3,6 @@
 import itertools
 import mmap
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -12,6 +11,7 @@ from collections import Counter
 import pytest
 from needs import fill, small_disk
 
+from bench.running import running
 from swarm.recording import file as module
 from swarm.recording.file import RecordingFile
 from swarm.recording.journal import HALF, Journal
@@ -183,11 +183,10 @@ while sys.stdin.readline():
 def test_killed_it_has_lost_no_more_than_what_was_not_yet_written(tmp_path):
     """Half a second after a message was recorded it is in the file, whatever becomes of the process."""
     path = tmp_path / "x.mcap"
-    process = subprocess.Popen([sys.executable, "-c", WRITES, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                               text=True)  # fmt: skip
-    assert process.stdin is not None
-    assert process.stdout is not None
-    try:
+    command, pipe = [sys.executable, "-c", WRITES, path], subprocess.PIPE
+    with running(command, stdin=pipe, stdout=pipe, text=True) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
         process.stdin.write("\n")
         process.stdin.flush()
         assert process.stdout.readline() == "1000\n"
@@ -195,9 +194,7 @@ def test_killed_it_has_lost_no_more_than_what_was_not_yet_written(tmp_path):
         while not path.exists() or not path.stat().st_size or len(numbers(path)[0]) < 1000:
             assert time.monotonic() < end
             time.sleep(0.02)
-    finally:
-        process.send_signal(signal.SIGKILL)
-        process.communicate()
+        process.kill()
     found, reader = numbers(path)
     assert found == list(range(1000))
     assert not reader.finished

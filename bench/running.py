@@ -1,0 +1,39 @@
+"""Processes of measurements and tests, none of which outlives what it was started for."""
+
+import signal
+import subprocess
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+PATIENCE_S = 30.0
+"""What ends by SIGTERM has ended by then, on a busy machine, too."""
+
+Start = Callable[..., "subprocess.Popen[Any]"]
+
+
+@contextmanager
+def running(
+    command: Sequence[object], *, start: Start = subprocess.Popen, **options: Any
+) -> "Iterator[subprocess.Popen[Any]]":
+    """A process that is ended with the block, whatever ends that: first by SIGTERM, then by SIGKILL. Its streams are
+    closed. One that were left behind would go on beside later tests, and the warning of it would fail one of them.
+
+    `options` are those of `subprocess.Popen`; `start` takes its place.
+    """
+    with start([str(word) for word in command], **options) as process:
+        try:
+            yield process
+        finally:
+            end(process)
+
+
+def end(process: "subprocess.Popen[Any]") -> None:
+    """End a process, one that has been stopped, too."""
+    process.terminate()
+    process.send_signal(signal.SIGCONT)
+    try:
+        process.wait(PATIENCE_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
