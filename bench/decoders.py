@@ -59,7 +59,7 @@ ELSEWHERE = {
     "swarm/recording/core/writer.py": "checkpoints of its own file: tests/swarm/recording/test_long_recordings.py",
     "swarm/core/snapshot_fields.py": "private fields that this robot has packed itself, in a snapshot with a checksum",
     "swarm/core/state.py": "states of the size that the lockstep has checked: tests/services/apps/test_state.py",
-    "swarm/core/stopping.py": "two bytes of a state of the size that the lockstep has checked",
+    "swarm/core/lockstep/stopping.py": "two bytes of a state of the size that the lockstep has checked",
     "swarm/messages/json_input.py": "any JSON: tests/swarm/messages/test_json_input.py",
     "sim/control/app_requests.py": "a simulation's own socket: tests/sim/test_orders.py",
     "swarm/recording/journal.py": "its own file: tests/swarm/recording/test_file.py",

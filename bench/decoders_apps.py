@@ -7,10 +7,10 @@ from bench.decoders_data import Made, simple, text
 from bench.decoders_run import Target
 from swarm.core import snapshot_fields
 from swarm.core.asynchronous import Asynchronous
-from swarm.core.epoch_notes import NONE, Ballot, EpochNote, Offer, SavedEpochs, Vote, first, following
-from swarm.core.epochs import Epochs
-from swarm.core.lockstep import Channel, Lockstep
-from swarm.core.lockstep_frames import HeardNeighbour, Snapshot, decode_frame, encode_step, encode_want
+from swarm.core.epochs.epochs import Epochs
+from swarm.core.epochs.notes import NONE, Ballot, EpochNote, Offer, SavedEpochs, Vote, first, following
+from swarm.core.lockstep.frames import HeardNeighbour, Snapshot, decode_frame, encode_step, encode_want
+from swarm.core.lockstep.lockstep import Channel, Lockstep
 from swarm.errors import FrameError, LocalError, PayloadError
 from swarm.messages import codec
 
@@ -111,16 +111,16 @@ def _snapshots(rng: random.Random) -> Made:
 
 
 TARGETS = (
-    Target("lockstep: frames and channels", ("swarm/core/lockstep_frames.py",),
+    Target("lockstep: frames and channels", ("swarm/core/lockstep/frames.py",),
            simple([encode_step(1, bytes(8), bytes(8)), b"00000000000000a1-0-3-9f3c21aa"],
                   lambda data: decode_frame(data, 8), text(Channel.parse)), (FrameError,)),
-    Target("lockstep: frames to a core", ("swarm/core/lockstep_frames.py",), _lockstep),
+    Target("lockstep: frames to a core", ("swarm/core/lockstep/frames.py",), _lockstep),
     Target("asynchronous: frames to a core", ("swarm/core/asynchronous.py",), _asynchronous),
-    Target("epochs: notes", ("swarm/core/epoch_notes.py", "swarm/messages/codec.py"), simple(_NOTES, EpochNote.decode),
+    Target("epochs: notes", ("swarm/core/epochs/notes.py", "swarm/messages/codec.py"), simple(_NOTES, EpochNote.decode),
            (PayloadError,)),
-    Target("epochs: notes to a core", ("swarm/core/epoch_notes.py",), _epochs),
-    Target("ballots", ("swarm/core/epoch_notes.py", "swarm/messages/codec.py"),
+    Target("epochs: notes to a core", ("swarm/core/epochs/notes.py",), _epochs),
+    Target("ballots", ("swarm/core/epochs/notes.py", "swarm/messages/codec.py"),
            simple([codec.encode(SavedEpochs(1, 2, EpochNote.decode(note))) for note in _NOTES],
                   lambda data: codec.decode(SavedEpochs, data, "ballot")), (PayloadError,)),
-    Target("snapshots", ("swarm/core/lockstep_frames.py",), _snapshots, (LocalError,)),
+    Target("snapshots", ("swarm/core/lockstep/frames.py",), _snapshots, (LocalError,)),
 )  # fmt: skip

@@ -27,7 +27,7 @@ from services.mesh.core.wire import frames, packets
 from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD, NEIGHBOURS, SYNC, UNICAST, Bind, Heartbeat, Hello
 from services.mesh.core.wire.packets import Ack, EchoPacket, Spread, UnicastMessage
 from swarm.config.types import DEFAULT_RELAY
-from swarm.core.lockstep_frames import encode_step
+from swarm.core.lockstep.frames import encode_step
 from swarm.errors import FrameError, PayloadError
 from swarm.messages import Watch
 from swarm.messages.codec import decode, encode

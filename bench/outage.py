@@ -19,8 +19,8 @@ from bench.simulation import SWARM_SIM, Simulation
 from services.mesh.core.radio_model import AirModel
 from sim.virtual.run import simulate as virtual
 from swarm.core.graph import Graph
-from swarm.core.lockstep_links import SILENT_AFTER, SILENT_AFTER_RTTS
-from swarm.core.lockstep_questions import WANT_AFTER
+from swarm.core.lockstep.links import SILENT_AFTER, SILENT_AFTER_RTTS
+from swarm.core.lockstep.questions import WANT_AFTER
 from swarm.recording.trajectory import WARM_UP, Trajectory
 
 APP = Path(__file__).with_name("lattice.py")

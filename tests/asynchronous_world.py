@@ -7,7 +7,7 @@ from typing import Any
 from timed_world import TimedWorld
 
 from swarm.core.asynchronous import Asynchronous, HandlerCall, Publish
-from swarm.core.lockstep_frames import Channel
+from swarm.core.lockstep.frames import Channel
 
 SIZE = 2
 

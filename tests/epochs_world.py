@@ -14,10 +14,10 @@ from timed_world import TimedWorld
 
 from services.apps.core.lockstep_run import LockstepRun, Renew
 from services.apps.core.terms import Terms
-from swarm.core.epoch_actions import SaveEpochs, SendToNeighbours, SwitchEpoch
-from swarm.core.epoch_notes import LOST, first
+from swarm.core.epochs.actions import SaveEpochs, SendToNeighbours, SwitchEpoch
+from swarm.core.epochs.notes import LOST, first
 from swarm.core.graph import Graph
-from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Finished, Save, Send, Waiting
+from swarm.core.lockstep.lockstep import Advanced, Channel, Compute, Fault, Finished, Save, Send, Waiting
 
 RUN, SCHEMA = 0xA1, 0x9F3C21AA
 STATE = struct.Struct("<d")

@@ -29,7 +29,7 @@ from swarm.app.settings import Setting, parse, with_settings
 from swarm.app.sync_app import SyncApp
 from swarm.app.truth import TruthWatch
 from swarm.config import Config
-from swarm.core.lockstep_frames import MAX_ITERATION
+from swarm.core.lockstep.frames import MAX_ITERATION
 from swarm.errors import AppError, LocalError
 from swarm.process.service import Service, run
 from swarm.process.threads import ThreadedRuntime

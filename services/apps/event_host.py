@@ -26,7 +26,7 @@ from swarm.app.overlays import Message, Overlays
 from swarm.app.robot import Robot
 from swarm.config import Config
 from swarm.core.asynchronous import HANG, Asynchronous, HandlerCall, Publish
-from swarm.core.lockstep_frames import Channel
+from swarm.core.lockstep.frames import Channel
 from swarm.errors import FrameError, SwarmError
 from swarm.messages import AppProgress, AppState, Topology
 from swarm.messages.codec import Value

@@ -15,9 +15,9 @@ from services.apps.observer import Observer
 from services.apps.persistence.storage import Storage
 from services.apps.runner import Runner
 from services.apps.topology import Place, TopologyWatch
-from swarm.core.epoch_actions import EpochRequest
-from swarm.core.lockstep import Advanced, Channel
-from swarm.core.lockstep_actions import address_of
+from swarm.core.epochs.actions import EpochRequest
+from swarm.core.lockstep.actions import address_of
+from swarm.core.lockstep.lockstep import Advanced, Channel
 from swarm.errors import FrameError
 from swarm.messages import Links, SetAppEpoch, Topology
 from swarm.messages.codec import Value

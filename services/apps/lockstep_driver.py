@@ -14,10 +14,10 @@ from services.apps.persistence.storage import Storage
 from services.apps.runner import Runner
 from services.apps.topology import Place, TopologyWatch
 from swarm.core.asynchronous import HANG
-from swarm.core.epoch_actions import EpochRequest, SaveEpochs, SendToNeighbours, SwitchEpoch
-from swarm.core.epoch_notes import LOST, Epoch
-from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Finished, Save, Send, Waiting
-from swarm.core.lockstep_frames import Snapshot
+from swarm.core.epochs.actions import EpochRequest, SaveEpochs, SendToNeighbours, SwitchEpoch
+from swarm.core.epochs.notes import LOST, Epoch
+from swarm.core.lockstep.frames import Snapshot
+from swarm.core.lockstep.lockstep import Advanced, Channel, Compute, Fault, Finished, Save, Send, Waiting
 from swarm.errors import SwarmError
 from swarm.messages import AppEpoch, AppProgress, AppState, Measurement
 from swarm.messages.codec import Value, encode

@@ -16,9 +16,9 @@ from typing import NamedTuple
 from swarm import clock
 from swarm.app.run_options import RunOptions
 from swarm.config import Config
-from swarm.core.epoch_notes import Epoch, first
+from swarm.core.epochs.notes import Epoch, first
 from swarm.core.graph import Graph
-from swarm.core.lockstep import Channel
+from swarm.core.lockstep.lockstep import Channel
 from swarm.errors import LocalError, PayloadError
 from swarm.files import atomic_write
 from swarm.frozen import frozen

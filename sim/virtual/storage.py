@@ -2,8 +2,8 @@
 
 from collections import deque
 
-from swarm.core.epoch_notes import SavedEpochs
-from swarm.core.lockstep_frames import Snapshot
+from swarm.core.epochs.notes import SavedEpochs
+from swarm.core.lockstep.frames import Snapshot
 
 
 class NoSnapshots:

@@ -6,7 +6,7 @@
 import argparse
 import math
 
-from swarm.core.stopping import Rule
+from swarm.core.lockstep.stopping import Rule
 from swarm.frozen import frozen
 
 AFTER = 10.0

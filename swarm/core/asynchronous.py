@@ -23,7 +23,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from swarm.core.lockstep_frames import Channel
+from swarm.core.lockstep.frames import Channel
 from swarm.errors import FrameError
 
 REPEAT = 1.0

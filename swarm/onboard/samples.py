@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
-from swarm.core.lockstep_frames import STEP, WANT
+from swarm.core.lockstep.frames import STEP, WANT
 from swarm.errors import PayloadError
 from swarm.messages import read, type_of
 from swarm.messages.codec import MAX_PAYLOAD, unpack

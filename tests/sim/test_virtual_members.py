@@ -10,7 +10,7 @@ import pytest
 from sim.options import parse
 from sim.scenario import build
 from sim.virtual.run import PLACE, VirtualRun, simulate
-from swarm.core.epoch_actions import EpochRequest
+from swarm.core.epochs.actions import EpochRequest
 from swarm.errors import ConfigError
 from swarm.messages import SetAppEpoch
 from swarm.messages.keys import key

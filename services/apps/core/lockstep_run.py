@@ -11,15 +11,16 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from services.apps.core.terms import Program, Terms
-from swarm.core import epoch_actions, lockstep
-from swarm.core.epoch_actions import EpochRequest, SaveEpochs, SwitchEpoch
-from swarm.core.epoch_notes import Epoch, SavedEpochs
-from swarm.core.epoch_roster import FRESH
-from swarm.core.epochs import Epochs
+from swarm.core.epochs import actions as epoch_actions
+from swarm.core.epochs.actions import EpochRequest, SaveEpochs, SwitchEpoch
+from swarm.core.epochs.epochs import Epochs
+from swarm.core.epochs.notes import Epoch, SavedEpochs
+from swarm.core.epochs.roster import FRESH
 from swarm.core.graph import Graph
-from swarm.core.lockstep import Channel, Compute, Fault, Finished, Lockstep, Save, Waiting
-from swarm.core.lockstep_frames import Snapshot
-from swarm.core.stopping import Stopping
+from swarm.core.lockstep import lockstep
+from swarm.core.lockstep.frames import Snapshot
+from swarm.core.lockstep.lockstep import Channel, Compute, Fault, Finished, Lockstep, Save, Waiting
+from swarm.core.lockstep.stopping import Stopping
 from swarm.frozen import frozen
 from swarm.messages import Measurement
 

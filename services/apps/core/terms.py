@@ -5,7 +5,7 @@ from typing import Protocol
 
 from swarm.app.run_options import AFTER
 from swarm.core.graph import Graph
-from swarm.core.stopping import Rule
+from swarm.core.lockstep.stopping import Rule
 from swarm.frozen import frozen
 from swarm.messages import Measurement
 

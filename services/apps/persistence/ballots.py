@@ -6,7 +6,7 @@ the disk loses later takes nothing away. Where both are damaged the robot has lo
 """
 
 from services.apps.persistence.slots import SlotFile
-from swarm.core.epoch_notes import Epoch, SavedEpochs
+from swarm.core.epochs.notes import Epoch, SavedEpochs
 from swarm.errors import LocalError, PayloadError
 from swarm.files import atomic_write, make_folder
 from swarm.messages import AppEpoch

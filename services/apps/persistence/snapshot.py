@@ -7,7 +7,7 @@ not the machine, so nothing waits for a disk.
 from pathlib import Path
 
 from services.apps.persistence.slots import SlotFile
-from swarm.core.lockstep_frames import Snapshot
+from swarm.core.lockstep.frames import Snapshot
 from swarm.errors import AppError
 
 _SLOT = 64 * 1024

@@ -5,8 +5,8 @@ from typing import Protocol
 
 from services.apps.persistence.ballots import BallotFile
 from services.apps.persistence.snapshot import SnapshotFile
-from swarm.core.epoch_notes import SavedEpochs
-from swarm.core.lockstep_frames import Snapshot
+from swarm.core.epochs.notes import SavedEpochs
+from swarm.core.lockstep.frames import Snapshot
 
 
 class Snapshots(Protocol):

@@ -14,7 +14,7 @@ import fork_server
 import pytest
 
 from swarm.bus.zenoh_bus import Bus, Router
-from swarm.core.lockstep_actions import address_of
+from swarm.core.lockstep.actions import address_of
 from swarm.messages import AppEpoch, AppProgress, AppState, Topology
 from swarm.messages.codec import decode, encode
 from swarm.process.paths import bus_endpoint

@@ -13,7 +13,7 @@ from needs import fill, small_disk
 from power_cut import Disk, Killed
 
 from services.apps.persistence.ballots import BallotFile
-from swarm.core.epoch_notes import NONE, Ballot, EpochNote, SavedEpochs, first
+from swarm.core.epochs.notes import NONE, Ballot, EpochNote, SavedEpochs, first
 from swarm.errors import LocalError
 
 BEGIN = first(("r0", "r1"), (("r0", "r1"),), 7)

@@ -21,7 +21,7 @@ from services.apps import loader
 from services.apps.host import schema_of
 from services.apps.runner import Runner
 from swarm.config import load
-from swarm.core.lockstep_frames import Channel
+from swarm.core.lockstep.frames import Channel
 from swarm.messages import AppProgress, AppState, Links, LinkState, Measurement, Pose, Range, Ranges, Status
 from swarm.messages.codec import decode, encode
 from swarm.recording.run import Run

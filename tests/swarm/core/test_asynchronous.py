@@ -19,7 +19,7 @@ from swarm.core.asynchronous import (
     NeighbourState,
     Publish,
 )
-from swarm.core.lockstep_frames import Channel
+from swarm.core.lockstep.frames import Channel
 
 NAMES = ("r0", "r1", "r2")
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarm.core.epoch_notes import LOST, NONE, Ballot, EpochNote, Offer, Vote, first, following
+from swarm.core.epochs.notes import LOST, NONE, Ballot, EpochNote, Offer, Vote, first, following
 from swarm.core.graph import Graph
-from swarm.core.stopping import Rule, Stopping
+from swarm.core.lockstep.stopping import Rule, Stopping
 from swarm.errors import LocalError, PayloadError
 
 BEGIN = first(("r2", "r0", "r1"), (("r0", "r1"), ("r1", "r2")), 0)

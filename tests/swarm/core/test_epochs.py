@@ -3,8 +3,8 @@
 import pytest
 from epochs_world import World, full, line, loop
 
-from swarm.core.epoch_actions import EpochRequest
-from swarm.core.stopping import Rule
+from swarm.core.epochs.actions import EpochRequest
+from swarm.core.lockstep.stopping import Rule
 
 
 def counters(world):

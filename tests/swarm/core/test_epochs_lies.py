@@ -8,8 +8,9 @@ from epochs_world import World as EpochsWorld
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarm.core.epoch_actions import SaveEpochs, SendToNeighbours
-from swarm.core.epoch_notes import (
+from swarm.core.epochs.actions import SaveEpochs, SendToNeighbours
+from swarm.core.epochs.epochs import MAX_FOUND, Epochs
+from swarm.core.epochs.notes import (
     LOST,
     MAX_EPOCH,
     NONE,
@@ -22,8 +23,7 @@ from swarm.core.epoch_notes import (
     first,
     following,
 )
-from swarm.core.epochs import MAX_FOUND, Epochs
-from swarm.core.lockstep_frames import MAX_ITERATION
+from swarm.core.lockstep.frames import MAX_ITERATION
 from swarm.errors import PayloadError
 from swarm.messages.codec import MAX_COUNT, decode, encode
 

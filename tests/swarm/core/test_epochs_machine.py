@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
 
-from swarm.core.epoch_actions import EpochRequest
+from swarm.core.epochs.actions import EpochRequest
 
 
 @st.composite

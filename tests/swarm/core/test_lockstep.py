@@ -10,10 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lockstep_world import EDGES, RUN, SCHEMA, STATE, World, named
 
-from swarm.core import lockstep
-from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Finished, Lockstep, Save, Send, Waiting
-from swarm.core.lockstep_actions import address_of
-from swarm.core.lockstep_frames import (
+from swarm.core.lockstep import lockstep
+from swarm.core.lockstep.actions import address_of
+from swarm.core.lockstep.frames import (
     MAX_ITERATION,
     STEP,
     WANT,
@@ -24,6 +23,17 @@ from swarm.core.lockstep_frames import (
     decode_frame,
     encode_step,
     encode_want,
+)
+from swarm.core.lockstep.lockstep import (
+    Advanced,
+    Channel,
+    Compute,
+    Fault,
+    Finished,
+    Lockstep,
+    Save,
+    Send,
+    Waiting,
 )
 from swarm.errors import FrameError, LocalError
 

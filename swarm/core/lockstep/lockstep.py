@@ -16,8 +16,8 @@ carried out in that order. It is not thread-safe: the host holds one lock around
 from collections import Counter
 from collections.abc import Iterable
 
-from swarm.core.lockstep_actions import Action, Advanced, Compute, Fault, Finished, Save, Send, Waiting
-from swarm.core.lockstep_frames import (
+from swarm.core.lockstep.actions import Action, Advanced, Compute, Fault, Finished, Save, Send, Waiting
+from swarm.core.lockstep.frames import (
     MAX_ITERATION,
     Channel,
     HeardNeighbour,
@@ -28,8 +28,8 @@ from swarm.core.lockstep_frames import (
     encode_step,
     encode_want,
 )
-from swarm.core.lockstep_links import SilentLinks
-from swarm.core.lockstep_questions import QuestionTimes
+from swarm.core.lockstep.links import SilentLinks
+from swarm.core.lockstep.questions import QuestionTimes
 from swarm.errors import FrameError, LocalError
 
 __all__ = [

@@ -3,7 +3,7 @@
 from functools import lru_cache
 from typing import NamedTuple
 
-from swarm.core.lockstep_frames import Snapshot
+from swarm.core.lockstep.frames import Snapshot
 from swarm.frozen import frozen
 
 _AROUND = "around"

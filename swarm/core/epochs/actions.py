@@ -1,6 +1,6 @@
 """What `swarm.core.epochs` asks of its host (actions), and what an operator may ask of it (requests)."""
 
-from swarm.core.epoch_notes import Epoch, SavedEpochs
+from swarm.core.epochs.notes import Epoch, SavedEpochs
 from swarm.frozen import frozen
 
 

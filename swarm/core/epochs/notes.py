@@ -6,7 +6,7 @@ from hashlib import blake2b
 from typing import Annotated
 
 from swarm.core.graph import Graph
-from swarm.core.lockstep_frames import MAX_ITERATION
+from swarm.core.lockstep.frames import MAX_ITERATION
 from swarm.errors import PayloadError
 from swarm.frozen import frozen
 from swarm.messages.codec import MAX_COUNT, MAX_PAYLOAD, Between, decode, encode

@@ -29,9 +29,9 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import replace
 
-from swarm.core.epoch_actions import Action, EpochRequest, SaveEpochs, SendToNeighbours, SwitchEpoch
-from swarm.core.epoch_notes import NONE, Ballot, Epoch, EpochNote, Offer, SavedEpochs, Vote, following
-from swarm.core.epoch_roster import Roster
+from swarm.core.epochs.actions import Action, EpochRequest, SaveEpochs, SendToNeighbours, SwitchEpoch
+from swarm.core.epochs.notes import NONE, Ballot, Epoch, EpochNote, Offer, SavedEpochs, Vote, following
+from swarm.core.epochs.roster import Roster
 from swarm.core.graph import Graph
 from swarm.errors import PayloadError
 from swarm.messages.codec import MAX_COUNT

@@ -1,6 +1,6 @@
 """What one robot knows of the others of a run: their newest notes, and when they came."""
 
-from swarm.core.epoch_notes import Ballot, EpochNote
+from swarm.core.epochs.notes import Ballot, EpochNote
 
 FRESH = 3.5
 """A robot is there if its newest note is at most so old, s."""
