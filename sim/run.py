@@ -166,9 +166,10 @@ class ProcessRun:
             words = [APP_SERVICE, beside.program, *self._scenario.run_options_beside.arguments]
             self._processes.add(name, service, words, directory)
 
-    def _start_app(self, robot: str, app: str) -> None:
+    def _start_app(self, robot: str, app: str, settings: Sequence[str]) -> None:
         """One of the built-in apps, on order."""
-        self._processes.add(robot, f"app/{app}", [APP_SERVICE, app], self._run_dir / robot)
+        words = [word for setting in settings for word in ("--set", setting)]
+        self._processes.add(robot, f"app/{app}", [APP_SERVICE, app, *words], self._run_dir / robot)
 
     def _environment(self, run: str) -> dict[str, str]:
         options = self._options

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import msgpack
 
+from swarm.app.settings import parse
 from swarm.errors import LocalError, PayloadError
 from swarm.messages.codec import unpack as unpack_value
 from swarm.messages.keys import is_name
@@ -29,11 +30,13 @@ class AppRequest(NamedTuple):
     """One of `ACTS`."""
     app: str
     robots: tuple[str, ...]
+    settings: tuple[str, ...] = ()
+    """What an app that has not run yet is started with, as `--set` has it: `NAME=VALUE`."""
 
 
-def give(run_dir: Path, act: str, app: str, robots: Sequence[str]) -> str:
+def give(run_dir: Path, act: str, app: str, robots: Sequence[str], settings: Sequence[str] = ()) -> str:
     """Have it done by the simulation in `run_dir`; what was done, in words. Raises `LocalError`."""
-    order = pack(check(act, app, robots))
+    order = pack(check(act, app, robots, settings))
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
         sock.bind("")  # a name that the kernel chooses, for the answer
         sock.settimeout(ANSWER_S)
@@ -49,7 +52,7 @@ def give(run_dir: Path, act: str, app: str, robots: Sequence[str]) -> str:
     return str(answer["done"])
 
 
-def check(act: str, app: str, robots: Sequence[str]) -> AppRequest:
+def check(act: str, app: str, robots: Sequence[str], settings: Sequence[str] = ()) -> AppRequest:
     """The order if it can be one, else `LocalError`."""
     if act not in ACTS:
         raise LocalError(f"expected {' or '.join(ACTS)}, got {act[:20]!r}")
@@ -57,7 +60,9 @@ def check(act: str, app: str, robots: Sequence[str]) -> AppRequest:
         raise LocalError(f"{app[:20]!r} is no name of an app")
     if not robots or not all(map(is_name, robots)):
         raise LocalError("expected names of robots")
-    return AppRequest(act, app, tuple(robots))
+    for setting in settings:
+        parse(setting)
+    return AppRequest(act, app, tuple(robots), tuple(settings))
 
 
 def pack(order: AppRequest) -> bytes:
@@ -70,6 +75,7 @@ def unpack(datagram: bytes) -> AppRequest:
     """The order in a datagram; `PayloadError` where there is none."""
     try:
         found: Any = unpack_value(datagram)
-        return check(str(found["act"]), str(found["app"]), [str(name) for name in found["robots"]])
+        robots, settings = ([str(each) for each in found[name]] for name in ("robots", "settings"))
+        return check(str(found["act"]), str(found["app"]), robots, settings)
     except (PayloadError, KeyError, IndexError, TypeError, LocalError) as error:
         raise PayloadError(f"no order: {error}") from None

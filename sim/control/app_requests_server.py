@@ -19,9 +19,13 @@ class Orders:
     """Looked at by the simulation's main thread, which is the one that may start processes."""
 
     def __init__(
-        self, run_dir: Path, processes: Processes, names: Sequence[str], start: Callable[[str, str], None]
+        self,
+        run_dir: Path,
+        processes: Processes,
+        names: Sequence[str],
+        start: Callable[[str, str, Sequence[str]], None],
     ) -> None:
-        """`start(robot, app)` starts an app that has not run yet; it raises `LocalError`."""
+        """`start(robot, app, settings)` starts an app that has not run yet; it raises `LocalError`."""
         self._processes, self._names, self._start = processes, names, start
         self._socket = datagrams.listen(run_dir, app_requests.SOCKET)
 
@@ -64,7 +68,7 @@ class Orders:
             if name in there:
                 there[name].release()
             elif order.app in BUILT_IN:
-                self._start(name, order.app)
+                self._start(name, order.app, order.settings)
             else:
                 raise LocalError(
                     f"no app {order.app}: expected {', '.join(BUILT_IN)}, or the one that ran from the start"

@@ -4,6 +4,7 @@ import socket
 import subprocess
 import sys
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgpack
@@ -17,6 +18,7 @@ from sim.control import app_requests
 from sim.control.app_requests_server import Orders
 from sim.processes import Processes
 from swarm import clock
+from swarm.app.settings import Setting
 from swarm.errors import LocalError, PayloadError
 from swarm.recording import trajectory
 from swarm.recording.reader import SUFFIX
@@ -24,15 +26,17 @@ from swarm.recording.reader import SUFFIX
 NAMES = st.from_regex(r"[a-z][a-z0-9_-]{0,15}", fullmatch=True)
 
 
-@given(st.sampled_from(app_requests.ACTS), NAMES, st.lists(NAMES, min_size=1, max_size=5))
-def test_an_order_comes_as_it_was_given(act: str, app: str, robots: list[str]) -> None:
-    order = app_requests.check(act, app, robots)
+@given(st.sampled_from(app_requests.ACTS), NAMES, st.lists(NAMES, min_size=1, max_size=5), st.floats() | st.text())
+def test_an_order_comes_as_it_was_given(act: str, app: str, robots: list[str], value: float | str) -> None:
+    order = app_requests.check(act, app, robots, [Setting(None, "gain", value).text])
     assert app_requests.unpack(app_requests.pack(order)) == order
 
 
 @given(
     st.binary(max_size=60)
-    | st.dictionaries(st.sampled_from(["act", "app", "robots"]), st.integers(-9, 9) | st.text()).map(msgpack.packb)
+    | st.dictionaries(st.sampled_from(["act", "app", "robots", "settings"]), st.integers(-9, 9) | st.text()).map(
+        msgpack.packb
+    )
 )
 def test_any_other_datagram_is_refused(datagram: bytes) -> None:
     with pytest.raises(PayloadError, match="no order"):
@@ -46,8 +50,9 @@ def simulation(tmp_path: Path):
     for name in ("r0", "r1"):
         (tmp_path / name).mkdir()
 
-    def add(robot: str, app: str) -> None:
-        processes.add(robot, f"app/{app}", ["timeit", "-n1", "import time; time.sleep(600)"], tmp_path / robot)
+    def add(robot: str, app: str, settings: Sequence[str]) -> None:
+        words = ["timeit", "-n1", "import time; time.sleep(600)", *(f"# {each}" for each in settings)]
+        processes.add(robot, f"app/{app}", words, tmp_path / robot)
 
     ear = Orders(tmp_path, processes, ("r0", "r1"), add)
     yield tmp_path, processes, ear
@@ -55,14 +60,14 @@ def simulation(tmp_path: Path):
     processes.stop()
 
 
-def told(simulation, act: str, app: str, *robots: str) -> str:
+def told(simulation, act: str, app: str, *robots: str, settings: Sequence[str] = ()) -> str:
     """Give an order, as another process would, while the simulation looks."""
     folder, _, ear = simulation
     answers: list[str] = []
 
     def give() -> None:
         try:
-            answers.append(app_requests.give(folder, act, app, robots))
+            answers.append(app_requests.give(folder, act, app, robots, settings))
         except LocalError as error:
             answers.append(f"refused: {error}")
 
@@ -90,6 +95,13 @@ def test_apps_start_stop_and_start_again_and_what_was_stopped_stays_so(simulatio
     assert told(simulation, "start", "consensus", "r0") == "consensus: started on r0"
     assert child.process is not None
     assert child.restarts == 0
+
+
+def test_an_app_starts_with_the_settings_of_the_order(simulation) -> None:
+    _, processes, _ = simulation
+    assert told(simulation, "start", "goto", "r1", settings=["waypoints=1,0.5"]) == "goto: started on r1"
+    assert processes.find("r1", "app/goto").command[-1] == "# waypoints=1,0.5"
+    assert "is not a setting" in told(simulation, "start", "goto", "r0", settings=["waypoints"])
 
 
 def test_an_app_that_is_told_to_start_while_it_ends_starts_then(simulation) -> None:

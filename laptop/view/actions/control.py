@@ -5,9 +5,11 @@ import threading
 from collections.abc import Mapping
 from typing import Any
 
-from laptop.view.actions.robot_actions import PageAction, RobotActions, named
+from laptop.view.actions.robot_actions import PageAction, RobotActions, check_parameter, named, settings_of
 from laptop.view.feeds.feed import LiveFeed, Publisher
 from swarm import clock
+from swarm.app.settings import on_top
+from swarm.config.types import AppConfig
 from swarm.errors import LocalError
 from swarm.frozen import frozen
 from swarm.messages import Arm, SetAppParameters, SetMode, SetVelocity, Stop
@@ -25,6 +27,8 @@ MODES = ("stand", "rest", "lie")
 """What a page may have a balancer do."""
 ANSWER_S = 5.0
 """s for which an app is asked to set a parameter: it may be about to start, and a bus may lose a request."""
+START_S = 60.0
+"""The same for an app that was started for it: over ssh, and as slow as a robot is."""
 
 
 @frozen
@@ -56,6 +60,7 @@ class Control:
                 "mode": self._mode,
                 "drive": self._drive,
                 **actions.acts,
+                "start": self._start,
             }
 
     def close(self) -> None:
@@ -144,10 +149,25 @@ class Control:
         self._feed.buses[robot].publish(key(robot, "balancer", "set", "velocity"), message, urgent=True)
         return f"{robot}: {speed:g} m/s, {turn:g} rad/s"
 
+    def _start(self, asked: Mapping[str, Any]) -> str:
+        """Start an app. An app that goes on where it was keeps its parameters, so that those it is started with are
+        asked for, too."""
+        assert self._actions is not None
+        settings = settings_of(asked)
+        robots, near = self._meant(asked)
+        if settings and (silent := [robot for robot in robots if robot not in near]):
+            raise LocalError(f"start: {' '.join(silent)} cannot be given parameters: no bus is reached there")
+        values = on_top(AppConfig(), settings, robots)
+        done = self._actions.acts["start"](asked)
+        for robot in near if settings else ():
+            self._let(robot, str(asked["app"]), values.of(robot), START_S)
+        return done
+
     def _set(self, asked: Mapping[str, Any]) -> str:
         app, name, value = str(asked["app"]), str(asked["name"]), asked["value"]
-        if not is_name(app) or not name.isidentifier() or not isinstance(value, bool | int | float | str):
-            raise LocalError("set: expected the names of an app and a parameter, and a number, a text, true or false")
+        if not is_name(app):
+            raise LocalError("set: expected the name of an app")
+        check_parameter(name, value)
         robots, near = self._meant(asked)
         values: dict[str, Value] = {name: value}
         assert self._actions is not None
@@ -155,11 +175,15 @@ class Control:
         if silent == robots:
             raise LocalError(f"set: {asked.get('robot') or 'no robot'} is not reached")
         for robot in near:
-            request = SetAppParameters(f"{os.getpid()}-{os.urandom(4).hex()}", values)
-            self._ask(robot, app, request)  # first: what the way there does not take is not asked again
-            self._asked[robot, app] = request, clock.now() + ANSWER_S
+            self._let(robot, app, values, ANSWER_S)
         asked_of = " ".join(robot for robot in robots if robot not in silent)
         return f"{app}: {name}={value} asked of {asked_of}{_except(silent)}"
+
+    def _let(self, robot: str, app: str, values: dict[str, Value], seconds: float) -> None:
+        """Ask a robot for these parameters, again and again until it has answered or `seconds` have passed."""
+        request = SetAppParameters(f"{os.getpid()}-{os.urandom(4).hex()}", values)
+        self._ask(robot, app, request)  # first: what the way there does not take is not asked again
+        self._asked[robot, app] = request, clock.now() + seconds
 
     def _ask(self, robot: str, app: str, request: SetAppParameters) -> None:
         self._feed.buses[robot].publish(key(robot, f"app/{app}", "set", "parameters"), request, urgent=True)

@@ -20,7 +20,7 @@ from laptop.fleet.core.answers import MISUNDERSTOOD, misunderstood
 from laptop.fleet.ssh import Host, HostError, Ssh, hosts
 from laptop.fleet.units import SERVICES, kill, unit
 from laptop.view.actions.plan import Plan
-from laptop.view.actions.robot_actions import PageAction, cut, named
+from laptop.view.actions.robot_actions import PageAction, cut, named, settings_of
 from laptop.view.feeds.picture import REACH
 from laptop.view.feeds.robots import Robots
 from laptop.view.feeds.tunnel import PROGRAM
@@ -98,8 +98,9 @@ class RemoteActions:
     # -- acts, in the server's threads ----------------------------------------------------------------------------
 
     def _start(self, asked: Mapping[str, Any]) -> str:
-        app, robots = self._app(asked), self._robots(asked)
-        self._begin(self._run_app(app, robots, self._number(app, robots), alone=bool(asked.get("robot"))))
+        app, robots, settings = self._app(asked), self._robots(asked), [each.text for each in settings_of(asked)]
+        apps.check_settings(settings, self._view.config, app)
+        self._begin(self._run_app(app, robots, self._number(app, robots), settings, alone=bool(asked.get("robot"))))
         return f"{app}: to be started on {_names(robots)}; what comes of it is told among the events"
 
     def _end(self, asked: Mapping[str, Any]) -> str:
@@ -188,9 +189,11 @@ class RemoteActions:
             self._note(host.robot, "warning", f"{failed}: {why}")
         return None
 
-    async def _run_app(self, app: str, robots: Sequence[Host], number: int, *, alone: bool) -> None:
+    async def _run_app(
+        self, app: str, robots: Sequence[Host], number: int, settings: Sequence[str], *, alone: bool
+    ) -> None:
         """Have an app go on where it was, or begin anew where the robots have no run of it in common."""
-        start = apps.AppStart(app, None, arguments=["--record"])
+        start = apps.AppStart(app, None, arguments=["--record"], settings=settings)
         plan = Plan(app, self._view.config, alone=alone)
         everybody = {host.robot for host in robots}
         waited = {robot for robot in everybody if self._is_seen(robot)} or everybody

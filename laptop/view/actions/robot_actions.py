@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, Protocol
 
+from swarm.app.settings import Setting
 from swarm.errors import LocalError
 from swarm.messages.codec import Value
 
@@ -33,6 +34,25 @@ def named(name: object, robots: Collection[str]) -> str:
     if str(name) not in robots:
         raise LocalError(f"no robot {str(name)[:20]!r}, there are {', '.join(robots)}")
     return str(name)
+
+
+def settings_of(asked: Mapping[str, Any]) -> list[Setting]:
+    """What an app is to be started with, `{"settings": {"gain": 1, "r2.gain": 2}}`; `LocalError` for anything else."""
+    found = asked.get("settings", {})
+    if not isinstance(found, dict):
+        raise LocalError("settings: expected parameters and their values")
+    settings = []
+    for words, value in found.items():
+        robot, _, name = words.rpartition(".")
+        check_parameter(name, value)
+        settings.append(Setting(robot or None, name, value))
+    return settings
+
+
+def check_parameter(name: str, value: object) -> None:
+    """Raises `LocalError` where a parameter cannot be called so, or cannot be this."""
+    if not name.isidentifier() or not isinstance(value, bool | int | float | str):
+        raise LocalError("expected the name of a parameter, and a number, a text, true or false")
 
 
 def cut(asked: Mapping[str, Any], robots: Collection[str]) -> tuple[tuple[str, str], float]:

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from laptop.cli import hand
-from laptop.view.actions.robot_actions import PageAction, cut, named
+from laptop.view.actions.robot_actions import PageAction, cut, named, settings_of
 from laptop.view.feeds.feed import SimulationFeed
 from sim.control import app_requests, send_action
 from sim.core.actions import Carry, Lay, Press, Push
@@ -72,7 +72,8 @@ class SimulatedActions:
 
     def _order(self, act: str, asked: Mapping[str, Any]) -> str:
         robots = [self._robot(asked)] if asked.get("robot") else list(self._feed.buses)
-        return app_requests.give(self._feed.directory, act, str(asked["app"]), robots)
+        settings = [setting.text for setting in settings_of(asked)]
+        return app_requests.give(self._feed.directory, act, str(asked["app"]), robots, settings)
 
     def _robot(self, asked: Mapping[str, Any]) -> str:
         return named(asked["robot"], self._feed.buses)

@@ -13,6 +13,7 @@ from swarm.messages.codec import Value
 SLOWING = 1.0
 """1/s: within speed / SLOWING of a waypoint the robot slows down in proportion."""
 
+STAY = "stay"
 
 MOST = 63
 """Robots: a bit for each."""
@@ -22,7 +23,8 @@ class Goto(DrivingApp):
     """Towards the waypoint at `speed`, with the velocity nearest to that which keeps `apart` from all."""
 
     waypoints: str = parameter("")
-    """x,y x,y ... in m, in the frame of the anchors; empty: the place opposite, by the middle between the anchors."""
+    """x,y x,y ... in m, in the frame of the anchors; empty: the place opposite, by the middle between the anchors. The
+    word `stay` at the end: the robot stands there, or where it is, and goto goes on for further waypoints."""
     reach: float = parameter(0.06, unit="m", low=0.02, high=1.0)
     """How near it has to come."""
     arrived: int = 0
@@ -54,14 +56,14 @@ class Goto(DrivingApp):
         self.go((0.0, 0.0) if here is None else self._wish(here))
         for neighbour in neighbours:
             self.arrived |= neighbour.arrived
-        if self._goals and self._reached == len(self._goals):
+        if self._goals and self._reached == len(self._goals) and not self._stays:
             self.arrived |= 1 << self.robot.swarm.index(self.robot.name)
         arrived = self._reached == len(self._goals)
-        if arrived and self.arrived == (1 << len(self.robot.swarm)) - 1:
+        if arrived and not self._stays and self.arrived == (1 << len(self.robot.swarm)) - 1:
             self.finish("all have arrived")
 
     def _wish(self, here: Point) -> Point:
-        if not self._goals:
+        if not self._goals and not self._stays:
             self._goals = (self._opposite(here),)
         if self._reached < len(self._goals) and math.dist(here, self._goals[self._reached]) < self.reach:
             self._reached += 1
@@ -72,6 +74,10 @@ class Goto(DrivingApp):
         left = math.dist(here, (x, y))
         pace = min(self.speed, SLOWING * left) / left
         return pace * (x - here[0]), pace * (y - here[1])
+
+    @property
+    def _stays(self) -> bool:
+        return self.waypoints.split()[-1:] == [STAY]
 
     def _opposite(self, here: Point) -> Point:
         anchors = self.robot.anchors
@@ -86,9 +92,10 @@ class Goto(DrivingApp):
 
 
 def read_waypoints(text: str) -> tuple[Point, ...]:
-    """ "0.5,1.5 1,1" as points, m; raises `AppError`."""
+    """ "0.5,1.5 1,1" as points, m, without `stay` at the end; raises `AppError`."""
     points = []
-    for word in text.split():
+    words = text.split()
+    for word in words[:-1] if words[-1:] == [STAY] else words:
         try:
             x, y = map(float, word.split(","))
         except ValueError:

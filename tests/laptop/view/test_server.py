@@ -190,6 +190,9 @@ def test_a_stop_is_given_again_until_every_robot_has_confirmed_it(feed: Simulati
         ({"act": "start", "app": "consensus"}, "takes no orders"),
         ({"act": "start", "app": "../x"}, "no name of an app"),
         ({"act": "end", "app": "consensus", "robot": "r9"}, "no robot"),
+        ({"act": "start", "app": "x", "settings": {"a b": 1}}, "name of a parameter"),
+        ({"act": "start", "app": "x", "settings": [1]}, "settings"),
+        ({"act": "start", "app": "x", "settings": {"r9.gain": 1}}, "the robots are r0, r1"),
         ({"act": "end"}, "app"),
         ({"act": "fly"}, "expected an act"),
         ("stop", "expected an act"),
@@ -208,6 +211,25 @@ def test_a_parameter_is_set_on_all_robots_or_on_one(feed: SimulationFeed) -> Non
     key, message = feed.buses["r1"].published[0]
     assert key == "swarm/r1/app/x/set/parameters"
     assert message.parameters == {"gain": 0.5}
+
+
+def test_an_app_starts_with_its_parameters_and_is_asked_for_them_in_case_it_goes_on(
+    feed: SimulationFeed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[Any] = []
+    monkeypatch.setattr("laptop.view.actions.simulated_actions.app_requests.give", lambda *order: given.append(order))
+    control, asked = Control(feed, SimulatedActions(feed)), {"act": "start", "app": "goto"}
+    control.do(asked | {"settings": {"waypoints": "stay", "r1.waypoints": "1,0.5 stay"}})
+    settings = ["waypoints=stay", "r1.waypoints=1,0.5 stay"]
+    assert given == [(feed.directory, "start", "goto", ["r0", "r1"], settings)]
+    published = [feed.buses[name].published[0] for name in ("r0", "r1")]
+    assert [key for key, _ in published] == [f"swarm/{name}/app/goto/set/parameters" for name in ("r0", "r1")]
+    assert [message.parameters["waypoints"] for _, message in published] == ["stay", "1,0.5 stay"]
+    feed.buses["r1"].connected = False
+    with pytest.raises(LocalError, match="r1 cannot be given parameters"):
+        control.do(asked | {"settings": {"waypoints": "0,0"}})
+    control.do(asked)
+    assert given[1:] == [(feed.directory, "start", "goto", ["r0", "r1"], [])]
 
 
 def test_of_robots_that_are_not_reached_it_is_said_that_they_keep_their_parameters(feed: SimulationFeed) -> None:

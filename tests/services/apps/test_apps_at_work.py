@@ -169,7 +169,17 @@ def test_waypoints_that_are_none_are_refused(text: str) -> None:
 
 def test_waypoints_are_read() -> None:
     assert read_waypoints("") == ()
+    assert read_waypoints("stay") == ()
+    assert read_waypoints("0.5,1.5 stay") == ((0.5, 1.5),)
     assert read_waypoints(" 0.5,1.5  -1,2e-1 ") == ((0.5, 1.5), (-1.0, 0.2))
+
+
+def test_robots_that_are_to_stay_do_so_and_goto_goes_on_for_further_waypoints() -> None:
+    options = ("--robots", "3", "--seconds", "20", "--set", "waypoints=stay", "--set", "r1.waypoints=1,1 stay")
+    report, _ = simulate("goto", *options)
+    assert results(report, "reached") == results(report, "of") == [0, 1, 0]
+    assert (results(report, "x")[1], results(report, "y")[1]) == pytest.approx((1.0, 1.0), abs=0.15)
+    assert report["seconds"] == pytest.approx(20.0, abs=0.5)
 
 
 def test_goto_takes_new_waypoints_while_it_runs_and_keeps_the_old_ones_where_they_are_no_places() -> None:

@@ -21,7 +21,6 @@ export class Controls {
     this.outcomes = new Outcomes(find("#outcomes"), store);
     this.shown = this.known = this.slid = "";
     this.owed = null; // a stop that could not be sent yet
-    this.goal = null; // {robot, x, y}: sent when goto runs there
     this.modes = ["stand", "rest", "lie"].map((mode) => button(mode, () => this.mode(mode), { hidden: true, className: "mode" }));
     this.arm.before(...this.modes);
     this.stop.addEventListener("click", () => this.act({ act: "stop" }));
@@ -239,7 +238,8 @@ export class Controls {
     this.apps.querySelector("span").replaceChildren(...apps.map(([app, runs]) => this.app(app, runs)));
   }
 
-  // A click on the map sets a goal for the selected robot, a button sends it there by the app goto.
+  // A click on the map sets a goal for the selected robot, a button sends it there by the app goto. All robots have to run
+  // that, or this one would not know their places: the others stay where they are.
   drawGoal(robot, map) {
     map.canSend = this.can("set") && this.can("start");
     map.canPlace = this.can("place");
@@ -247,28 +247,26 @@ export class Controls {
     const wanted = this.can("set") && robot ? map.wanted : null;
     this.wanted = wanted;
     this.send.hidden = !wanted;
-    if (wanted) {
-      const runs = this.store.services[robot]?.["app/goto"], ends = !runs && this.drives(robot);
-      write(this.send, `Send ${robot} to ${wanted.x.toFixed(2)}, ${wanted.y.toFixed(2)} m${runs ? "" : ends ? `: ends ${ends} there, starts goto` : ": starts goto there"}`);
-    }
-    const goal = this.goal;
-    if (!goal || !this.store.services[goal.robot]?.["app/goto"] || !this.store.get(goal.robot, "app/goto/parameters")) return;
-    this.goal = null;
-    this.act({ act: "set", app: "goto", name: "waypoints", value: `${goal.x.toFixed(3)},${goal.y.toFixed(3)}`, robot: goal.robot });
+    if (!wanted) return;
+    const ends = this.runsGoto() ? [] : this.driving();
+    write(this.send, `Send ${robot} to ${wanted.x.toFixed(2)}, ${wanted.y.toFixed(2)} m${this.runsGoto() ? "" : `: ${ends.length ? `ends ${ends.join(" and ")}, ` : ""}starts goto on all, the others stay`}`);
   }
 
-  // The app that drives a robot now.
-  drives(robot) {
-    return this.running([robot]).find(([app, runs]) => runs && app !== "goto" && this.store.get(robot, `app/${app}/parameters`)?.parameters?.apart)?.[0];
+  runsGoto() {
+    return this.store.names.every((name) => this.store.services[name]?.["app/goto"]);
   }
 
+  // Apps that drive robots now.
+  driving() {
+    const drives = (app) => (name) => this.store.services[name]?.[`app/${app}`] && this.store.get(name, `app/${app}/parameters`)?.parameters?.apart;
+    return this.running(this.store.names).filter(([app, runs]) => runs && app !== "goto" && this.store.names.some(drives(app))).map(([app]) => app);
+  }
+
+  // goto starts with the goal, lest the robot sets out for another place.
   sendGoal() {
-    const { robot } = this.wanted;
-    if (!this.store.services[robot]?.["app/goto"]) {
-      const ends = this.drives(robot);
-      if (ends) this.act({ act: "end", app: ends, robot });
-      this.act({ act: "start", app: "goto", robot });
-    }
-    this.goal = { ...this.wanted };
+    const { robot, x, y } = this.wanted, waypoints = `${x.toFixed(3)},${y.toFixed(3)} stay`;
+    if (this.runsGoto()) return this.act({ act: "set", app: "goto", name: "waypoints", value: waypoints, robot });
+    for (const app of this.driving()) this.act({ act: "end", app });
+    this.act({ act: "start", app: "goto", settings: { waypoints: "stay", [`${robot}.waypoints`]: waypoints } });
   }
 }

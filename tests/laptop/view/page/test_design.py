@@ -190,7 +190,10 @@ def test_a_click_on_the_map_sets_a_goal_and_a_held_arrow_drives_until_it_is_let_
     send = waiting.locator("#send-goal")
     expect(send).to_contain_text("Send r1 to", timeout=PATIENCE_MS)
     send.click()
-    assert waiting.evaluate("sent.map(({act, app, robot}) => [act, app, robot])") == [["start", "goto", "r1"]]
+    (start,) = waiting.evaluate("sent")
+    goal = waiting.evaluate("`${swarmView.map.wanted.x.toFixed(3)},${swarmView.map.wanted.y.toFixed(3)}`")
+    settings = {"waypoints": "stay", "r1.waypoints": f"{goal} stay"}
+    assert start == {"act": "start", "app": "goto", "settings": settings}
     waiting.evaluate("sent.length = 0")
     waiting.get_by_role("button", name="drive r1 forward while held").hover()
     waiting.mouse.down()

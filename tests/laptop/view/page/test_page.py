@@ -20,6 +20,14 @@ expect = sync_api.expect
 
 LOST_WITHIN_MS = 2_000
 
+MIDDLE = """(() => {
+  const { map } = swarmView, { left, top } = map.canvas.getBoundingClientRect(), { width, height } = map.canvas;
+  const all = [...map.placed.values()], mean = (axis) => all.reduce((sum, each) => sum + each[axis], 0) / all.length;
+  const { x, y, scale } = map.shown, [right, up] = [(mean("x") - x) * scale, (mean("y") - y) * scale];
+  return [left + (width / 2 + right) / map.ratio, top + (height / 2 - up) / map.ratio];
+})()"""
+"""Where on the screen the middle between all robots is."""
+
 pytest_plugins = ("view_fixtures",)
 pytestmark = [
     pytest.mark.slow,
@@ -109,6 +117,29 @@ def test_a_killed_service_is_named_and_comes_back(page: Any) -> None:
     page.get_by_role("button", name="kill dwm").click(timeout=PATIENCE_MS)
     expect(page.locator("#events li", has_text="r4 dwm is gone")).to_be_visible(timeout=PATIENCE_MS)
     expect(page.locator("#events li", has_text="r4 dwm is back")).to_be_visible(timeout=PATIENCE_MS)
+
+
+@pytest.mark.parametrize("page", [("--control",)], indirect=True)
+def test_a_goal_on_the_map_is_the_first_place_that_a_robot_drives_to(page: Any) -> None:
+    row(page, "r2").click(timeout=PATIENCE_MS)
+    page.evaluate(
+        "const {store} = swarmView, take = store.take.bind(store); globalThis.told = [];"
+        "store.take = (step, now) => { take(step, now); const each = step.robots?.r2?.['app/goto/parameters'];"
+        " if (each) told.push(each.parameters.waypoints.value); }; 0"
+    )
+    until(page, "swarmView.map.placed?.size === 6 && swarmView.map.canSend && swarmView.selected === 'r2'")
+    x, y = page.evaluate(MIDDLE)
+    page.mouse.click(x, y)
+    page.locator("#send-goal").click(timeout=PATIENCE_MS)
+    goal = page.evaluate("({ ...swarmView.map.wanted })")
+    until(page, "told.length > 0")
+    place = "swarmView.store.pose('r2')"
+    until(page, f"Math.hypot({place}.x - {goal['x']}, {place}.y - {goal['y']}) < 0.15")
+    assert set(page.evaluate("told")) == {f"{goal['x']:.3f},{goal['y']:.3f} stay"}
+    told = "swarmView.store.get('r0', 'app/goto/parameters').parameters.waypoints.value"
+    assert page.evaluate(told) == "stay"
+    page.get_by_role("button", name="stop goto on all").click()
+    until(page, "swarmView.store.names.every((name) => !swarmView.store.services[name]['app/goto'])")
 
 
 @pytest.mark.parametrize("page", [("--control",)], indirect=True)
