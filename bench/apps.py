@@ -23,7 +23,7 @@ from services.apps.builtin.localization.leastsquares import refine
 from sim.core import noise
 from sim.rehearsal.scene import TARGET, scene
 from sim.rehearsal.sync import SyncRehearsal
-from sim.scenario import PLACES
+from sim.scenario.scenario import PLACES
 from sim.virtual.run import simulate as simulate_virtually
 from swarm.messages import Measurement
 from swarm.recording.thesis_ranges import read_folder

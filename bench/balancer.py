@@ -31,8 +31,8 @@ from bench.cpu import cpu_s
 from bench.rows import Row
 from bench.running import running
 from services.balancer.realtime import PRIORITY
-from sim import footprint
-from sim.processes import Child, Processes
+from sim.processes import footprint
+from sim.processes.processes import Child, Processes
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError

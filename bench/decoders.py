@@ -49,7 +49,7 @@ ELSEWHERE = {
     "services/mesh/core/link/calls.py": "a Bluetooth address that the configuration has checked",
     "services/mesh/links/sim.py": "simulated links only",
     "sim/control/app_requests_server.py": "a simulation's own socket: tests/sim/test_orders.py",
-    "sim/run.py": "makes a number of random bytes of its own",
+    "sim/processes/run.py": "makes a number of random bytes of its own",
     "laptop/cli/runs/import_csv.py": "makes a number of a hash of its own",
     "laptop/fleet/release.py": "the project's own description of what robots carry",
     "laptop/runs/results.py": "what the runner itself wrote about a run",

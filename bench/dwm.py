@@ -13,7 +13,7 @@ from services.dwm.core.module.diagnosis import DiagnosisWatch
 from services.dwm.core.module.poller import ModuleReport, Poller
 from services.dwm.core.module.tlv import Position, encode_location
 from sim.core.uwb import Module, Tag
-from sim.run import SERVICE_MODULES
+from sim.processes.run import SERVICE_MODULES
 from swarm.config.types import Anchor, Dwm
 from swarm.messages.codec import encode
 

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bench.rows import Row
-from sim import footprint, options, scenario
 from sim.devices.module import ModuleBoard
-from sim.processes import Processes
-from sim.run import APP_SERVICE, SERVICE_MODULES
+from sim.processes import footprint
+from sim.processes.processes import Processes
+from sim.processes.run import APP_SERVICE, SERVICE_MODULES
+from sim.scenario import options, scenario
 from swarm import clock
 from swarm.config.dump import dump
 

@@ -25,7 +25,7 @@ from services.balancer.slack_tasks import SlackTasks
 from sim.core.balboa import BalboaBody
 from sim.core.devices import SimulatedRobot, draw_errors
 from sim.devices.i2c import SimulatedBus
-from sim.virtual.i2c_robot import TimedRobot
+from sim.virtual.robot.i2c_robot import TimedRobot
 from swarm import clock
 from swarm.config.types import Body
 from swarm.messages import MeasureI2C, ModuleRequest

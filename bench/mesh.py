@@ -14,7 +14,7 @@ from typing import TypeVar
 
 from bench.rows import Row
 from sim.control import link_cuts
-from sim.processes import Child, Processes
+from sim.processes.processes import Child, Processes
 from swarm import clock
 from swarm.app.overlays import Overlays
 from swarm.bus.zenoh_bus import Bus

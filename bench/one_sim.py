@@ -11,10 +11,10 @@ from pathlib import Path
 
 from bench import socket_sim
 from laptop.cli.runs import sim
-from sim import run
 from sim.core import start_timeout
-from sim.monitor import Monitor
-from sim.run import ProcessRun
+from sim.processes import run
+from sim.processes.monitor import Monitor
+from sim.processes.run import ProcessRun
 from swarm.messages import LedChange, Target, Truth
 from swarm.process import service
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from bench import socket_mesh, tcp_radio
 from bench.running import running
 from laptop.cli.runs import sim
-from sim import run
+from sim.processes import run
 from swarm.config.keyfile import new_key_file
 from swarm.process import service
 

@@ -23,7 +23,7 @@ from laptop.view.actions.control import Control
 from laptop.view.actions.robot_actions import PageAction
 from laptop.view.feeds.robots import Robots
 from sim.devices.world_client import WORLD_SOCKET
-from sim.processes import Processes
+from sim.processes.processes import Processes
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus
 from swarm.config import load

@@ -7,7 +7,7 @@ computer's two, and with that hold up what on a robot they do not.
 """
 
 from laptop.cli.runs import sim
-from sim import run
+from sim.processes import run
 from swarm.process import service
 
 PROGRAM = ("bench.talking_sim",)

@@ -13,8 +13,8 @@ from typing import Any
 from bench.rows import Row
 from bench.simulation import simulate
 from sim.core.contacts import TOUCH_M
-from sim.options import parse
-from sim.scenario import build
+from sim.scenario.options import parse
+from sim.scenario.scenario import build
 from sim.virtual.run import PLACE, VirtualRun
 
 LINKS = ("--robots", "6", "--topology", "line", "--latency", "30ms", "--jitter", "10ms")

@@ -13,8 +13,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from bench.rows import Row
-from sim.options import parse
-from sim.scenario import build
+from sim.scenario.options import parse
+from sim.scenario.scenario import build
 from sim.virtual.run import PLACE, VirtualRun
 
 SIX_S, THOUSAND_S, TEN_THOUSAND_S = 1.0, 60.0, 120.0

@@ -15,7 +15,7 @@ from dataclasses import replace
 from typing import TypeVar
 
 from sim.core.actions import MAX_IMPULSE
-from sim.quantities import duration
+from sim.scenario.quantities import duration
 from swarm.errors import ConfigError
 from swarm.frozen import frozen
 

@@ -6,7 +6,7 @@ from dataclasses import field
 
 from sim import scene
 from sim.core.scene_record import SceneRecord
-from sim.scenario import Scenario
+from sim.scenario.scenario import Scenario
 from swarm.frozen import frozen
 from swarm.messages import BalancerState
 from swarm.recording import trajectory

@@ -6,7 +6,7 @@ from services.apps.core import formation
 from services.balancer.core.control.body import body_model
 from sim.core.contacts import Contacts
 from sim.core.scene_record import SceneRecord
-from sim.scenario import Scenario
+from sim.scenario.scenario import Scenario
 from swarm.config import Config
 
 Json = dict[str, object]

@@ -247,7 +247,7 @@ def _become_fork_server(words: list[str], chosen: dict[str, str]) -> list[str]:
     """Give this simulation, which has not begun, a fork server: a copy of it; returns the words of the order in
     the simulation and in each process that its fork server forks."""
     global _control
-    from sim import processes
+    from sim.processes import processes
 
     _control, inside = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     fork_server = os.fork()

@@ -13,11 +13,11 @@ from typing import Any, TextIO
 from laptop.runs.progress import progress as shown_progress
 from laptop.runs.results import RunData
 from services.apps import loader
-from sim.options import EVENTS, parse, parser
-from sim.progress import said
-from sim.quantities import AppSetting
-from sim.scenario import build
-from sim.values import settings_of
+from sim.processes.progress import said
+from sim.scenario.options import EVENTS, parse, parser
+from sim.scenario.quantities import AppSetting
+from sim.scenario.scenario import build
+from sim.scenario.values import settings_of
 from sim.virtual.run import PLACE, VirtualRun
 from swarm import config as configuration
 from swarm.app.settings import Setting

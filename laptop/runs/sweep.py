@@ -11,7 +11,7 @@ from laptop.plotting.style import shown_figure
 from laptop.runs.progress import progress as shown_progress
 from laptop.runs.results import table_of
 from laptop.runs.simulation import App, app_of, arguments_of, settings_for
-from sim.options import parse
+from sim.scenario.options import parse
 from sim.sweep.engines import here, local
 from sim.sweep.measure import SweptRun, summarize
 from sim.sweep.plan import Job, Point, points_of

@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 from laptop.cli.runs.view import announce
 from laptop.view.feeds.virtual_feed import VirtualFeed
-from sim.options import Options
 from sim.report import RunOutcome
-from sim.scenario import Scenario
+from sim.scenario.options import Options
+from sim.scenario.scenario import Scenario
 from sim.virtual.run import VirtualRun
 from swarm.errors import LocalError
 

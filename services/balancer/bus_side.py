@@ -1,7 +1,7 @@
 """What a balancer does on the bus: publishes what its loop tells, and hands it the commands that pass.
 
 The same code runs in the bridge, over the socket pairs to the control loop, and under virtual time, where the loop is a
-body without physics (`sim.virtual.balancer`).
+body without physics (`sim.virtual.robot.balancer`).
 """
 
 from collections.abc import Callable

@@ -1,6 +1,7 @@
 """The shell of a robot's mesh: joins the node with the robot's bus, its links and its clock.
 
-The same code runs in a process, over sockets (`services.mesh.sockets`), and under virtual time (`sim.virtual.mesh`).
+The same code runs in a process, over sockets (`services.mesh.sockets`), and under virtual time
+(`sim.virtual.radio.mesh`).
 """
 
 import logging

@@ -9,7 +9,7 @@ import msgpack
 from services.apps.loader import BUILT_IN
 from sim.control import app_requests, datagrams
 from sim.control.app_requests import AppRequest
-from sim.processes import Processes
+from sim.processes.processes import Processes
 from swarm.errors import LocalError, SwarmError
 
 _AT_ONCE = 8

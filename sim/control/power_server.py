@@ -8,7 +8,7 @@ from pathlib import Path
 
 from sim.control import datagrams
 from sim.control.power_switch import DISK, SOCKET, unpack
-from sim.processes import Processes
+from sim.processes.processes import Processes
 from swarm.errors import PayloadError
 
 MAX_DATAGRAM = 256

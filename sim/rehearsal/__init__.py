@@ -15,7 +15,7 @@ from services.apps import loader
 from sim.rehearsal.events import EventRehearsal
 from sim.rehearsal.scene import scene
 from sim.rehearsal.sync import SyncRehearsal
-from sim.values import settings_of
+from sim.scenario.values import settings_of
 from swarm.app.sync_app import BaseApp, SyncApp
 from swarm.messages.codec import Value
 

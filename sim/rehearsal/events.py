@@ -7,7 +7,7 @@ from services.apps import loader
 from services.apps.event_host import EventHost
 from services.mesh.core.radio_model import AirModel
 from sim.core import actions
-from sim.options import PRESS_S, SETTLED
+from sim.scenario.options import PRESS_S, SETTLED
 from sim.virtual.world import Launch, MakeRunner, VirtualWorld
 from swarm.app.event_app import EventApp
 from swarm.app.run_options import RunOptions

@@ -19,12 +19,12 @@ from typing import Any
 from services.apps import loader
 from services.apps.event_runner import EventRunner
 from services.apps.runner import Runner
-from sim import imports
 from sim.rehearsal import limits, tracing, trends
 from sim.rehearsal.events import EventRehearsal
 from sim.rehearsal.limits import ALARMS, Hang, alarm, limited, may_go_on
 from sim.rehearsal.scene import scene
 from sim.rehearsal.sync import ITERATION_S, SyncRehearsal
+from sim.scenario import imports
 from swarm.app import settings
 from swarm.app.event_app import PeriodicApp, channels_of
 from swarm.app.settings import Setting

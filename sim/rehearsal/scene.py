@@ -6,8 +6,8 @@ from pathlib import Path
 
 from services.apps.loader import LoadedApp
 from sim.core.module_line import module_address
-from sim.scenario import ANCHORS, DISTANCE, PLACES, POSITION, WINDOW
-from sim.scenario import TARGET as TARGET_MODULE
+from sim.scenario.scenario import ANCHORS, DISTANCE, PLACES, POSITION, WINDOW
+from sim.scenario.scenario import TARGET as TARGET_MODULE
 from swarm import config as configuration
 from swarm.app.sync_app import BaseApp as AnyApp
 from swarm.config import Config, Dwm, MeshConfig, RobotConfig, SimulationConfig

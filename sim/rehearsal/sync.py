@@ -10,10 +10,10 @@ from services.apps import loader
 from services.apps.equipment import equip
 from services.apps.runner import Runner
 from services.mesh.core.radio_model import AirModel
-from sim.options import DELAY
 from sim.rehearsal.clock import CommonClock
 from sim.rehearsal.messages import RehearsalOverlays
 from sim.rehearsal.scene import measurement
+from sim.scenario.options import DELAY
 from sim.virtual.bus import VirtualBus
 from sim.virtual.world import VirtualWorld
 from swarm.app.sync_app import SyncApp

@@ -20,12 +20,12 @@ from sim import scene
 from sim.core import actions
 from sim.core.scene_record import SceneRecord
 from sim.disturbances import Cut, Disturbance, Kill, Off, ScheduledPress, ScheduledPush, never
-from sim.options import DELAY, FROM_START, PRESS_S, SETTLED, Options
-from sim.options import parse as arguments_of
 from sim.report import Json, RunOutcome, summary
-from sim.scenario import Scenario, build
-from sim.virtual.app_records import AppRecords
-from sim.virtual.hang import broken_off
+from sim.scenario.options import DELAY, FROM_START, PRESS_S, SETTLED, Options
+from sim.scenario.options import parse as arguments_of
+from sim.scenario.scenario import Scenario, build
+from sim.virtual.apps.app_records import AppRecords
+from sim.virtual.apps.hang import broken_off
 from sim.virtual.world import Launch, VirtualWorld
 from swarm.app.run_options import RunOptions
 from swarm.config.dump import dump

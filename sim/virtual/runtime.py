@@ -70,7 +70,7 @@ class VirtualRuntime:
 
 
 class InlineWorker:
-    """See `swarm.process.runtime.Worker`. A job that does not end is broken off by `sim.virtual.hang`."""
+    """See `swarm.process.runtime.Worker`. A job that does not end is broken off by `sim.virtual.apps.hang`."""
 
     busy = False
     running_since = None

@@ -23,21 +23,21 @@ from services.mesh.core.routing.link_state import AdvertisedLinks
 from services.mesh.core.routing.topology import Advertisement
 from sim.core.actions import SimulationAction
 from sim.core.scene_record import SceneRecord
-from sim.options import DELAY, FROM_START, SETTLED
+from sim.scenario.options import DELAY, FROM_START, SETTLED
 from sim.scene import contacts_of
 from sim.slots.parameters import Parameters
-from sim.virtual.air import Air, Medium
-from sim.virtual.balancer import VirtualBalancer
-from sim.virtual.body import DIFFERENTIAL
+from sim.virtual.apps.storage import MemoryStorage
 from sim.virtual.bus import VirtualBus, VirtualRouter
-from sim.virtual.contacts import ContactWatch
-from sim.virtual.delays import DelayMesh
 from sim.virtual.events import EventQueue, LocalTime, Time
-from sim.virtual.mesh import FIRST_INCARNATION, Common, VirtualMesh
+from sim.virtual.radio.air import Air, Medium
+from sim.virtual.radio.delays import DelayMesh
+from sim.virtual.radio.mesh import FIRST_INCARNATION, Common, VirtualMesh
+from sim.virtual.radio.slot_air import SlotAir
+from sim.virtual.robot.balancer import VirtualBalancer
+from sim.virtual.robot.body import DIFFERENTIAL
+from sim.virtual.robot.contacts import ContactWatch
+from sim.virtual.robot.uwb import ModuleField, VirtualDwm
 from sim.virtual.runtime import VirtualRuntime
-from sim.virtual.slot_air import SlotAir
-from sim.virtual.storage import MemoryStorage
-from sim.virtual.uwb import ModuleField, VirtualDwm
 from swarm.app.event_app import EventApp
 from swarm.app.run_options import RunOptions
 from swarm.app.sync_app import SyncApp
@@ -121,7 +121,7 @@ class VirtualWorld:
         slots: Parameters | None = None,
         processes_end: bool = False,
     ) -> None:
-        """`body`: which model of `sim.virtual.body`; `mesh`: one of `options.MESHES`; `lying`: the side on
+        """`body`: which model of `sim.virtual.robot.body`; `mesh`: one of `options.MESHES`; `lying`: the side on
         which robots begin, if they do not stand; `skew`: how far the rates of their clocks err at most, 1e-6 = 1 ppm
         (then their zeros differ, too); `scene_record`: who is told what is to be seen;
         `slots`: links are those of such a radio, not of `air`; `processes_end`: apps keep what a process that is

@@ -6,8 +6,8 @@ from functools import partial
 from pathlib import Path
 from types import FrameType
 
-from sim.options import parse
-from sim.scenario import build
+from sim.scenario.options import parse
+from sim.scenario.scenario import build
 from sim.virtual.run import PLACE, VirtualRun
 
 ROOT = Path(sys.modules["sim.virtual.run"].__file__ or "").parents[2]

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim import commission_report, options, scenario
-from sim.commission_report import MeasuredRobot
+from sim.scenario import commission_report, options, scenario
+from sim.scenario.commission_report import MeasuredRobot
 from swarm.config import load
 from swarm.config.dump import dump
 from swarm.errors import ConfigError

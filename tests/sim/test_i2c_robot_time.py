@@ -11,7 +11,7 @@ from services.balancer.core.devices import balboa, imu
 from sim.core.balboa import BalboaBody
 from sim.core.devices import NO_ERRORS, SimulatedRobot
 from sim.devices.i2c import SimulatedBus
-from sim.virtual.i2c_robot import TimedRobot
+from sim.virtual.robot.i2c_robot import TimedRobot
 from swarm.config.types import Body
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from bench.simulation import Simulation
-from sim import options, scenario
+from sim.scenario import options, scenario
 from swarm.config.dump import dump
 
 

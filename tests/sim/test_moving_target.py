@@ -6,7 +6,7 @@ import statistics
 import pytest
 
 from bench.simulation import Simulation
-from sim.options import parse
+from sim.scenario.options import parse
 from sim.virtual.run import simulate
 from swarm.config.types import SimulationConfig as World
 from swarm.errors import ConfigError

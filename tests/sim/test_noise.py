@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from sim import options, scenario
 from sim.core import noise
+from sim.scenario import options, scenario
 from swarm.errors import ConfigError
 from swarm.recording.thesis_ranges import read_folder
 

@@ -4,8 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim import disturbances, options, quantities
+from sim import disturbances
 from sim.disturbances import Cut, Kill, Off, ScheduledPress, ScheduledPush, Span
+from sim.scenario import options, quantities
 from swarm.app.settings import Setting
 from swarm.errors import ConfigError
 

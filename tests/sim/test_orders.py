@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from bench.simulation import Simulation
 from sim.control import app_requests
 from sim.control.app_requests_server import Orders
-from sim.processes import Processes
+from sim.processes.processes import Processes
 from swarm import clock
 from swarm.app.settings import Setting
 from swarm.errors import LocalError, PayloadError

@@ -10,7 +10,7 @@ import pytest
 from laptop.cli import hand
 from sim.control import power_switch
 from sim.control.power_server import Power
-from sim.processes import Processes
+from sim.processes.processes import Processes
 from swarm.errors import LocalError
 from swarm.process.simulations import claim, pid_file, pid_of
 

@@ -8,8 +8,8 @@ import pytest
 
 from laptop.cli.robots import logs
 from services.apps.speaker import MOST_LINES_S, Speaker
-from sim.options import parse
-from sim.scenario import build
+from sim.scenario.options import parse
+from sim.scenario.scenario import build
 from sim.virtual.run import PLACE, VirtualRun, simulate
 from swarm.app.robot import Robot
 from swarm.core.graph import Graph

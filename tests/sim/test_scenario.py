@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from sim import options, scenario
+from sim.scenario import options, scenario
 from swarm.config import parse
 from swarm.config.dump import dump
 from swarm.errors import BusError, ConfigError, LocalError, RecordingError

@@ -7,7 +7,7 @@ import pytest
 
 from bench.simulation import Simulation
 from laptop.cli import main
-from sim import options, scenario
+from sim.scenario import options, scenario
 from sim.virtual.run import PLACE, simulate
 from swarm.errors import ConfigError
 from swarm.recording.run import Run

@@ -3,8 +3,8 @@ given up that carries. Over plain links of every kind, and over the slot radio."
 
 import pytest
 
-from sim.options import parse
-from sim.scenario import build
+from sim.scenario.options import parse
+from sim.scenario.scenario import build
 from sim.virtual.run import PLACE, VirtualRun
 
 GRAPHS = (("3", "line"), ("6", "line"), ("6", "loop"), ("6", "thesis-d"), ("4", "full"))

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import pytest
 
 from services.apps.observer import StepRecord
-from sim.virtual import trajectory_builder as module
-from sim.virtual.trajectory_builder import TrajectoryBuilder
+from sim.virtual.apps import trajectory_builder as module
+from sim.virtual.apps.trajectory_builder import TrajectoryBuilder
 from swarm.recording.trajectory import iteration_times, median, percentile
 
 FIELD = SimpleNamespace(columns=("value",))

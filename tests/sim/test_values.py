@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.values import settings_of
+from sim.scenario.values import settings_of
 from swarm import Array, Matrix, SyncApp, Vector, parameter
 from swarm.app.settings import Setting, parse
 from swarm.errors import AppError

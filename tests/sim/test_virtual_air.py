@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.mesh.core.radio_model import FLOOR, AirModel
-from sim.virtual.air import SOCKET, Air
 from sim.virtual.events import EventQueue
+from sim.virtual.radio.air import SOCKET, Air
 
 
 class FakeSession:

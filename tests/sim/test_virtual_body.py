@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.virtual.body import (
+from sim.virtual.robot.body import (
     BALANCING,
     DIFFERENTIAL,
     FALL_WAY,

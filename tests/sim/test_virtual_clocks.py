@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.options import parse
+from sim.scenario.options import parse
 from sim.virtual.events import EventQueue, LocalTime
 from sim.virtual.run import simulate
 from swarm.errors import ConfigError

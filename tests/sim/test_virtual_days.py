@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from sim.options import parse
-from sim.scenario import build
+from sim.scenario.options import parse
+from sim.scenario.scenario import build
 from sim.virtual.run import PLACE, VirtualRun
 
 HOUR = 3600.0

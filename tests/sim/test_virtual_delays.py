@@ -2,8 +2,8 @@
 
 import pytest
 
-from sim.options import parse
-from sim.scenario import build
+from sim.scenario.options import parse
+from sim.scenario.scenario import build
 from sim.virtual.run import PLACE, VirtualRun, simulate
 from swarm.errors import ConfigError, LocalError
 

@@ -6,8 +6,8 @@ import pytest
 
 from services.mesh.core.radio_model import AirModel
 from sim.core.actions import BodyPlace, Lay, Press, Push
-from sim.options import parse
-from sim.scenario import build
+from sim.scenario.options import parse
+from sim.scenario.scenario import build
 from sim.virtual.bus import VirtualBus
 from sim.virtual.run import PLACE
 from sim.virtual.world import VirtualWorld

@@ -6,7 +6,8 @@ from functools import partial
 
 import pytest
 
-from sim.virtual import hang, run
+from sim.virtual import run
+from sim.virtual.apps import hang
 from sim.virtual.run import simulate
 from swarm.recording.run import Run
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from sim.options import parse
-from sim.scenario import build
+from sim.scenario.options import parse
+from sim.scenario.scenario import build
 from sim.virtual.run import PLACE, VirtualRun, simulate
 from swarm.errors import ConfigError
 

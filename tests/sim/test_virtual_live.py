@@ -19,9 +19,9 @@ from aiohttp.test_utils import TestClient, TestServer
 from bench.running import running
 from laptop.view.feeds.virtual_feed import BEHIND_S, LAST_S, VirtualFeed
 from laptop.view.server import application
-from sim import options as arguments
 from sim.report import RunOutcome
-from sim.scenario import build
+from sim.scenario import options as arguments
+from sim.scenario.scenario import build
 from sim.virtual.run import PLACE, VirtualRun
 from swarm.errors import ConfigError
 

@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from sim.options import parse
-from sim.scenario import build
+from sim.scenario.options import parse
+from sim.scenario.scenario import build
 from sim.virtual.run import PLACE, VirtualRun, simulate
 from swarm.core.epochs.actions import EpochRequest
 from swarm.errors import ConfigError

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from sim.options import parse
 from sim.report import summary
-from sim.scenario import build
+from sim.scenario.options import parse
+from sim.scenario.scenario import build
 from sim.virtual.run import PLACE, simulate
 from sim.virtual.run import VirtualRun as Virtual
 from swarm.messages import SetAppParameters, read

@@ -2,7 +2,7 @@
 
 import pytest
 
-from sim.options import parse
+from sim.scenario.options import parse
 from sim.virtual.run import simulate
 from swarm.errors import ConfigError
 

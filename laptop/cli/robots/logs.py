@@ -13,7 +13,7 @@ from laptop.fleet import everyone, robot_command
 from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.ssh import Host
 from laptop.fleet.units import SERVICES, unit
-from sim.progress import said
+from sim.processes.progress import said
 from swarm.errors import LocalError
 from swarm.messages import AppLog
 from swarm.onboard.arguments import show, whole

@@ -8,7 +8,7 @@ from laptop.fleet import apps, everyone
 from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.ssh import Host
 from services.apps import sources
-from sim.quantities import setting
+from sim.scenario.quantities import setting
 from swarm.app import run_options
 from swarm.config import Config
 from swarm.errors import LocalError
@@ -94,7 +94,7 @@ def _app(text: str) -> tuple[str, Mapping[str, bytes] | None]:
 
 def _warn(given: Sequence[str], config: Config) -> None:
     """Say what robots lack of what the apps import."""
-    from sim import imports
+    from sim.scenario import imports
 
     for each in given:
         if each.endswith(".py"):

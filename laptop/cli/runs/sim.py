@@ -10,12 +10,13 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from sim import options as arguments
-from sim import report, scenario
-from sim.options import Options
-from sim.progress import said
+from sim import report
+from sim.processes.progress import said
 from sim.report import RunOutcome
-from sim.scenario import Scenario
+from sim.scenario import options as arguments
+from sim.scenario import scenario
+from sim.scenario.options import Options
+from sim.scenario.scenario import Scenario
 from swarm.errors import LocalError
 from swarm.messages import AppLog
 from swarm.process import log, service
@@ -72,7 +73,7 @@ def _say(robot: str, line: AppLog) -> None:
 def _run(options: Options, run_dir: Path) -> int:
     _clear(run_dir)
     plan = scenario.build(options, run_dir)
-    from sim.run import ProcessRun  # virtual time runs where processes cannot: on Windows
+    from sim.processes.run import ProcessRun  # virtual time runs where processes cannot: on Windows
 
     with ProcessRun(options, plan, run_dir, sys.stderr) as run:
         outcome = run.watch()

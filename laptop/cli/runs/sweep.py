@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TextIO
 
 from laptop.cli.runs import sweep_results
-from sim import options as simulation
+from sim.scenario import options as simulation
 from sim.sweep.engines import ENGINES, Engine, dask, local
 from sim.sweep.limit import search
 from sim.sweep.plan import Point, jobs_of, points_of, seeds_of, setting_of, values_of

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 from laptop.view.feeds.feed import Publisher
 from laptop.view.feeds.picture import Picture
-from sim.quantities import FASTEST, SLOWEST
+from sim.scenario.quantities import FASTEST, SLOWEST
 from sim.virtual.bus import VirtualBus
 from sim.virtual.world import VirtualWorld
 from swarm import clock

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from services.apps import loader
-from sim import imports
 from sim.rehearsal import check, examine, limits, new, rehearse, trends
+from sim.scenario import imports
 from swarm.errors import AppError, LocalError
 
 EXAMPLES = Path(__file__).parents[3] / "examples"

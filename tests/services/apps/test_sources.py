@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from services.apps import loader, sources
 from services.apps.__main__ import _escaped
-from sim.imports import lacking
+from sim.scenario.imports import lacking
 
 APP = """
 from typing import TYPE_CHECKING

@@ -9,8 +9,8 @@ import pytest
 from commission_world import ANCHORS, OFFSET, World
 
 from services.dwm.calibrate import making
-from sim import commission_report
 from sim.core.actions import MISWIRINGS
+from sim.scenario import commission_report
 
 LOW_POWER = 0.2
 """Duty that no motor may exceed before the robot stands."""

@@ -1,4 +1,4 @@
-"""The air of `--radio slots`: the stations of `sim.virtual.air` over the slots of a Bluetooth radio (`sim.slots`)."""
+"""The air of `--radio slots`: `sim.virtual.radio.air` over the slots of a Bluetooth radio (`sim.slots`)."""
 
 from services.mesh.core.link.session import Session
 from services.mesh.links.rfcomm import DIAL_TIMEOUT
@@ -6,8 +6,8 @@ from services.mesh.mesh import CLOSED
 from sim.slots.calls import Calls
 from sim.slots.parameters import FRAME, Parameters
 from sim.slots.radio import RadioLink, SlotRadio
-from sim.virtual.air import CHUNK, SOCKET, Station
 from sim.virtual.events import EventQueue
+from sim.virtual.radio.air import CHUNK, SOCKET, Station
 from swarm.bluetooth.hci import SUPERVISION_SHARE
 
 
@@ -28,7 +28,7 @@ class SlotEnd:
 
 
 class SlotAir:
-    """All links of a swarm; see `sim.virtual.air.Medium`."""
+    """All links of a swarm; see `sim.virtual.radio.air.Medium`."""
 
     def __init__(self, time: EventQueue, names: tuple[str, ...], parameters: Parameters, seed: object) -> None:
         self._time = time

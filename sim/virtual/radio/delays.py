@@ -15,9 +15,9 @@ from functools import partial
 from services.mesh.core.radio_model import AirModel, DelayLine
 from services.mesh.core.relay import KeyRelay
 from services.mesh.core.wire.frames import NEIGHBOURS
-from sim.virtual.air import line_of
 from sim.virtual.bus import OnSample, VirtualBus
 from sim.virtual.events import EventQueue
+from sim.virtual.radio.air import line_of
 from swarm.config import Config
 from swarm.errors import LocalError
 from swarm.messages.keys import key

@@ -7,8 +7,8 @@ from pathlib import Path
 from services.apps import loader
 from services.apps.observer import Source, StepRecord
 from services.apps.persistence.recorder import Recorder
+from sim.virtual.apps.trajectory_builder import TrajectoryBuilder
 from sim.virtual.bus import VirtualBus
-from sim.virtual.trajectory_builder import TrajectoryBuilder
 from sim.virtual.world import VirtualWorld
 from swarm.messages import AppEpoch, AppParameters
 from swarm.recording import folder

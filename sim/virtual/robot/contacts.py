@@ -7,8 +7,8 @@ from collections.abc import Mapping
 
 from services.balancer.link import TELEMETRY_S
 from sim.core.contacts import Contacts
-from sim.virtual.balancer import VirtualBalancer
 from sim.virtual.events import EventQueue
+from sim.virtual.robot.balancer import VirtualBalancer
 
 
 class ContactWatch:

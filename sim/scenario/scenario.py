@@ -15,12 +15,12 @@ from services.apps import loader
 from services.apps.builtin.localization.guard import check_step_size, limit_step_size
 from services.mesh.core.routing.physical_links import physical
 from services.mesh.mesh import links_of
-from sim import commission_report
 from sim.core import noise
 from sim.core.module_line import SOURCE, module_address
 from sim.disturbances import Cut, Disturbance, Kill, Off, drawn
-from sim.options import LAMPS, Options
-from sim.robot_limits import lacking_modules, too_many_links
+from sim.scenario import commission_report
+from sim.scenario.options import LAMPS, Options
+from sim.scenario.robot_limits import lacking_modules, too_many_links
 from swarm import config as configuration
 from swarm.app.event_app import EventApp, PeriodicApp, channels_of
 from swarm.app.run_options import RunOptions

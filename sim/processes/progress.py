@@ -4,8 +4,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TextIO
 
-from sim.monitor import Seen
-from sim.scenario import Scenario
+from sim.processes.monitor import Seen
+from sim.scenario.scenario import Scenario
 from swarm.messages import AppLog
 from swarm.process.terminal import steer
 

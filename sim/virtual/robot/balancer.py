@@ -15,10 +15,10 @@ from services.balancer.link import TELEMETRY_S, Command
 from services.balancer.orders import halt, obey
 from sim.core.actions import BUTTONS, Knock, Lay, Press, Push, SimulationAction
 from sim.core.scene_record import SceneRecord
-from sim.virtual.body import BALANCING, VirtualBody
 from sim.virtual.bus import VirtualBus
 from sim.virtual.events import Time
 from sim.virtual.periodic_publisher import PeriodicPublisher
+from sim.virtual.robot.body import BALANCING, VirtualBody
 from sim.virtual.runtime import VirtualRuntime
 from swarm.config import Config
 from swarm.errors import LocalError

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from services.apps import loader
 from services.mesh.core.routing.physical_links import physical
-from sim import imports
+from sim.scenario import imports
 from swarm.config.types import MAX_RFCOMM_LINKS, Config
 from swarm.core.graph import Edge
 

@@ -5,7 +5,7 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
-from sim.processes import Child
+from sim.processes.processes import Child
 
 
 def commanded() -> float:

@@ -14,10 +14,10 @@ from services.dwm.core.module.tlv import NOWHERE, Location, Position
 from services.dwm.localizer import Localizer
 from sim.core.module_line import module_address
 from sim.core.uwb import PERIOD, Module, Tag, error_model
-from sim.virtual.balancer import VirtualBalancer
 from sim.virtual.bus import VirtualBus
 from sim.virtual.events import Time
 from sim.virtual.periodic_publisher import PeriodicPublisher
+from sim.virtual.robot.balancer import VirtualBalancer
 from swarm.config import Config, RobotConfig
 from swarm.messages.keys import key
 

@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import NoReturn
 
 from services.apps.loader import BUILT_IN
-from sim import commission_report
-from sim.commission_report import MeasuredRobot
 from sim.core.noise import ERRORS
 from sim.disturbances import SERVICES, Cut, Kill, Off, ScheduledPress, ScheduledPush, cut, kill, off, press, push
-from sim.quantities import (
+from sim.scenario import commission_report
+from sim.scenario.commission_report import MeasuredRobot
+from sim.scenario.quantities import (
     AppSetting,
     at_least,
     duration,
@@ -23,7 +23,7 @@ from sim.quantities import (
     velocity,
 )
 from sim.slots.parameters import Parameters
-from sim.virtual.body import MODELS
+from sim.virtual.robot.body import MODELS
 from swarm.app import run_options
 from swarm.app.run_options import RunOptions
 from swarm.config.types import LINKS

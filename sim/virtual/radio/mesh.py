@@ -1,4 +1,4 @@
-"""The mesh service of one robot under virtual time: `services.mesh.mesh` over the air of `sim.virtual.air`."""
+"""The mesh service of one robot under virtual time: `services.mesh.mesh` over the air of `sim.virtual.radio.air`."""
 
 import random
 from functools import partial
@@ -7,9 +7,9 @@ from services.mesh.bus_interface import BusInterface
 from services.mesh.core.routing.wanted_links import InitialLinks
 from services.mesh.core.wire.frames import NONCE_SIZE
 from services.mesh.mesh import Chance, Mesh, calls_of, dials_of, ground_of, local_of
-from sim.virtual.air import Medium, Station
 from sim.virtual.bus import VirtualBus
 from sim.virtual.events import Time
+from sim.virtual.radio.air import Medium, Station
 from sim.virtual.runtime import VirtualRuntime
 from swarm.config import Config
 

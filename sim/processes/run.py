@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TextIO
 
-from sim import footprint, scene
+from sim import scene
 from sim.control import link_cuts
 from sim.control.app_requests_server import Orders
 from sim.control.power_server import Power
@@ -17,12 +17,13 @@ from sim.control.send_action import do
 from sim.core import actions
 from sim.core.start_timeout import START_LIMIT_S, StartTimeout
 from sim.disturbances import Cut, Disturbance, Kill, Off, ScheduledPress, ScheduledPush, never
-from sim.monitor import Monitor, Seen
-from sim.options import PRESS_S, Options
-from sim.processes import APP_FAULT, Processes
-from sim.progress import ProgressDisplay, said
+from sim.processes import footprint
+from sim.processes.monitor import Monitor, Seen
+from sim.processes.processes import APP_FAULT, Processes
+from sim.processes.progress import ProgressDisplay, said
 from sim.report import RunOutcome
-from sim.scenario import Scenario
+from sim.scenario.options import PRESS_S, Options
+from sim.scenario.scenario import Scenario
 from sim.world import BodyWorld
 from swarm import clock
 from swarm.config.dump import dump

@@ -1,0 +1,1 @@
+"""A simulated swarm in processes: started, watched, restarted as systemd would, ended with nothing left behind."""

@@ -1,0 +1,1 @@
+"""What stands in the place of one robot under virtual time: balancer, body, UWB module, and the contacts of bodies."""
