@@ -15,7 +15,9 @@ from typing import Any
 import msgpack
 
 from bench.decoders_run import MIB, Target
-from laptop.fleet import collect, journal, versions
+from laptop.fleet.core import collect
+from laptop.fleet.files import journal
+from laptop.fleet.release import versions
 from laptop.view.feeds.picture import Picture, places
 from services.balancer import link
 from services.balancer.core.devices import balboa, imu, uwb
@@ -343,8 +345,8 @@ TARGETS = (
                                              text(link_address.parse)), (ConfigError,)),
     Target("fetch: list of files", (), simple([_LIST], text(collect.parse_list)), (RemoteError,)),
     Target("fetch: stream of files", (), _stream, (RemoteError,)),
-    Target("fetch: journal", ("laptop/fleet/journal.py",),
+    Target("fetch: journal", ("laptop/fleet/files/journal.py",),
            simple([_ENTRY, b"123 s=1;i=2\n"], text(journal.entry), text(journal.JournalMark.of))),
-    Target("fleet: versions of robots", ("laptop/fleet/versions.py",),
+    Target("fleet: versions of robots", ("laptop/fleet/release/versions.py",),
            simple([b'{"value": {"revision": 3, "layout": 2}}'], text(versions.firmware))),
 )  # fmt: skip

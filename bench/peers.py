@@ -12,7 +12,7 @@ from typing import cast
 
 from bench import one_sim, socket_mesh
 from services.apps import loader
-from services.apps.host import schema_of
+from services.apps.host.host import schema_of
 from services.apps.runner import Runner as App
 from services.mesh.__main__ import CHANCE, incarnation, local_by_file
 from services.mesh.core.routing.wanted_links import InitialLinks

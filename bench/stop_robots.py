@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from bench.stop_body import TRUTH
-from laptop.fleet.ssh import Host, Ssh
+from laptop.fleet.ssh.ssh import Host, Ssh
 from laptop.view.actions.control import Control
 from laptop.view.actions.robot_actions import PageAction
 from laptop.view.feeds.robots import Robots

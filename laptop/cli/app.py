@@ -2,9 +2,10 @@
 
 import argparse
 
-from laptop.fleet import apps, everyone, robot_command
-from laptop.fleet.everyone import ReportProgress
-from laptop.fleet.ssh import Host
+from laptop.fleet import apps
+from laptop.fleet.ssh import everyone, robot_command
+from laptop.fleet.ssh.everyone import ReportProgress
+from laptop.fleet.ssh.ssh import Host
 from laptop.fleet.units import unit
 from sim.control import app_requests
 from swarm.onboard.arguments import show

@@ -12,8 +12,8 @@ import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
-from laptop.fleet import robot_command
-from laptop.fleet.ssh import Host, HostError, Ssh, hosts
+from laptop.fleet.ssh import robot_command
+from laptop.fleet.ssh.ssh import Host, HostError, Ssh, hosts
 from services.dwm.calibrate import __main__ as calibrate
 from swarm.config import Config, load
 from swarm.errors import LocalError

@@ -7,8 +7,8 @@ import argparse
 import asyncio
 from collections.abc import Sequence
 
-from laptop.fleet import everyone, robot_command
-from laptop.fleet.ssh import Done, Host, Ssh, hosts, last_words
+from laptop.fleet.ssh import everyone, robot_command
+from laptop.fleet.ssh.ssh import Done, Host, Ssh, hosts, last_words
 from swarm.config import load
 from swarm.messages.json_input import read_json
 from swarm.onboard.arguments import add_json, add_robots, add_run_dir, show

@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from laptop.fleet import everyone
-from laptop.fleet.everyone import ReportProgress
-from laptop.fleet.ssh import Host, HostError, Ssh, hosts, last_words
+from laptop.fleet.ssh import everyone
+from laptop.fleet.ssh.everyone import ReportProgress
+from laptop.fleet.ssh.ssh import Host, HostError, Ssh, hosts, last_words
 from swarm.config import Config, load
 from swarm.errors import LocalError, PayloadError
 from swarm.messages.json_input import read_json

@@ -3,9 +3,9 @@
 import argparse
 import shlex
 
-from laptop.fleet import everyone, robot_command
-from laptop.fleet.everyone import ReportProgress
-from laptop.fleet.ssh import Host
+from laptop.fleet.ssh import everyone, robot_command
+from laptop.fleet.ssh.everyone import ReportProgress
+from laptop.fleet.ssh.ssh import Host
 from swarm.onboard import param
 
 HELP = "show or change parameters of a running app"

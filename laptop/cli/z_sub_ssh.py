@@ -11,8 +11,8 @@ import json
 import shlex
 import sys
 
-from laptop.fleet.everyone import FAILURES, failure
-from laptop.fleet.ssh import Host, HostError, Ssh, hosts, last_words
+from laptop.fleet.ssh.everyone import FAILURES, failure
+from laptop.fleet.ssh.ssh import Host, HostError, Ssh, hosts, last_words
 from swarm.config import load
 from swarm.errors import PayloadError
 from swarm.messages.json_input import read_json

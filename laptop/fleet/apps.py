@@ -11,11 +11,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 from urllib.parse import quote
 
-from laptop.fleet import versions
-from laptop.fleet.install import pack
-from laptop.fleet.ssh import Host, HostError, Ssh
+from laptop.fleet.release import versions
+from laptop.fleet.release.install import pack
+from laptop.fleet.release.versions import Versions
+from laptop.fleet.ssh.ssh import Host, HostError, Ssh
 from laptop.fleet.units import SERVICES, unit
-from laptop.fleet.versions import Versions
 from services.apps import sources
 from swarm.app.settings import on_top, parse
 from swarm.config import Config

@@ -4,10 +4,10 @@ import asyncio
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from laptop.fleet import remote
 from laptop.fleet.core.pairing import Bond, Edge, Schedule, ordered, plan
-from laptop.fleet.everyone import FAILURES, ReportProgress, failure
-from laptop.fleet.ssh import Host, HostError, Ssh
+from laptop.fleet.ssh import remote
+from laptop.fleet.ssh.everyone import FAILURES, ReportProgress, failure
+from laptop.fleet.ssh.ssh import Host, HostError, Ssh
 
 INQUIRY_S = 25.0
 """An inquiry of 10.24 s finds most devices, two of them find those that were missed."""

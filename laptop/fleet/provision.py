@@ -10,8 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 from typing import Any
 
-from laptop.fleet import remote
-from laptop.fleet.bundle import Package, Repository
 from laptop.fleet.core import packages, steps
 from laptop.fleet.core.wish import (
     FIRMWARE_PACKAGE,
@@ -22,9 +20,11 @@ from laptop.fleet.core.wish import (
     ProvisioningStep,
     Verdict,
 )
-from laptop.fleet.everyone import ReportProgress
-from laptop.fleet.install import pack
-from laptop.fleet.ssh import Host, HostError, Ssh, last_words
+from laptop.fleet.release.bundle import Package, Repository
+from laptop.fleet.release.install import pack
+from laptop.fleet.ssh import remote
+from laptop.fleet.ssh.everyone import ReportProgress
+from laptop.fleet.ssh.ssh import Host, HostError, Ssh, last_words
 from swarm.errors import LocalError
 from swarm.frozen import frozen
 

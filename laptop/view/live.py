@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from laptop.fleet.ssh import Ssh, hosts
+from laptop.fleet.ssh.ssh import Ssh, hosts
 from swarm.config import load
 from swarm.config.find import LOOKED_IN
 from swarm.onboard.arguments import add_robots, add_run_dir

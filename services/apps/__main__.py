@@ -10,19 +10,20 @@ import hashlib
 import os
 from urllib.parse import unquote
 
-from services.apps import loader, topology
-from services.apps.equipment import equip
-from services.apps.event_host import EventHost
+from services.apps import loader
+from services.apps.equipment.equipment import equip
+from services.apps.equipment.measurements import source_of
+from services.apps.equipment.recorded_values import RecordedValues
+from services.apps.equipment.speaker import let_speak, prints_heard
 from services.apps.event_runner import EventRunner
-from services.apps.host import LockstepHost, Part
-from services.apps.measurements import source_of
+from services.apps.host import topology
+from services.apps.host.event_host import EventHost
+from services.apps.host.host import LockstepHost, Part
+from services.apps.host.topology import Place
 from services.apps.persistence.claim import AppLock
 from services.apps.persistence.recording import AppRecording, place_of
 from services.apps.persistence.storage import FileStorage
-from services.apps.recorded_values import RecordedValues
 from services.apps.runner import Runner, metrics_of
-from services.apps.speaker import let_speak, prints_heard
-from services.apps.topology import Place
 from swarm.app import run_options
 from swarm.app.event_app import EventApp
 from swarm.app.settings import Setting, parse, with_settings

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from services.apps import loader
-from services.apps.event_host import EventHost
+from services.apps.host.event_host import EventHost
 from services.mesh.core.radio_model import AirModel
 from sim.core import actions
 from sim.scenario.options import PRESS_S, SETTLED

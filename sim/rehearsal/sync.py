@@ -7,7 +7,7 @@ import logging
 from collections.abc import Callable, Mapping
 
 from services.apps import loader
-from services.apps.equipment import equip
+from services.apps.equipment.equipment import equip
 from services.apps.runner import Runner
 from services.mesh.core.radio_model import AirModel
 from sim.rehearsal.clock import CommonClock

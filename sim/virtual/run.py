@@ -12,9 +12,9 @@ from functools import partial
 from pathlib import Path
 
 from services.apps import loader
-from services.apps.event_host import EventHost
-from services.apps.observer import Observer, Source, StepRecord
-from services.apps.speaker import prints_heard
+from services.apps.equipment.speaker import prints_heard
+from services.apps.host.event_host import EventHost
+from services.apps.host.observer import Observer, Source, StepRecord
 from services.mesh.core.radio_model import AirModel
 from sim import scene
 from sim.core import actions

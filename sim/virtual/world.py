@@ -7,16 +7,17 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import NamedTuple
 
-from services.apps import loader, topology
-from services.apps.equipment import equip
-from services.apps.event_host import EventHost
+from services.apps import loader
+from services.apps.equipment.equipment import equip
+from services.apps.equipment.measurements import Measurements, Replayed, source_of
+from services.apps.equipment.speaker import Sink, let_speak
 from services.apps.event_runner import EventRunner
-from services.apps.host import LockstepHost, Part
-from services.apps.measurements import Measurements, Replayed, source_of
-from services.apps.observer import Observer
+from services.apps.host import topology
+from services.apps.host.event_host import EventHost
+from services.apps.host.host import LockstepHost, Part
+from services.apps.host.observer import Observer
+from services.apps.host.topology import Place
 from services.apps.runner import Runner, metrics_of
-from services.apps.speaker import Sink, let_speak
-from services.apps.topology import Place
 from services.dwm.replay import row_of
 from services.mesh.core.radio_model import AirModel
 from services.mesh.core.routing.link_state import AdvertisedLinks

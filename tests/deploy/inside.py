@@ -325,7 +325,8 @@ def a_full_disk_costs_recordings_only() -> dict[str, float]:
 STATUS = """
 import dataclasses, json, subprocess
 from laptop.cli.robots import status
-from laptop.fleet import journal, versions
+from laptop.fleet.files import journal
+from laptop.fleet.release import versions
 
 def ask(command):
     return subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=True).stdout

@@ -22,9 +22,9 @@ import debian
 import pytest
 
 from laptop.cli.robots import doctor, provision, status
-from laptop.fleet import bundle
 from laptop.fleet.core.wish import PACKAGES, SUITES
 from laptop.fleet.provision import Rig
+from laptop.fleet.release import bundle
 from swarm.config.keyfile import new_key_file
 
 ROOT = Path(__file__).parents[2]

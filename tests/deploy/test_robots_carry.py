@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import swarm
-from laptop.fleet.release import robot_wheel
+from laptop.fleet.release.release import robot_wheel
 from swarm.onboard.command_line import CommandGroup, commands_of
 from swarm.onboard.commands import SECTIONS
 

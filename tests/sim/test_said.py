@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from laptop.cli.robots import logs
-from services.apps.speaker import MOST_LINES_S, Speaker
+from services.apps.equipment.speaker import MOST_LINES_S, Speaker
 from sim.scenario.options import parse
 from sim.scenario.scenario import build
 from sim.virtual.run import PLACE, VirtualRun, simulate

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from services.apps.observer import StepRecord
+from services.apps.host.observer import StepRecord
 from sim.virtual.apps import trajectory_builder as module
 from sim.virtual.apps.trajectory_builder import TrajectoryBuilder
 from swarm.recording.trajectory import iteration_times, median, percentile

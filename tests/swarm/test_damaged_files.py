@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from laptop.fleet.journal import JournalMark
-from services.apps import topology
-from services.apps.changes import Changes
+from laptop.fleet.files.journal import JournalMark
+from services.apps.host import topology
+from services.apps.host.changes import Changes
 from services.apps.persistence.claim import AppLock
 from services.apps.persistence.snapshot import SnapshotFile
 from services.balancer.core.control.gyro import Zero

@@ -3,9 +3,9 @@
 import argparse
 from typing import Any
 
-from laptop.fleet import everyone, robot_command
-from laptop.fleet.everyone import ReportProgress
-from laptop.fleet.ssh import Host, HostError, last_words
+from laptop.fleet.ssh import everyone, robot_command
+from laptop.fleet.ssh.everyone import ReportProgress
+from laptop.fleet.ssh.ssh import Host, HostError, last_words
 from swarm.errors import PayloadError
 from swarm.messages.json_input import read_json
 from swarm.onboard.body import balance

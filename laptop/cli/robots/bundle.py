@@ -4,10 +4,10 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from laptop.fleet import bundle
 from laptop.fleet.core.wish import PACKAGES, SUITES
-from laptop.fleet.install import read_release
-from laptop.fleet.release import build
+from laptop.fleet.release import bundle
+from laptop.fleet.release.install import read_release
+from laptop.fleet.release.release import build
 from swarm.config import load
 from swarm.config.find import LOOKED_IN, find
 from swarm.onboard.arguments import add_json, show

@@ -2,9 +2,9 @@
 
 import argparse
 
-from laptop.fleet import everyone
-from laptop.fleet.everyone import ReportProgress
-from laptop.fleet.ssh import CommandError, Host, HostError
+from laptop.fleet.ssh import everyone
+from laptop.fleet.ssh.everyone import ReportProgress
+from laptop.fleet.ssh.ssh import CommandError, Host, HostError
 
 HELP = "run a shell command on every robot, over ssh"
 

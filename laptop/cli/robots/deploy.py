@@ -5,12 +5,12 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from laptop.fleet import everyone
-from laptop.fleet.calibrations import with_calibration
-from laptop.fleet.everyone import ReportProgress
-from laptop.fleet.install import Release, ask_kind, check_name, install, read_files, read_release
-from laptop.fleet.release import build
-from laptop.fleet.ssh import Host, Ssh
+from laptop.fleet.files.calibrations import with_calibration
+from laptop.fleet.release.install import Release, ask_kind, check_name, install, read_files, read_release
+from laptop.fleet.release.release import build
+from laptop.fleet.ssh import everyone
+from laptop.fleet.ssh.everyone import ReportProgress
+from laptop.fleet.ssh.ssh import Host, Ssh
 from swarm.config import Config
 from swarm.errors import LocalError
 

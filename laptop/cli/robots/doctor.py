@@ -11,12 +11,12 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from laptop.fleet import everyone, remote
 from laptop.fleet.core import doctor, steps
 from laptop.fleet.core.checkup import ExaminedRobot, Finding
 from laptop.fleet.core.wish import FIRMWARE_PACKAGE, KERNEL_PACKAGE, PACKAGES
 from laptop.fleet.provision import Rig
-from laptop.fleet.ssh import Host, HostError, Ssh
+from laptop.fleet.ssh import everyone, remote
+from laptop.fleet.ssh.ssh import Host, HostError, Ssh
 from swarm.config import Config, load
 from swarm.errors import LocalError, PayloadError
 from swarm.messages.json_input import read_json

@@ -3,8 +3,8 @@
 import argparse
 import sys
 
-from laptop.fleet import remote_keys, robot_command
-from laptop.fleet.ssh import Host, Ssh, hosts
+from laptop.fleet.ssh import remote_keys, robot_command
+from laptop.fleet.ssh.ssh import Host, Ssh, hosts
 from swarm.config import load
 from swarm.errors import LocalError
 from swarm.onboard.body import drive

@@ -6,11 +6,11 @@ Calibrations that were made on robots come along, to where `swarm.toml` says.
 import argparse
 from pathlib import Path
 
-from laptop.fleet import everyone
-from laptop.fleet.calibrations import bring_back
-from laptop.fleet.everyone import ReportProgress
-from laptop.fleet.fetch import RecordingFetch
-from laptop.fleet.ssh import Host, HostError
+from laptop.fleet.files.calibrations import bring_back
+from laptop.fleet.files.fetch import RecordingFetch
+from laptop.fleet.ssh import everyone
+from laptop.fleet.ssh.everyone import ReportProgress
+from laptop.fleet.ssh.ssh import Host, HostError
 from swarm.errors import LocalError
 
 HELP = "copy the recordings and logs of all robots to this computer, over ssh"

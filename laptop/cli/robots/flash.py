@@ -5,10 +5,10 @@ Each robot's Pi is connected to its Balboa by a USB cable, and flashes it itself
 
 import argparse
 
-from laptop.fleet import everyone
-from laptop.fleet.everyone import ReportProgress
-from laptop.fleet.release import firmware
-from laptop.fleet.ssh import Host, HostError
+from laptop.fleet.release.release import firmware
+from laptop.fleet.ssh import everyone
+from laptop.fleet.ssh.everyone import ReportProgress
+from laptop.fleet.ssh.ssh import Host, HostError
 from services.balancer import flash
 
 HELP = "write new firmware to the Balboas, over their USB cables"

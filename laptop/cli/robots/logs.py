@@ -9,9 +9,9 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from laptop.fleet import everyone, robot_command
-from laptop.fleet.everyone import ReportProgress
-from laptop.fleet.ssh import Host
+from laptop.fleet.ssh import everyone, robot_command
+from laptop.fleet.ssh.everyone import ReportProgress
+from laptop.fleet.ssh.ssh import Host
 from laptop.fleet.units import SERVICES, unit
 from sim.processes.progress import said
 from swarm.errors import LocalError

@@ -5,10 +5,10 @@ import asyncio
 import sys
 import time
 
-from laptop.fleet import everyone
 from laptop.fleet.core.pairing import check, edges, with_addresses
-from laptop.fleet.everyone import ReportProgress, RobotOutcome
 from laptop.fleet.pair import Pairing, look
+from laptop.fleet.ssh import everyone
+from laptop.fleet.ssh.everyone import ReportProgress, RobotOutcome
 from swarm.config import Config, parse
 from swarm.errors import ConfigError, LocalError
 from swarm.files import atomic_write

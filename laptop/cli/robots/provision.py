@@ -6,13 +6,14 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from laptop.fleet import bundle, everyone
-from laptop.fleet.calibrations import with_calibration
 from laptop.fleet.core.wish import DesiredRobot, wish
-from laptop.fleet.everyone import ReportProgress
-from laptop.fleet.install import install, read_files, read_release
+from laptop.fleet.files.calibrations import with_calibration
 from laptop.fleet.provision import Provisioning, Rig
-from laptop.fleet.ssh import Host, Ssh
+from laptop.fleet.release import bundle
+from laptop.fleet.release.install import install, read_files, read_release
+from laptop.fleet.ssh import everyone
+from laptop.fleet.ssh.everyone import ReportProgress
+from laptop.fleet.ssh.ssh import Host, Ssh
 from swarm.config import Config, load
 from swarm.config.keyfile import read_keys
 from swarm.errors import ConfigError, LocalError

@@ -4,9 +4,10 @@ import argparse
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from laptop.fleet import apps, everyone
-from laptop.fleet.everyone import ReportProgress
-from laptop.fleet.ssh import Host
+from laptop.fleet import apps
+from laptop.fleet.ssh import everyone
+from laptop.fleet.ssh.everyone import ReportProgress
+from laptop.fleet.ssh.ssh import Host
 from services.apps import sources
 from sim.scenario.quantities import setting
 from swarm.app import run_options

@@ -5,9 +5,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from laptop.cli import hand
-from laptop.fleet import apps, everyone, robot_command
-from laptop.fleet.everyone import ReportProgress
-from laptop.fleet.ssh import Host
+from laptop.fleet import apps
+from laptop.fleet.ssh import everyone, robot_command
+from laptop.fleet.ssh.everyone import ReportProgress
+from laptop.fleet.ssh.ssh import Host
 from laptop.fleet.units import SERVICES, units
 from sim.control import app_requests
 from swarm.errors import LocalError

@@ -11,10 +11,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from laptop.fleet import everyone, robot_command
-from laptop.fleet.collect import RUNS
-from laptop.fleet.everyone import RobotOutcome
-from laptop.fleet.ssh import Host, Ssh
+from laptop.fleet.core.collect import RUNS
+from laptop.fleet.ssh import everyone, robot_command
+from laptop.fleet.ssh.everyone import RobotOutcome
+from laptop.fleet.ssh.ssh import Host, Ssh
 from laptop.fleet.units import SERVICES
 from swarm.config import load
 from swarm.errors import PayloadError

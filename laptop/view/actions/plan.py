@@ -6,8 +6,8 @@ what was decided before.
 
 from laptop.fleet import apps
 from laptop.fleet.apps import StartedApp
-from laptop.fleet.ssh import HostError
-from laptop.fleet.versions import Versions
+from laptop.fleet.release.versions import Versions
+from laptop.fleet.ssh.ssh import HostError
 from swarm.config import Config
 
 

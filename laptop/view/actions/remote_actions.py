@@ -17,7 +17,7 @@ import msgpack
 from laptop.cli import param
 from laptop.fleet import apps
 from laptop.fleet.core.answers import MISUNDERSTOOD, misunderstood
-from laptop.fleet.ssh import Host, HostError, Ssh, hosts
+from laptop.fleet.ssh.ssh import Host, HostError, Ssh, hosts
 from laptop.fleet.units import SERVICES, kill, unit
 from laptop.view.actions.plan import Plan
 from laptop.view.actions.robot_actions import PageAction, cut, named, settings_of

@@ -5,7 +5,7 @@ import threading
 from collections.abc import Sequence
 from functools import partial
 
-from laptop.fleet.ssh import Host, HostError, Ssh
+from laptop.fleet.ssh.ssh import Host, HostError, Ssh
 from laptop.view.feeds.feed import RealTime
 from laptop.view.feeds.picture import REACH, Picture
 from laptop.view.feeds.tunnel import Tunnel

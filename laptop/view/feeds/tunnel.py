@@ -14,7 +14,7 @@ from typing import IO
 
 import msgpack
 
-from laptop.fleet.ssh import Host, Ssh, explain, last_words
+from laptop.fleet.ssh.ssh import Host, Ssh, explain, last_words
 from swarm.errors import LocalError
 from swarm.messages.codec import encode
 from swarm.onboard.lookout import MAX_COMMAND

@@ -1,8 +1,9 @@
 """One lockstep of an app on one robot: the author's steps, the lockstep core, its epochs, and when to stop.
 
-An app has one, or one for each of its channels. It has no IO, no clock and no thread: `services.apps.lockstep_driver`
-has these. Two things happen to it, perhaps in two threads: messages and timers, which take no time, and the app's code,
-which may take long. So `start`, `compute` and `renew` alone run the author's steps, beside whatever else happens.
+An app has one, or one for each of its channels. It has no IO, no clock and no thread: the driver
+(`services.apps.host.lockstep_driver`) has these. Two things happen to it, perhaps in two threads: messages and timers,
+which take no time, and the app's code, which may take long. So `start`, `compute` and `renew` alone run the author's
+steps, beside whatever else happens.
 """
 
 import struct

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Protocol
 
-from services.apps.observer import Source, StepRecord
+from services.apps.host.observer import Source, StepRecord
 from swarm.messages import AppEpoch, AppLog, AppParameters, AppProgress, Measurement
 from swarm.messages.codec import Value
 from swarm.messages.keys import key

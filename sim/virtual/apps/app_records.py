@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 
 from services.apps import loader
-from services.apps.observer import Source, StepRecord
+from services.apps.host.observer import Source, StepRecord
 from services.apps.persistence.recorder import Recorder
 from sim.virtual.apps.trajectory_builder import TrajectoryBuilder
 from sim.virtual.bus import VirtualBus

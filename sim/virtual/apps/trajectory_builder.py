@@ -3,7 +3,7 @@
 from array import array
 from collections.abc import Mapping
 
-from services.apps.observer import Source, StepRecord
+from services.apps.host.observer import Source, StepRecord
 from swarm.messages.codec import Value
 from swarm.recording.trajectory import EMPTY, MOST_TIMES, Trajectory, is_kept
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from laptop.cli.robots import bundle as command
-from laptop.fleet import bundle
+from laptop.fleet.release import bundle
 from swarm.errors import LocalError
 
 

@@ -9,7 +9,7 @@ from fake_robots import FakeRobots, Run, outcomes
 from needs import needs_ssh
 from test_fleet import add_python, make_release
 
-from laptop.fleet import collect
+from laptop.fleet.core import collect
 from services.dwm.core.calibration import calibration_file
 from services.dwm.core.calibration.calibration_file import CalibrationFile, Evidence, layout_of
 from services.dwm.core.calibration.models import RangeModel

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from laptop.fleet import collect
-from laptop.fleet.collect import File, FileData, FileEnd, Stream, Wanted
-from laptop.fleet.journal import JournalMark, entry
+from laptop.fleet.core import collect
+from laptop.fleet.core.collect import File, FileData, FileEnd, Stream, Wanted
+from laptop.fleet.files.journal import JournalMark, entry
 from swarm.errors import RemoteError
 
 

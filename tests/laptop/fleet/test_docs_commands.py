@@ -16,7 +16,7 @@ from fake_robots import FakeRobots
 from needs import needs_ssh
 from test_fleet import add_python, add_robot
 
-from laptop.fleet import release
+from laptop.fleet.release import release
 from swarm.config import parse
 from swarm.config.example import EXAMPLE
 

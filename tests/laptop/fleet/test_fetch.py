@@ -8,7 +8,7 @@ import pytest
 from fake_robots import FakeRobots, Run, outcomes
 from needs import needs_ssh
 
-from laptop.fleet import collect
+from laptop.fleet.core import collect
 
 pytest_plugins = ["fleet_fixtures"]
 pytestmark = needs_ssh

@@ -12,7 +12,7 @@ from fake_robots import FakeRobots, Run, outcomes
 from needs import needs_ssh
 
 from laptop.cli.robots import status
-from laptop.fleet.everyone import RobotOutcome
+from laptop.fleet.ssh.everyone import RobotOutcome
 from services.balancer.core import faults
 from swarm.config.keyfile import new_key_file
 

@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 
 from laptop.cli import halt as halt_ssh
 from laptop.cli.robots import status
-from laptop.fleet import collect, everyone, versions
-from laptop.fleet.core import doctor
+from laptop.fleet.core import collect, doctor
 from laptop.fleet.core.checkup import ExaminedRobot
-from laptop.fleet.ssh import Host, HostError, Ssh
+from laptop.fleet.release import versions
+from laptop.fleet.ssh import everyone
+from laptop.fleet.ssh.ssh import Host, HostError, Ssh
 from swarm.config import parse
 from swarm.errors import LocalError, RemoteError
 from swarm.messages import topics
@@ -106,7 +107,7 @@ def test_a_size_of_5000_digits_is_no_list_of_recordings() -> None:
 
 @pytest.mark.parametrize("on_line", [None, lambda line: None])
 def test_an_answer_without_end_is_cut_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, on_line: Any) -> None:
-    monkeypatch.setattr("laptop.fleet.ssh._LONGEST", 1 << 20)
+    monkeypatch.setattr("laptop.fleet.ssh.ssh._LONGEST", 1 << 20)
     ssh = Ssh()
     monkeypatch.setattr(ssh, "arguments", lambda host, command: ["sh", "-c", "exec cat /dev/zero"])
     with pytest.raises(HostError, match="more than 1 MiB"):

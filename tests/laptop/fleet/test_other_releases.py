@@ -10,7 +10,7 @@ from test_doctor_core import WELL, bus
 
 from laptop.cli.robots import status
 from laptop.fleet.core import doctor
-from laptop.fleet.everyone import RobotOutcome
+from laptop.fleet.ssh.everyone import RobotOutcome
 
 SAID: dict[str, Any] = {
     "balancer/state": {"mode": "balancing", "battery": 7.4, "battery_left": 9000, "fault": ""},

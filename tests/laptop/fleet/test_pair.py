@@ -14,8 +14,8 @@ from fake_robots import SSHD, FakeRobots
 
 from bench.running import running
 from laptop.cli import main
-from laptop.fleet import remote
-from laptop.fleet.ssh import Host, Ssh
+from laptop.fleet.ssh import remote
+from laptop.fleet.ssh.ssh import Host, Ssh
 from swarm.config import load
 
 PYTHON = "/usr/bin/python3"

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from laptop.fleet import bundle
 from laptop.fleet.core import packages, settings, steps, texts
 from laptop.fleet.core.wish import DesiredRobot, Packages
+from laptop.fleet.release import bundle
 from swarm.errors import LocalError
 
 WISH = DesiredRobot("r0", "zero2w", "r0", 0.0)

@@ -13,9 +13,9 @@ from fake_robots import FakeRobots, Run
 from needs import needs_ssh
 
 from laptop.cli.robots import deploy
-from laptop.fleet import release
-from laptop.fleet.install import read_release
-from laptop.fleet.release import build
+from laptop.fleet.release import release
+from laptop.fleet.release.install import read_release
+from laptop.fleet.release.release import build
 from swarm.errors import LocalError
 
 pytest_plugins = ["fleet_fixtures"]

@@ -10,7 +10,7 @@ from needs import needs_ssh
 from remote_units import Units, scripts
 
 from bench.fake_robots import FakeRobots
-from laptop.fleet.ssh import Ssh, hosts
+from laptop.fleet.ssh.ssh import Ssh, hosts
 from laptop.view.actions.control import Control
 from laptop.view.actions.remote_actions import RemoteActions
 from laptop.view.feeds.robots import Robots

@@ -9,7 +9,7 @@ from conftest import wait_until
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from laptop.fleet.ssh import Host, Ssh
+from laptop.fleet.ssh.ssh import Host, Ssh
 from laptop.view.actions.control import Control
 from laptop.view.actions.robot_actions import PageAction
 from laptop.view.feeds import robots as module

@@ -12,7 +12,7 @@ from remote_units import SUDO, scripts
 from test_reach import Tunnel
 
 from bench.fake_robots import FakeRobots
-from laptop.fleet.ssh import Ssh, hosts
+from laptop.fleet.ssh.ssh import Ssh, hosts
 from laptop.view.actions import remote_actions as module
 from laptop.view.actions.control import Control
 from laptop.view.actions.remote_actions import RemoteActions

@@ -10,7 +10,7 @@ import pytest
 from conftest import wait_until
 from test_reach import CONFIG, LEDS, Nothing
 
-from laptop.fleet.ssh import Host
+from laptop.fleet.ssh.ssh import Host
 from laptop.view.actions.control import Control
 from laptop.view.feeds.picture import REACH
 from laptop.view.feeds.robots import Robots

@@ -13,7 +13,7 @@ from conftest import Processes, wait_until
 from needs import needs_ssh
 from remote_swarm import Swarm
 
-from laptop.fleet.ssh import HostError
+from laptop.fleet.ssh.ssh import HostError
 from laptop.view.feeds.picture import REACH
 from laptop.view.feeds.robots import Robots
 from swarm.errors import LocalError

@@ -11,10 +11,11 @@ __all__ = ["make_rig"]
 
 PAIR = """
 import sys
-from services.apps import loader, topology
+from services.apps import loader
+from services.apps.host import topology
 from services.apps.persistence.claim import AppLock
-from services.apps.host import LockstepHost, Part
-from services.apps.topology import Place
+from services.apps.host.host import LockstepHost, Part
+from services.apps.host.topology import Place
 from services.apps.runner import Runner
 from services.apps.persistence.storage import FileStorage
 from swarm.app.run_options import RunOptions

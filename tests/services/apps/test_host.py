@@ -18,7 +18,7 @@ from conftest import wait_until
 from memory_swarm import PLACES, TARGET, MeasurementOf, MemorySwarm, config_of
 
 from services.apps import loader
-from services.apps.host import schema_of
+from services.apps.host.host import schema_of
 from services.apps.runner import Runner
 from swarm.config import load
 from swarm.core.lockstep.frames import Channel

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from services.apps.recorded_values import MAX_NAMES, RecordedValues
+from services.apps.equipment.recorded_values import MAX_NAMES, RecordedValues
 from swarm.messages import AppOutput
 
 

@@ -6,8 +6,8 @@ from conftest import wait_until
 from memory_swarm import config_of
 from test_host import START, MakeRig, make_rig
 
-from services.apps import topology
-from services.apps.topology import CONFIGURED, SETTLED, TopologyWatch, lacking
+from services.apps.host import topology
+from services.apps.host.topology import CONFIGURED, SETTLED, TopologyWatch, lacking
 from swarm.core.lockstep.lockstep import Channel
 from swarm.messages import Topology
 

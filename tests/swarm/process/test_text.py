@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import swarm
-from laptop.fleet import journal
-from laptop.fleet.ssh import last_words
+from laptop.fleet.files import journal
+from laptop.fleet.ssh.ssh import last_words
 from swarm.messages.codec import MAX_PAYLOAD, encode
 from swarm.onboard.samples import BusSample, as_json, as_text
 from swarm.process import log, terminal

@@ -6,15 +6,15 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
 from typing import NamedTuple
 
-from services.apps.changes import Changes
 from services.apps.core.terms import Terms
-from services.apps.device_claims import DeviceClaims
-from services.apps.lockstep_driver import LockstepDriver
-from services.apps.measurements import Measurements
-from services.apps.observer import Observer
+from services.apps.equipment.device_claims import DeviceClaims
+from services.apps.equipment.measurements import Measurements
+from services.apps.host.changes import Changes
+from services.apps.host.lockstep_driver import LockstepDriver
+from services.apps.host.observer import Observer
+from services.apps.host.topology import Place, TopologyWatch
 from services.apps.persistence.storage import Storage
 from services.apps.runner import Runner
-from services.apps.topology import Place, TopologyWatch
 from swarm.core.epochs.actions import EpochRequest
 from swarm.core.lockstep.actions import address_of
 from swarm.core.lockstep.lockstep import Advanced, Channel

@@ -2,7 +2,7 @@
 
 FOLDER/bookworm-arm64/Packages      an index as apt reads it, with sizes and SHA-256 of
 FOLDER/bookworm-arm64/*.deb         Debian packages with all that they depend on
-FOLDER/balboa-swarm-*.tar.gz        releases (laptop.fleet.release), one for each Python
+FOLDER/balboa-swarm-*.tar.gz        releases (laptop.fleet.release.release), one for each Python
 
 The packages are got by this computer's apt for another Debian and another processor. apt runs on folders of our own:
 nothing of this computer's lists, packages or settings is read or changed, no root is needed. It checks the archive's

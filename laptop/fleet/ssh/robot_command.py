@@ -10,7 +10,7 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from laptop.fleet.ssh import Host
+from laptop.fleet.ssh.ssh import Host
 from swarm.config import find
 from swarm.errors import LocalError
 from swarm.onboard import buses

@@ -4,15 +4,15 @@ import secrets
 from collections.abc import Callable, Mapping
 from functools import partial
 
-from services.apps.app_status import LOOK_EVERY, REPEAT, AppStatus
 from services.apps.core.lockstep_run import ALONE, LockstepRun, Renew
 from services.apps.core.terms import Terms
-from services.apps.measurements import Measurements
-from services.apps.observer import Observer, StepRecord
+from services.apps.equipment.measurements import Measurements
+from services.apps.host.app_status import LOOK_EVERY, REPEAT, AppStatus
+from services.apps.host.observer import Observer, StepRecord
+from services.apps.host.topology import Place, TopologyWatch
 from services.apps.persistence.ballots import told
 from services.apps.persistence.storage import Storage
 from services.apps.runner import Runner
-from services.apps.topology import Place, TopologyWatch
 from swarm.core.asynchronous import HANG
 from swarm.core.epochs.actions import EpochRequest, SaveEpochs, SendToNeighbours, SwitchEpoch
 from swarm.core.epochs.notes import LOST, Epoch

@@ -10,16 +10,16 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache, partial
 
-from services.apps.app_status import LOOK_EVERY, AppStatus
-from services.apps.changes import Changes
-from services.apps.device_claims import DeviceClaims
+from services.apps.equipment.device_claims import DeviceClaims
 from services.apps.event_runner import EventRunner, place_of, version
-from services.apps.host import MOST_KEYS, LockstepHost, Part
-from services.apps.lockstep_driver import CLOSE_WITHIN
-from services.apps.observer import Observer, StepRecord
+from services.apps.host.app_status import LOOK_EVERY, AppStatus
+from services.apps.host.changes import Changes
+from services.apps.host.host import MOST_KEYS, LockstepHost, Part
+from services.apps.host.lockstep_driver import CLOSE_WITHIN
+from services.apps.host.observer import Observer, StepRecord
+from services.apps.host.topology import Place, of_edges
 from services.apps.persistence.storage import Storage
 from services.apps.runner import Runner
-from services.apps.topology import Place, of_edges
 from swarm.app.devices import Devices
 from swarm.app.event_app import ChannelView, channels_of
 from swarm.app.overlays import Message, Overlays

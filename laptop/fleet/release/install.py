@@ -12,9 +12,9 @@ import tarfile
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from laptop.fleet.everyone import ReportProgress
-from laptop.fleet.ssh import Host, HostError, Ssh, last_words
-from laptop.fleet.versions import OWN_NAME
+from laptop.fleet.release.versions import OWN_NAME
+from laptop.fleet.ssh.everyone import ReportProgress
+from laptop.fleet.ssh.ssh import Host, HostError, Ssh, last_words
 from swarm.config.keyfile import read_keys
 from swarm.errors import LocalError
 from swarm.frozen import frozen

@@ -6,7 +6,7 @@ Here and on a robot the file is `calibration/ROBOT.toml` beside `swarm.toml`.
 import shlex
 from collections.abc import Mapping
 
-from laptop.fleet.ssh import Host, HostError, Ssh
+from laptop.fleet.ssh.ssh import Host, HostError, Ssh
 from services.dwm.core.calibration import calibration_file
 from services.dwm.core.calibration.calibration_file import CalibrationFile
 from services.dwm.localizer import calibration_path

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
-from laptop.fleet import collect
-from laptop.fleet.collect import File, FileData, FileEnd, Stream
-from laptop.fleet.everyone import ReportProgress
-from laptop.fleet.journal import FIELDS, JournalMark, entry
-from laptop.fleet.ssh import Host, HostError, Ssh, last_words
+from laptop.fleet.core import collect
+from laptop.fleet.core.collect import File, FileData, FileEnd, Stream
+from laptop.fleet.files.journal import FIELDS, JournalMark, entry
+from laptop.fleet.ssh.everyone import ReportProgress
+from laptop.fleet.ssh.ssh import Host, HostError, Ssh, last_words
 from swarm.errors import RemoteError
 from swarm.files import atomic_write, sync_folder
 

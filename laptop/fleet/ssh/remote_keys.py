@@ -7,7 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 
-from laptop.fleet.ssh import Host, Ssh
+from laptop.fleet.ssh.ssh import Host, Ssh
 from swarm.errors import LocalError
 from swarm.onboard.body.keyboard import Keys
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import swarm
-from laptop.fleet.ssh import Host, HostError, Ssh, last_words
+from laptop.fleet.ssh.ssh import Host, HostError, Ssh, last_words
 from swarm.errors import LocalError, PayloadError
 from swarm.messages.json_input import read_json
 

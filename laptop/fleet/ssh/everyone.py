@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from laptop.fleet.core.answers import MISUNDERSTOOD, misunderstood
-from laptop.fleet.ssh import Host, HostError, Ssh, hosts
+from laptop.fleet.ssh.ssh import Host, HostError, Ssh, hosts
 from swarm.config import Config, load
 from swarm.config.find import LOOKED_IN
 from swarm.errors import LocalError

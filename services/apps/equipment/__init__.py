@@ -1,0 +1,1 @@
+"""What an app's robot has: clients of its devices, measurements, recorded values, and a voice on the bus."""
