@@ -19,7 +19,7 @@ from laptop.fleet.core import collect
 from laptop.fleet.files import journal
 from laptop.fleet.release import versions
 from laptop.view.feeds.picture import Picture, places
-from services.balancer import link
+from services.balancer.bridge import link
 from services.balancer.core.devices import balboa, imu, uwb
 from services.balancer.core.flashing import intel_hex
 from services.dwm.core.calibration import calibration_file

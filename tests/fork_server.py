@@ -39,7 +39,7 @@ MODULES = (
     "bench.talking_sim",
     "laptop.cli.runs.sim",
     "laptop.cli.z_sub",
-    "services.balancer.bridge",
+    "services.balancer.bridge.bridge",
     "sim.body",
 )
 SIMULATIONS = ("laptop.cli.runs.sim", "bench.talking_sim")

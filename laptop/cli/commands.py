@@ -41,11 +41,12 @@ SECTIONS: Sections = {
         ),
         "balance": robot.BALANCE._replace(
             commands={
-                name: each._replace(module="laptop.cli.robots.balance") for name, each in robot.BALANCE.commands.items()
+                name: each._replace(module="laptop.cli.robots.body.balance")
+                for name, each in robot.BALANCE.commands.items()
             }
         ),
-        "drive": Command("laptop.cli.robots.drive"),
-        "commission": Command("laptop.cli.robots.commission"),
+        "drive": Command("laptop.cli.robots.body.drive"),
+        "commission": Command("laptop.cli.robots.body.commission"),
         "mesh": robot.MESH._replace(
             commands={name: each._replace(far=FAR) for name, each in robot.MESH.commands.items()}
             | {"show": Command("laptop.cli.mesh", far=FAR)}
@@ -81,7 +82,7 @@ SECTIONS: Sections = {
         "status": Command("laptop.cli.robots.status"),
         "logs": Command("laptop.cli.robots.logs"),
         "fetch": Command("laptop.cli.robots.fetch"),
-        "flash": Command("laptop.cli.robots.flash"),
+        "flash": Command("laptop.cli.robots.body.flash"),
         "doctor": Command("laptop.cli.robots.doctor"),
         "command": Command("laptop.cli.robots.command"),
         "services": CommandGroup(

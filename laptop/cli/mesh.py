@@ -6,7 +6,7 @@ from pathlib import Path
 
 from laptop.plotting.style import add_plot, figure
 from swarm.core.graph import Graph
-from swarm.onboard.ask import AWAY
+from swarm.onboard.buses.ask import AWAY
 from swarm.onboard.mesh import show
 from swarm.onboard.mesh.collected import CollectedMesh
 

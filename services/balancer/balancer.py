@@ -13,9 +13,9 @@ from services.balancer.core import faults
 from services.balancer.core.control.body import BodyModel
 from services.balancer.core.control.choice import make_controller
 from services.balancer.core.control.controller import BALANCING, CALIBRATING, FAULT, IDLE, STARTING
-from services.balancer.core.control.estimator import BodyEstimate, Estimator
-from services.balancer.core.control.gyro import GyroZero, Zero
-from services.balancer.core.control.posture import at_rest, posture
+from services.balancer.core.control.estimation.estimator import BodyEstimate, Estimator
+from services.balancer.core.control.estimation.gyro import GyroZero, Zero
+from services.balancer.core.control.estimation.posture import at_rest, posture
 from services.balancer.core.devices import balboa, imu
 from services.balancer.core.devices.battery import EMPTY, LOW, OK, BatteryGuard
 from services.balancer.core.devices.leds import LedClaim, Shown, shown

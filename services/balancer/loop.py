@@ -15,15 +15,15 @@ from collections.abc import Callable
 
 from services.balancer import realtime
 from services.balancer.balancer import Balancer
-from services.balancer.child import Bridge
+from services.balancer.bridge.child import Bridge
+from services.balancer.bridge.link import TELEMETRY_S
+from services.balancer.bridge.orders import halt, moves, obey
 from services.balancer.core.control.body import body_model
-from services.balancer.core.control.gyro import Zero
+from services.balancer.core.control.estimation.gyro import Zero
 from services.balancer.core.control.lqr import PERIOD_S
 from services.balancer.core.devices import leds
 from services.balancer.core.lateness import Lateness
 from services.balancer.i2c import I2CBus, open_patiently
-from services.balancer.link import TELEMETRY_S
-from services.balancer.orders import halt, moves, obey
 from services.balancer.slack_tasks import SlackTasks
 from services.balancer.telemetry import Telemetry
 from services.balancer.zero_file import ZeroFile

@@ -12,6 +12,7 @@ import logging
 from collections.abc import Callable, Sequence
 
 from services.balancer.balancer import Balancer
+from services.balancer.bridge.link import Message
 from services.balancer.core.control.lqr import PERIOD_S
 from services.balancer.core.devices import balboa, imu
 from services.balancer.core.devices.buttons import ButtonCounter
@@ -24,7 +25,6 @@ from services.balancer.core.devices.uwb import UwbReader
 from services.balancer.core.slack.queue import STARVED_S, QueuedTask, by_urgency
 from services.balancer.core.slack.transfers import SlackTask
 from services.balancer.core.slack.wire_time import Room, Transfer, TypicalTime
-from services.balancer.link import Message
 from swarm.errors import RemoteError
 from swarm.messages import Display, ImuRequest, ImuSample, MeasureI2C, ModuleRequest, SetNotes
 

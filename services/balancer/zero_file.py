@@ -8,7 +8,7 @@ import logging
 import math
 from pathlib import Path
 
-from services.balancer.core.control.gyro import Zero
+from services.balancer.core.control.estimation.gyro import Zero
 from swarm.files import atomic_write
 from swarm.process.paths import VOLATILE
 

@@ -14,7 +14,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from services.dwm import configure, survey, truth
+from services.dwm import configure, truth
+from services.dwm.anchors import survey
 from services.dwm.configure import DesiredModule, ModuleInfo
 from services.dwm.core.calibration.models import RangeModel
 from services.dwm.core.module import calls, diagnosis
@@ -25,8 +26,8 @@ from services.dwm.localizer import known_modules, load_calibration, uncalibrated
 from swarm.config import Config, load
 from swarm.config.find import find
 from swarm.errors import ConfigError, LocalError
-from swarm.onboard import buses
 from swarm.onboard.arguments import add_json, show
+from swarm.onboard.buses import buses
 from swarm.process.simulations import CONFIG
 
 SECONDS = 3.0
@@ -269,7 +270,7 @@ def _of_calibration(config: Config | None, robot: str | None) -> list[ModuleFind
 
 def _anchors(args: argparse.Namespace, config: Config | None, lines: Sequence[ModuleConnection]) -> int:
     if args.auto:
-        from services.dwm.layout import lay_out  # needs numpy, which no robot has
+        from services.dwm.anchors.layout import lay_out  # needs numpy, which no robot has
 
         return lay_out(args, config, lines, _calibrate(config, args.robots[0] if args.robots else None), _wait)
     if args.ranges:

@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-from services.balancer.core.control.posture import UPRIGHT
+from services.balancer.core.control.estimation.posture import UPRIGHT
 from sim.core.actions import MAX_IMPULSE, Knock
 from sim.core.track import Point
 

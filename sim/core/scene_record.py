@@ -9,7 +9,7 @@ from bisect import bisect_left
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
-from services.balancer.core.control.posture import UPRIGHT
+from services.balancer.core.control.estimation.posture import UPRIGHT
 from sim.core.track import Point, Track
 
 MOST_FLASHES = 20_000

@@ -56,7 +56,7 @@ SECTIONS: Sections = {
         "measure": MEASURE,
         "app": CommandGroup("running apps", {"param": Command("swarm.onboard.param")}),
         **TOOLS,
-        "flash": Command("services.balancer.flash", help="write new firmware to the Balboa, over its USB cable"),
+        "flash": Command("services.balancer.flash.flash", help="write new firmware to the Balboa, over its USB cable"),
     },
     "safety": {
         "estop": Command("swarm.onboard.halt", ("stop",), "stop every robot, and list the robots that confirmed"),

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from services.balancer.child import OOM_SCORE_ADJUST
+from services.balancer.bridge.child import OOM_SCORE_ADJUST
 
 SYSTEMD = Path(__file__).parents[2] / "deploy" / "systemd"
 SERVICES = ("swarm-bus", "swarm-mesh", "swarm-balancer", "swarm-dwm", "swarm-app@consensus")

@@ -16,7 +16,7 @@ from services.apps.host import topology
 from services.apps.host.changes import Changes
 from services.apps.persistence.claim import AppLock
 from services.apps.persistence.snapshot import SnapshotFile
-from services.balancer.core.control.gyro import Zero
+from services.balancer.core.control.estimation.gyro import Zero
 from services.balancer.zero_file import ZeroFile
 from services.dwm.localizer import load_calibration
 from services.mesh import topology_file

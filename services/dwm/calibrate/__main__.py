@@ -21,7 +21,7 @@ from swarm.bus.zenoh_bus import Bus
 from swarm.config import Config
 from swarm.errors import BusError, LocalError
 from swarm.files import atomic_write, make_folder
-from swarm.onboard import buses
+from swarm.onboard.buses import buses
 from swarm.process import log, service
 from swarm.process.simulations import CONFIG, default_run_dir, is_live
 from swarm.recording.thesis_ranges import read_recording

@@ -7,12 +7,12 @@ import math
 import random
 from collections.abc import Callable, Mapping
 
-from services.balancer.bus_side import BusSide
+from services.balancer.bridge.bus_side import BusSide
+from services.balancer.bridge.link import TELEMETRY_S, Command
+from services.balancer.bridge.orders import halt, obey
 from services.balancer.core.devices.buttons import REPEAT_S, ButtonCounter
 from services.balancer.core.devices.leds import LedClaim, Shown, shown
 from services.balancer.core.faults import FELL, STOPPED, MotorFault
-from services.balancer.link import TELEMETRY_S, Command
-from services.balancer.orders import halt, obey
 from sim.core.actions import BUTTONS, Knock, Lay, Press, Push, SimulationAction
 from sim.core.scene_record import SceneRecord
 from sim.virtual.bus import VirtualBus
@@ -46,7 +46,7 @@ TICK = 0.01
 
 
 class VirtualBalancer:
-    """One robot's body, and what `services.balancer.bus_side` needs of its loop."""
+    """One robot's body, and what `services.balancer.bridge.bus_side` needs of its loop."""
 
     def __init__(
         self,
@@ -141,19 +141,19 @@ class VirtualBalancer:
     # -- the loop ----------------------------------------------------------------------------------------------
 
     def halt(self, stop: Stop) -> None:
-        """See `services.balancer.bus_side.LoopLink`."""
+        """See `services.balancer.bridge.bus_side.LoopLink`."""
         halt(self, stop)
 
     def take(self, command: Command, heard: float) -> bool:
-        """See `services.balancer.bus_side.LoopLink`. What only devices do that this body has not is left undone."""
+        """See `services.balancer.bridge.bus_side.LoopLink`. What only a real device can do is left undone."""
         obey(self, command, heard, VirtualRuntime.log)
         return True
 
     def show(self, request: SetDisplay) -> None:
-        """See `services.balancer.bus_side.LoopLink`."""
+        """See `services.balancer.bridge.bus_side.LoopLink`."""
         self._side.publish(Display(self._time.now, True, tuple(request.text.split("\n"))))
 
-    # -- the balancer, see `services.balancer.orders.Obedient` -------------------------------------------------------
+    # -- the balancer, see `services.balancer.bridge.orders.Obedient` ------------------------------------------------
 
     def drive(self, speed: float, turn_rate: float, seconds: float, now: float) -> None:
         """Drive for a time."""

@@ -5,7 +5,7 @@ Bodies that stand still are not asked, so a run in which nobody drives costs not
 
 from collections.abc import Mapping
 
-from services.balancer.link import TELEMETRY_S
+from services.balancer.bridge.link import TELEMETRY_S
 from sim.core.contacts import Contacts
 from sim.virtual.events import EventQueue
 from sim.virtual.robot.balancer import VirtualBalancer

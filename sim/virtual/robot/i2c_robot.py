@@ -10,10 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from services.balancer.balancer import Balancer
+from services.balancer.bridge.link import Message
 from services.balancer.core.control.body import body_model
 from services.balancer.core.control.lqr import PERIOD_S
 from services.balancer.core.devices.display import ScreenText
-from services.balancer.link import Message
 from services.balancer.slack_tasks import SlackTasks
 from services.dwm.core.module.tlv import LOC_GET, AnchorRange, Location, Position, encode_location
 from sim.core.balboa import BalboaBody

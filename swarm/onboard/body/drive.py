@@ -16,10 +16,11 @@ from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError, PayloadError
 from swarm.messages import BalancerFault, BalancerState, Notice, SetVelocity, Stop, read
 from swarm.messages.keys import STOP, key
-from swarm.onboard import buses, halt
-from swarm.onboard.ask import PATIENCE
+from swarm.onboard import halt
 from swarm.onboard.body.key_velocity import STANDSTILL, KeyVelocity, Velocity
 from swarm.onboard.body.keyboard import Keys
+from swarm.onboard.buses import buses
+from swarm.onboard.buses.ask import PATIENCE
 from swarm.process.terminal import write_lines
 
 HELP = "drive a robot by keyboard; it moves only while a key is held"

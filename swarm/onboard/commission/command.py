@@ -21,11 +21,11 @@ from swarm.errors import LocalError, PayloadError
 from swarm.files import atomic_write
 from swarm.messages import Arm, ImuRequest, MeasureI2C, SetDisplay, SetMode, Stop, TryMotors, read
 from swarm.messages.keys import STOP, key
-from swarm.onboard import buses
 from swarm.onboard.arguments import add_json
-from swarm.onboard.ask import PATIENCE
 from swarm.onboard.body.drive import one
 from swarm.onboard.body.keyboard import Keys
+from swarm.onboard.buses import buses
+from swarm.onboard.buses.ask import PATIENCE
 from swarm.onboard.commission.core.procedure import Action, Ask, Procedure, Say, Send, Subject
 from swarm.onboard.commission.core.steps import STEPS
 from swarm.process.simulations import CONFIG

@@ -18,8 +18,9 @@ from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError
 from swarm.messages import GraphRobot
 from swarm.messages.keys import is_name
-from swarm.onboard import arguments, buses
-from swarm.onboard.ask import PATIENCE, Views, opened
+from swarm.onboard import arguments
+from swarm.onboard.buses import buses
+from swarm.onboard.buses.ask import PATIENCE, Views, opened
 from swarm.onboard.measure.figures import FLOOD, NEIGHBOURS, OVERLAYS, UNICAST, Figures, Series
 from swarm.onboard.measure.senders import Floods, Pings, Sender, UnicastMessages
 from swarm.onboard.mesh.collected import CollectedMesh

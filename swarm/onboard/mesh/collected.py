@@ -6,7 +6,7 @@ from functools import cached_property
 
 from swarm.core.graph import Graph
 from swarm.messages import Clock, GraphRobot, Links, LinkState
-from swarm.onboard.ask import AWAY
+from swarm.onboard.buses.ask import AWAY
 
 UP = ("up", "suspect")
 

@@ -9,9 +9,9 @@ from dataclasses import asdict
 from swarm.errors import LocalError
 from swarm.messages import AppEpoch, SetAppEpoch
 from swarm.messages.keys import is_name, key
-from swarm.onboard import buses
 from swarm.onboard.arguments import add_json, number, show
-from swarm.onboard.ask import PATIENCE, Answers, new_ticket, opened
+from swarm.onboard.buses import buses
+from swarm.onboard.buses.ask import PATIENCE, Answers, new_ticket, opened
 
 HELP = "show or change which robots an app's lockstep runs on"
 

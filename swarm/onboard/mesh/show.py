@@ -12,9 +12,9 @@ from swarm.bus.zenoh_bus import Bus, OnSample
 from swarm.errors import LocalError, PayloadError
 from swarm.messages import Clock, Links, Status, read
 from swarm.messages.keys import key, parse
-from swarm.onboard import buses
 from swarm.onboard.arguments import add_json, show
-from swarm.onboard.ask import PATIENCE, Views, opened
+from swarm.onboard.buses import buses
+from swarm.onboard.buses.ask import PATIENCE, Views, opened
 from swarm.onboard.mesh import tables
 from swarm.onboard.mesh.collected import CollectedMesh, MeshView
 

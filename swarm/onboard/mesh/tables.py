@@ -3,7 +3,7 @@
 import statistics
 from collections.abc import Sequence
 
-from swarm.onboard.ask import AWAY
+from swarm.onboard.buses.ask import AWAY
 from swarm.onboard.mesh.collected import CollectedMesh
 from swarm.process.terminal import columns
 

@@ -8,7 +8,7 @@ import pytest
 from swarm.bus.zenoh_bus import Bus
 from swarm.messages import AppEpoch, Topology
 from swarm.messages.codec import encode
-from swarm.onboard.ask import ROUND, Answers
+from swarm.onboard.buses.ask import ROUND, Answers
 
 TOPOLOGY = Topology(0.0, 0, 0, "", False, 0.0, (), (), (), (), {})
 EPOCH = AppEpoch(0.0, 0, 0, ("r0",), (), (), False, 0)

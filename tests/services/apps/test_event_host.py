@@ -23,7 +23,7 @@ from swarm.messages import (
     SetVelocity,
 )
 from swarm.messages.codec import decode, encode
-from swarm.onboard import ask as swarm_ask
+from swarm.onboard.buses import ask as swarm_ask
 
 MakeRig = Callable[..., Rig]
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from services.balancer.balancer import Balancer
 from services.balancer.core.control.body import BodyModel, body_model
-from services.balancer.core.control.gyro import Zero
+from services.balancer.core.control.estimation.gyro import Zero
 from services.balancer.core.control.lqr import PERIOD_S
 from sim.core.balboa import BalboaBody
 from sim.core.devices import NO_ERRORS, ImuErrors, SimulatedRobot, draw_errors

@@ -9,10 +9,10 @@ import random
 from collections.abc import Callable
 
 from services.balancer.balancer import Balancer
+from services.balancer.bridge.orders import halt, obey
 from services.balancer.core.control.body import body_model
 from services.balancer.core.control.lqr import PERIOD_S
 from services.balancer.core.devices.display import ScreenText
-from services.balancer.orders import halt, obey
 from services.balancer.slack_tasks import SlackTasks
 from services.balancer.telemetry import Telemetry
 from sim.core.balboa import BalboaBody

@@ -225,7 +225,7 @@ def test_the_bridge_ends_when_the_loop_lets_go(processes: Processes, router: obj
     our_stops, their_stops = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with ours, theirs, our_stops, their_stops:
         descriptors = [theirs.fileno(), their_stops.fileno()]
-        command = [sys.executable, "-m", "services.balancer.bridge", *descriptors]
+        command = [sys.executable, "-m", "services.balancer.bridge.bridge", *descriptors]
         environment = processes.environment()
         with running(command, env=environment, pass_fds=descriptors, stderr=subprocess.DEVNULL) as bridge:
             for each in (theirs, ours, their_stops, our_stops):
@@ -234,7 +234,7 @@ def test_the_bridge_ends_when_the_loop_lets_go(processes: Processes, router: obj
 
 
 def test_the_bridge_is_not_for_hands(processes: Processes) -> None:
-    _, error = processes.start("-m", "services.balancer.bridge").communicate(timeout=60)
+    _, error = processes.start("-m", "services.balancer.bridge.bridge").communicate(timeout=60)
     assert error == "bridge.py: the bridge is started by `python -m services.balancer`, not by hand\n"
 
 

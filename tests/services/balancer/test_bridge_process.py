@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from services.balancer import child
-from services.balancer.child import Bridge
+from services.balancer.bridge import child
+from services.balancer.bridge.child import Bridge
 
 
 def test_the_bridge_is_ended_before_the_loop_where_memory_runs_out_from_its_first_moment(

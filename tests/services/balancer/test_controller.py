@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.balancer.core.control import controller as c
-from services.balancer.core.control import stand_up as su
 from services.balancer.core.control.choice import make_controller
 from services.balancer.core.control.drive import TURN_LIMIT
-from services.balancer.core.control.estimator import BodyEstimate
+from services.balancer.core.control.estimation.estimator import BodyEstimate
+from services.balancer.core.control.manoeuvres import stand_up as su
 from services.balancer.core.control.regulator import DUTY_LIMIT
 from services.balancer.core.faults import FELL, STOPPED, MotorFault
 from services.balancer.core.lateness import Lateness

@@ -7,8 +7,8 @@ from balancer_rig import CONFIGURED
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.balancer.core.control.estimator import Estimator
-from services.balancer.core.control.gyro import KEPT_CHECK_S, SETTLE_S, STILL_SAMPLES, GyroZero, Zero
+from services.balancer.core.control.estimation.estimator import Estimator
+from services.balancer.core.control.estimation.gyro import KEPT_CHECK_S, SETTLE_S, STILL_SAMPLES, GyroZero, Zero
 from services.balancer.core.devices import imu
 from swarm.errors import RemoteError
 

@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_intel_hex import firmware, to_hex
 
-from services.balancer import flash, usb_port
 from services.balancer.core.devices import balboa
 from services.balancer.core.flashing import avr109, image
 from services.balancer.core.flashing.image import Image
+from services.balancer.flash import flash, usb_port
 from swarm.errors import LocalError, RemoteError
 
 IMAGE = image.read(to_hex(firmware(size=3000)))

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.balancer import loop as loop_module
-from services.balancer.core.control.gyro import Zero
-from services.balancer.link import pack, pack_command, unpack, unpack_command
+from services.balancer.bridge.link import pack, pack_command, unpack, unpack_command
+from services.balancer.core.control.estimation.gyro import Zero
 from services.balancer.loop import Loop
 from services.balancer.slack_tasks import SlackTasks
 from services.balancer.telemetry import Telemetry

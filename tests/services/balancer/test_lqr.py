@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from services.balancer.core.control import lqr
 from services.balancer.core.control.body import bare_body_model, body_model
-from services.balancer.core.control.estimator import SPEED_TIME_S
+from services.balancer.core.control.estimation.estimator import SPEED_TIME_S
 from sim.core.balboa import STEP_S, BalboaBody
 from swarm.config.types import Body
 from swarm.errors import LocalError

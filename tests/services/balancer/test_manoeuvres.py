@@ -5,8 +5,9 @@ import math
 import pytest
 from balancer_rig import CONFIGURED, OTHER, PLANTS, Rig, upright
 
-from services.balancer.core.control import lie_down, posture
-from services.balancer.core.control.gyro import STILL_RANGE
+from services.balancer.core.control.estimation import posture
+from services.balancer.core.control.estimation.gyro import STILL_RANGE
+from services.balancer.core.control.manoeuvres import lie_down
 from sim.core.balboa import REST_TILT
 from swarm.errors import LocalError
 

@@ -5,9 +5,9 @@ from balancer_rig import Rig
 from hypothesis import given
 from hypothesis import strategies as st
 
+from services.balancer.bridge.orders import halt, obey
 from services.balancer.core import faults
 from services.balancer.core.devices.battery import EMPTY
-from services.balancer.orders import halt, obey
 from services.balancer.telemetry import Telemetry
 from swarm.messages import BalancerFault, BalancerState, Notice, SetMode, Stop
 from swarm.onboard.body.mode_change import COMMANDS, ModeChange, ModeOutcome

@@ -7,7 +7,7 @@ from balancer_rig import NO_ERRORS, Rig
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.balancer.core.control.motor_trial import KINDS, LIMIT, LONGEST_S, check_test
+from services.balancer.core.control.manoeuvres.motor_trial import KINDS, LIMIT, LONGEST_S, check_test
 from sim.core.actions import MISWIRINGS
 from swarm.errors import LocalError
 from swarm.messages import TryMotors

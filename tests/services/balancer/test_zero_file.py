@@ -8,7 +8,7 @@ from balancer_rig import Rig
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.balancer.core.control.gyro import Zero
+from services.balancer.core.control.estimation.gyro import Zero
 from services.balancer.zero_file import LARGEST, MEASURED_S, NAME, USED_S, ZeroFile
 
 ZERO = Zero(0.011, -0.02, 0.003)

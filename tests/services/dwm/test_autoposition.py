@@ -6,7 +6,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from services.dwm.autoposition import align, locate
+from services.dwm.anchors.autoposition import align, locate
 from swarm.errors import LocalError
 
 SQUARE = {"D001": (0.0, 0.0), "D002": (2.0, 0.0), "D003": (2.0, 1.5), "D004": (0.2, 1.7)}

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from swarm.bus.zenoh_bus import Bus
 from swarm.messages import Leds
-from swarm.onboard.samples import BusSample, as_json, as_text, value_text
+from swarm.onboard.buses.samples import BusSample, as_json, as_text, value_text
 from swarm.process.paths import bus_endpoint
 from swarm.process.simulations import claim
 

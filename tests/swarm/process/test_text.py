@@ -16,7 +16,7 @@ import swarm
 from laptop.fleet.files import journal
 from laptop.fleet.ssh.ssh import last_words
 from swarm.messages.codec import MAX_PAYLOAD, encode
-from swarm.onboard.samples import BusSample, as_json, as_text
+from swarm.onboard.buses.samples import BusSample, as_json, as_text
 from swarm.process import log, terminal
 from swarm.process.terminal import Guarded, steer, write_lines
 from swarm.process.text import printable

@@ -15,11 +15,11 @@ from collections.abc import Mapping
 
 from services.balancer.core import faults
 from services.balancer.core.control.drive import Drive, check_command
-from services.balancer.core.control.estimator import BodyEstimate
-from services.balancer.core.control.lie_down import LieDown
-from services.balancer.core.control.motor_trial import MotorTest, check_test
+from services.balancer.core.control.estimation.estimator import BodyEstimate
+from services.balancer.core.control.manoeuvres.lie_down import LieDown
+from services.balancer.core.control.manoeuvres.motor_trial import MotorTest, check_test
+from services.balancer.core.control.manoeuvres.stand_up import StandUpAttempt
 from services.balancer.core.control.regulator import DUTY_LIMIT, Deviation, Regulator, limited
-from services.balancer.core.control.stand_up import StandUpAttempt
 from services.balancer.core.faults import MotorFault
 from services.balancer.core.parameters import BalancerParameter, BalancerParameters
 from swarm.errors import LocalError

@@ -1,6 +1,6 @@
 """What commands to the devices must keep to. The bridge refuses what does not; the loop need not check again."""
 
-from services.balancer.core.control.motor_trial import check_test
+from services.balancer.core.control.manoeuvres.motor_trial import check_test
 from services.balancer.core.devices.mailbox import check_request
 from services.balancer.core.devices.rates import check_measurement
 from services.balancer.core.devices.tune import check_notes

@@ -6,8 +6,8 @@ touches the floor at 5 to 8 rad/s in place of 12 to 16 with the motors off, with
 
 import math
 
-from services.balancer.core.control.estimator import BodyEstimate
-from services.balancer.core.control.posture import lies
+from services.balancer.core.control.estimation.estimator import BodyEstimate
+from services.balancer.core.control.estimation.posture import lies
 
 TIP_DUTY = -0.4
 TIPPED = math.radians(40)

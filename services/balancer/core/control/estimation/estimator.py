@@ -4,8 +4,8 @@ import math
 from typing import NamedTuple
 
 from services.balancer.core.control.body import BodyModel
-from services.balancer.core.control.gyro import Zero
-from services.balancer.core.control.heading import Heading
+from services.balancer.core.control.estimation.gyro import Zero
+from services.balancer.core.control.estimation.heading import Heading
 from services.balancer.core.devices import imu
 from services.balancer.core.devices.balboa import encoder_step
 from swarm.errors import RemoteError

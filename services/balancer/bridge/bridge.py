@@ -1,7 +1,7 @@
 """The balancer's half that speaks to the bus: publishes what the loop tells, hands it the commands that pass.
 
-`python -m services.balancer.bridge FD STOPS`, started by the loop with its ends of their two socket pairs. Ends with
-the loop.
+`python -m services.balancer.bridge.bridge FD STOPS`, started by the loop with its ends of their two socket pairs. It
+ends with the loop.
 
 A stop is handed to the loop by Zenoh's thread at once. Commands are only put aside by that thread, since whatever it
 does with a command, the stop behind it on the bus waits for; the main thread checks them and hands them on, so many a
@@ -16,10 +16,10 @@ import socket
 import sys
 import threading
 
-from services.balancer.bus_side import BusSide
+from services.balancer.bridge.bus_side import BusSide
+from services.balancer.bridge.link import MAX_DATAGRAM, Command, Message, pack, pack_command, unpack
 from services.balancer.core.devices.screen import Composer
 from services.balancer.core.inbox import Inbox, WaitingCommand
-from services.balancer.link import MAX_DATAGRAM, Command, Message, pack, pack_command, unpack
 from swarm import clock
 from swarm.bus.throttle import THROTTLED
 from swarm.errors import LocalError, PayloadError
@@ -34,7 +34,7 @@ _POLL_S = 0.25
 _TURN_S = 0.01
 """Least time between two times that commands are handed to the loop: its period."""
 _COMMANDS_A_TURN = 8
-"""As many as the loop takes in a tick (`services.balancer.child`)."""
+"""As many as the loop takes in a tick (`services.balancer.bridge.child`)."""
 
 
 class _Relay:
@@ -99,13 +99,13 @@ class _Relay:
         self._side.publish(message)
 
     def halt(self, stop: Stop) -> None:
-        """See `services.balancer.bus_side.LoopLink`; on Zenoh's thread."""
+        """See `services.balancer.bridge.bus_side.LoopLink`; on Zenoh's thread."""
         # Where the socket is full, there are stops in it that the loop has not taken yet; or the loop is gone.
         with contextlib.suppress(OSError):
             self._stops.send(pack(stop), socket.MSG_DONTWAIT)
 
     def take(self, command: Command, heard: float) -> bool:
-        """See `services.balancer.bus_side.LoopLink`."""
+        """See `services.balancer.bridge.bus_side.LoopLink`."""
         try:
             self._loop.send(pack_command(heard, command), socket.MSG_DONTWAIT)
         except BlockingIOError:
@@ -115,7 +115,7 @@ class _Relay:
         return True
 
     def show(self, request: SetDisplay) -> None:
-        """See `services.balancer.bus_side.LoopLink`."""
+        """See `services.balancer.bridge.bus_side.LoopLink`."""
         until = math.inf if request.seconds is None else clock.now() + request.seconds
         self._composer.take_text(request.text, until)
 

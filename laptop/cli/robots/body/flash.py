@@ -9,7 +9,7 @@ from laptop.fleet.release.release import firmware
 from laptop.fleet.ssh import everyone
 from laptop.fleet.ssh.everyone import ReportProgress
 from laptop.fleet.ssh.ssh import Host, HostError
-from services.balancer import flash
+from services.balancer.flash import flash
 
 HELP = "write new firmware to the Balboas, over their USB cables"
 

@@ -6,7 +6,7 @@ right signs: a motor, an encoder or an IMU that is mounted the wrong way turns w
 
 import math
 
-from services.balancer.core.control.estimator import BodyEstimate
+from services.balancer.core.control.estimation.estimator import BodyEstimate
 from services.balancer.core.control.regulator import STANDSTILL, Deviation, Regulator, limited
 from swarm.errors import LocalError
 from swarm.messages import TryMotors

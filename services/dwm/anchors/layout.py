@@ -6,8 +6,9 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from services.dwm import configure, survey
-from services.dwm.autoposition import Layout, Pair, align, locate
+from services.dwm import configure
+from services.dwm.anchors import survey
+from services.dwm.anchors.autoposition import Layout, Pair, align, locate
 from services.dwm.core.module.tlv import LOC_GET
 from services.dwm.line import ModuleConnection
 from swarm.config import Config

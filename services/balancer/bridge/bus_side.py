@@ -7,9 +7,9 @@ body without physics (`sim.virtual.robot.balancer`).
 from collections.abc import Callable
 from typing import Protocol
 
+from services.balancer.bridge.link import Command, Message
 from services.balancer.core.control.controller import CALIBRATING, COMMANDS, FAULT, STARTING
 from services.balancer.core.devices.requests import check
-from services.balancer.link import Command, Message
 from swarm.bus.protocol import Clock
 from swarm.bus.throttle import THROTTLED, Throttle
 from swarm.errors import LocalError, PayloadError

@@ -3,7 +3,7 @@
 import argparse
 from typing import Any
 
-from laptop.cli.robots.drive import far, show
+from laptop.cli.robots.body.drive import far, show
 from laptop.fleet.ssh import remote_keys, robot_command
 from swarm.errors import LocalError, PayloadError
 from swarm.messages.json_input import read_json

@@ -17,16 +17,16 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from services.balancer import usb_port
 from services.balancer.core.control.controller import BALANCING, LYING_DOWN, STANDING_UP
 from services.balancer.core.devices import balboa
 from services.balancer.core.flashing import avr109, image
 from services.balancer.core.flashing.image import Image
+from services.balancer.flash import usb_port
 from services.balancer.i2c import I2CBus, KernelBus
 from swarm.config import load, who_am_i
 from swarm.errors import LocalError, RemoteError
 from swarm.messages import BalancerState
-from swarm.onboard.ask import newest
+from swarm.onboard.buses.ask import newest
 from swarm.process.paths import runtime_dir
 
 UNIT = "swarm-balancer.service"

@@ -8,8 +8,8 @@ look --held upright--------------------------> caught
 
 import math
 
-from services.balancer.core.control.estimator import BodyEstimate
-from services.balancer.core.control.posture import UPRIGHT, lies
+from services.balancer.core.control.estimation.estimator import BodyEstimate
+from services.balancer.core.control.estimation.posture import UPRIGHT, lies
 from services.balancer.core.control.regulator import DUTY_LIMIT
 
 UPRIGHT_TICKS = 5

@@ -4,8 +4,8 @@ import logging
 from collections.abc import Callable, Mapping
 from typing import Protocol
 
+from services.balancer.bridge.link import Message
 from services.balancer.core.devices.leds import Shown
-from services.balancer.link import Message
 from swarm.errors import LocalError
 from swarm.messages import SetLeds, SetMode, SetParameters, SetVelocity, Stop, TryMotors
 

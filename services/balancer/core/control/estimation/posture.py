@@ -2,7 +2,7 @@
 
 import math
 
-from services.balancer.core.control.estimator import BodyEstimate
+from services.balancer.core.control.estimation.estimator import BodyEstimate
 
 UPRIGHT = math.radians(20)
 """Held within this angle it can be caught and balanced."""

@@ -8,11 +8,11 @@ import signal
 import socket
 import sys
 
-from services.balancer.link import MAX_DATAGRAM, Message, pack, unpack, unpack_command
+from services.balancer.bridge.link import MAX_DATAGRAM, Message, pack, unpack, unpack_command
 from swarm.errors import PayloadError
 from swarm.messages import Stop
 
-MODULE = "services.balancer.bridge"
+MODULE = "services.balancer.bridge.bridge"
 RESTART_S = 1.0
 """Least time between two starts."""
 _GRACE_S = 2.0

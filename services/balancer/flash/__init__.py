@@ -1,0 +1,1 @@
+"""New firmware for a Balboa, over its USB cable."""

@@ -1,0 +1,1 @@
+"""The places of anchors, from the distances between them."""
