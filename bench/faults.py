@@ -43,8 +43,7 @@ PAUSE_S = (0.05, 0.7)
 """Between two faults."""
 
 WARM_UP = 30
-START_S = 300.0
-"""Until all robots have done so many iterations, on a machine that others use as well."""
+"""Iterations of all robots before the first fault."""
 
 GO_ON = 60
 """All robots are back when each has done so many iterations more."""
@@ -131,7 +130,7 @@ def _mixed(sizes: Sizes) -> Iterator[Row]:
     swarm = (str(APP_FILE), "--robots", str(sizes.robots), "--topology", "loop", "--seed", str(sizes.seed))
     with Simulation(*swarm, "--loss", LOSS, "--seconds", "100000") as simulation:
         for name in names:
-            simulation.wait_for(name, WARM_UP, APP, START_S)
+            simulation.wait_for(name, WARM_UP, APP)
         began, first = clock.now(), _reached(simulation, names)
         played = Schedule(Player(simulation, names, APP), names, random.Random(sizes.seed)).play(sizes.count)
         ended, reached = clock.now(), _reached(simulation, names)

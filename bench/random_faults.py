@@ -7,6 +7,7 @@ app's values never settle and are computed once more from the thesis' rule alone
 value must be equal to these to the bit.
 """
 
+import contextlib
 import math
 import random
 import statistics
@@ -51,8 +52,7 @@ PAUSE_S = (0.1, 1.5)
 LENGTH_S = (0.2, 2.5)
 """Of a stop or a cut."""
 WARM_UP = 40
-START_S = 300.0
-"""Until all robots have done so many iterations, on a machine that others use as well."""
+"""Iterations of all robots before the first fault, and until one has gone on."""
 
 LONGEST_PAUSE_S = 8.0
 """Budget: a link that is lost without a word (3 s) behind the longest stop, and the way back."""
@@ -106,7 +106,7 @@ def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     draw, done = random.Random(seed), Done()
     with Simulation(*command, "--absent", "drop", "--drop-after", str(DROP_AFTER_S)) as simulation:
         for name in NAMES:
-            simulation.wait_for(name, WARM_UP, APP, START_S)
+            simulation.wait_for(name, WARM_UP, APP)
         before = _use(simulation)
         _faults(simulation, draw, done, count // 2, reboots=0.0)
         _wait_for_all(simulation)
@@ -182,13 +182,20 @@ def _faults(simulation: Simulation, draw: random.Random, done: Done, until: int,
 
 
 def _wait_for_all_services(simulation: Simulation) -> None:
-    """Until none has been started within the last 3 s: their memory is that of a service at work then."""
+    """Until all run, and none has been started within the last 3 s: their memory is that of a service at work then."""
     end = time.monotonic() + BACK_WITHIN_S
+    files = [pid_file(simulation.run_dir, robot, service) for robot in NAMES for service in SERVICES]
     while time.monotonic() < end:
-        ages = [time.time() - pid_file(simulation.run_dir, r, s).stat().st_mtime for r in NAMES for s in SERVICES]
-        if min(ages) > 3.0:
+        if all(time.time() - file.stat().st_mtime > 3.0 and _runs(file) for file in files):
             return
         time.sleep(0.1)
+
+
+def _runs(file: Path) -> bool:
+    """Whether the process whose pid stands in a file has memory: one that was killed has none, until it is started."""
+    with contextlib.suppress(OSError):
+        return "VmRSS:" in Path(f"/proc/{file.read_text().strip()}/status").read_text()
+    return False
 
 
 def _use(simulation: Simulation) -> dict[tuple[str, str], Use]:

@@ -15,6 +15,9 @@ from swarm.recording.reader import SUFFIX
 from swarm.recording.trajectory import Trajectory, TrajectoryReader
 
 POLL_S = 0.02
+START_S = 300.0
+"""So long at most an app may take to its first iteration. The simulation gives itself up before, where its start does
+not go on; the 36 processes of six robots take a busy machine more than a minute."""
 SWARM_SIM = ("laptop.cli", "sim")
 
 
@@ -68,11 +71,14 @@ class Simulation:
         return self._readers.setdefault(path, TrajectoryReader(path)).read()
 
     def wait_for(self, robot: str, k: int, app: str = "consensus", timeout_s: float = 60.0) -> None:
-        """Wait until a robot has reached iteration k."""
-        deadline = time.monotonic() + timeout_s
-        while self.trajectory(robot, app).last < k:
-            if self.process.poll() is not None or time.monotonic() > deadline:
-                raise SimulationError(f"{robot} did not reach iteration {k}: {self.said()}")
+        """Wait until a robot has reached iteration k. Raises `SimulationError` where the simulation ends before, or the
+        robot has done nothing for `timeout_s` (`START_S` until it has begun)."""
+        before, since = -1, time.monotonic()
+        while (last := self.trajectory(robot, app).last) < k:
+            if last > before:
+                before, since = last, time.monotonic()
+            if self.process.poll() is not None or time.monotonic() > since + (timeout_s if last >= 0 else START_S):
+                raise SimulationError(f"{robot} did not reach iteration {k}, but {last}: {self.said()}")
             time.sleep(POLL_S)
 
     def kill(self, robot: str, service: str, signal: str = "KILL") -> None:

@@ -141,7 +141,7 @@ def _pairs(how: str, seen: Seen, sizes: Sizes, cores: tuple[int, int] | None = N
         with Simulation("consensus", "--robots", "6", "--seconds", "3600") as simulation:
             if cores is not None:
                 os.sched_setaffinity(0, cores[1:])
-            simulation.wait_for("r0", sizes.warm_up, timeout_s=120.0)
+            simulation.wait_for("r0", sizes.warm_up)
             for _ in range(sizes.turns):
                 asyncio.run(asyncio.sleep(sizes.settle_s))
                 begin = clock.now()

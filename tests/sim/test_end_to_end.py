@@ -15,6 +15,8 @@ from conftest import wait_until
 from bench import talking_sim
 from bench.simulation import Simulation, SimulationError, simulate
 from sim.virtual.run import simulate as virtual
+from swarm.bus.zenoh_bus import Bus
+from swarm.messages import read
 from swarm.process.simulations import pid_of
 
 FORKED = {"program": ("laptop.cli.runs.sim",), "start": fork_server.start}
@@ -115,7 +117,6 @@ def test_robots_that_only_talk_have_the_same_trajectory_and_three_processes_each
 @pytest.mark.slow
 @pytest.mark.parametrize("service", ["bus", "mesh", "dwm", "balancer", "app"])
 def test_one_killed_service_changes_no_bit(service):
-    # Links slow enough for the run to outlast the start of the command that kills.
     with Simulation("consensus", "--iterations", "120", "--latency", "50ms") as simulation:
         simulation.wait_for("r1", 20)
         simulation.kill("r1", service)
@@ -173,10 +174,15 @@ def test_a_robot_with_another_version_of_the_app_is_named(tmp_path):
     """It is changed in mid-run, and one robot's process starts again: the others take nothing of it."""
     app = tmp_path / "mean.py"
     app.write_text((Path(__file__).parents[2] / "examples" / "consensus.py").read_text())
-    with Simulation(str(app), "--seconds", "12", "--set", "value=1", "--latency", "10ms") as simulation:
+    with Simulation(str(app), "--seconds", "600", "--set", "value=1", "--latency", "10ms") as simulation:
         simulation.wait_for("r1", 20, "mean")
         app.write_text(app.read_text() + "\n")
-        simulation.kill("r1", "app")
+        with Bus.of(simulation.run_dir / "r0") as bus:
+            told = []
+            bus.subscribe("swarm/r0/app/mean/progress", lambda key, data: told.append(read(key, data).reason))
+            simulation.kill("r1", "app")
+            wait_until(lambda: "r1 runs another version of this app" in told, what="the version is named")
+        simulation.process.send_signal(signal.SIGINT)
         said = r"r0 app waits for r1 at iteration \d+: r1 runs another version of this app"
         with pytest.raises(SimulationError, match=said):
             simulation.finish()

@@ -5,7 +5,6 @@ import math
 import os
 import re
 import threading
-from functools import partial
 
 import pytest
 from conftest import CONFIG
@@ -16,7 +15,6 @@ from services.dwm.calibrate.session import Hearing, hold
 from services.dwm.core.calibration import calibration_file
 from services.dwm.core.calibration.guide import QUARTERS, Guide
 from services.dwm.core.calibration.samples import HEADER, RangeSample, read, write
-from sim.core import uwb
 from swarm import config as configuration
 from swarm.bus.zenoh_bus import Bus
 from swarm.errors import BusError
@@ -46,11 +44,7 @@ def swarm(processes, runtime):
 
 
 @pytest.fixture
-def board(swarm, runtime, monkeypatch):
-    """Modules with half the noise and without wild errors: which of the seeded measurements a session sees is a matter
-    of time."""
-    calm = partial(uwb.ErrorModel, noise=0.02, hidden=0.0, outlier=0.0)
-    monkeypatch.setattr(uwb, "ErrorModel", calm)
+def board(swarm, runtime):
     with working(runtime, swarm, "r0") as board:
         yield board
 
