@@ -186,15 +186,17 @@ def _wait_for_all_services(simulation: Simulation) -> None:
     end = time.monotonic() + BACK_WITHIN_S
     files = [pid_file(simulation.run_dir, robot, service) for robot in NAMES for service in SERVICES]
     while time.monotonic() < end:
-        if all(time.time() - file.stat().st_mtime > 3.0 and _runs(file) for file in files):
+        if all(map(_at_work, files)):
             return
         time.sleep(0.1)
 
 
-def _runs(file: Path) -> bool:
-    """Whether the process whose pid stands in a file has memory: one that was killed has none, until it is started."""
+def _at_work(file: Path) -> bool:
+    """Whether the process whose pid stands in a file was started 3 s ago and has memory: one that was killed has none,
+    and while its robot is off there is no file."""
     with contextlib.suppress(OSError):
-        return "VmRSS:" in Path(f"/proc/{file.read_text().strip()}/status").read_text()
+        status = Path(f"/proc/{file.read_text().strip()}/status").read_text()
+        return "VmRSS:" in status and time.time() - file.stat().st_mtime > 3.0
     return False
 
 
