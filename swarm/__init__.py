@@ -54,6 +54,9 @@ def __getattr__(name: str) -> object:
     if name in _HOME:
         return getattr(import_module(_HOME[name]), name)
     if name in _LAPTOP:
+        from swarm.packages import check_found  # not above: robots need nothing of it
+
+        check_found()
         try:
             return getattr(import_module(_LAPTOP[name]), name)
         except ModuleNotFoundError as error:

@@ -51,7 +51,7 @@ def states(figure: Any, run: Run, columns: Sequence[str] = (), labels: Mapping[s
         whole = all(_is_whole(path, column) for path in paths.values() if path.rows)
         for index, (name, path) in enumerate(paths.items()):
             look = _look(index, len(paths), len(path.rows)) | ({"drawstyle": "steps-post"} if whole else {})
-            left.plot(*_line(path, column, path.breaks), label=name, **look)
+            left.plot(*_line(path, column, leaps(path)), label=name, **look)
             ks, values = _line(path, column, gaps(path))
             right.plot([path.times[k] for k in ks], values, **look)
         left.set(xlabel="iteration", ylabel=title)
@@ -104,15 +104,24 @@ def iterations(figure: Any, run: Run) -> None:
         style.legend(axes, len(paths), loc="center left", bbox_to_anchor=(1.0, 0.5), ncols=1, title="mean period")
 
 
+def leaps(path: Trajectory) -> tuple[int, ...]:
+    """The k before which a robot was away: it began anew there, or others went on without it and its k leaps."""
+    ks = sorted(path.rows)
+    steps = [after - k for k, after in itertools.pairwise(ks)]
+    usual = sorted(steps)[len(steps) // 2] if steps else 0
+    far = {after for step, after in zip(steps, ks[1:], strict=True) if step > 10 * usual}
+    return tuple(sorted({*path.breaks, *far}))
+
+
 def gaps(path: Trajectory) -> tuple[int, ...]:
-    """The k before which a robot was away: it began anew there, or did nothing for `AWAY_S` where it has a pace."""
+    """The k before which a robot was away: `leaps`, or it did nothing for `AWAY_S` where it has a pace."""
     ks = sorted(path.rows)
     steps = [path.times[after] - path.times[k] for k, after in itertools.pairwise(ks)]
     ordered = sorted(steps)
     paced = len(steps) >= 10 and ordered[len(steps) * 9 // 10] <= 3 * ordered[len(steps) // 2]
     long = max(AWAY_S, 10 * ordered[len(steps) // 2]) if paced else math.inf
     pauses = [after for step, after in zip(steps, ks[1:], strict=True) if step > long]
-    return tuple(sorted({*path.breaks, *pauses}))
+    return tuple(sorted({*leaps(path), *pauses}))
 
 
 def _line(path: Trajectory, column: str, breaks: Sequence[int]) -> tuple[list[int], list[float]]:

@@ -127,10 +127,9 @@ def _options() -> argparse.Namespace:
 
 
 def _iterations(text: str) -> int:
-    number = int(text)
-    if not 0 <= number <= MAX_ITERATION:
-        raise argparse.ArgumentTypeError(f"expected 0 to {MAX_ITERATION}")
-    return number
+    if not (text.isascii() and text.isdecimal() and int(text) <= MAX_ITERATION):
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number from 0 to {MAX_ITERATION}")
+    return int(text)
 
 
 def _setting(text: str) -> Setting:

@@ -16,6 +16,7 @@ from types import ModuleType
 
 from services.apps import sources
 from services.apps.runner import describe
+from swarm import packages
 from swarm.app.event_app import EventApp, PeriodicApp, channels_of
 from swarm.app.robot import Robot
 from swarm.app.sync_app import BaseApp as AnyApp
@@ -132,6 +133,10 @@ def of_class(kind: type[AnyApp]) -> LoadedApp:
 
 
 def _import(path: Path) -> ModuleType:
+    for file in sources.of_app(path):
+        top = path.parent / Path(file).parts[0]
+        if top.stem in packages.NAMES:
+            raise AppError(packages.rename(top))
     spec = importlib.util.spec_from_file_location(f"app_{path.stem}", path)
     assert spec is not None
     assert spec.loader is not None

@@ -5,6 +5,8 @@ import hashlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from swarm import packages
+
 
 def of_app(path: Path) -> dict[str, bytes]:
     """Return the content of each file of the app in `path`, by its name within the app's folder.
@@ -34,7 +36,12 @@ def digest(files: Mapping[str, bytes]) -> bytes:
 
 
 def beside(folder: Path, top: str) -> list[Path]:
-    """Return the files of the module `top` in an app's folder; none where it is not there."""
+    """Return the files of the module `top` in an app's folder; none where it is not there.
+
+    In a checkout the platform's packages are beside an app that lies in its first folder. They are no part of the app.
+    """
+    if top in packages.NAMES and folder.resolve() == packages.HOME:
+        return []
     package = folder / top
     if top and package.is_dir():
         return sorted(each for each in package.rglob("*.py") if "__pycache__" not in each.parts)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from services.apps.loader import BUILT_IN
 from sim.rehearsal.templates import KINDS, fill
+from swarm import packages
 from swarm.errors import LocalError
 from swarm.messages.keys import is_name
 from swarm.process import service
@@ -33,6 +34,8 @@ def write(path: Path, kind: str) -> tuple[Path, Path]:
         raise LocalError(f"{path}: expected NAME.py, NAME a lower-case letter, then up to 15 letters, digits or _")
     if name in BUILT_IN:
         raise LocalError(f"{path}: there is a built-in app of that name; take another one")
+    if name in packages.NAMES:
+        raise LocalError(f"{path}: a package of Balboa Swarm has that name; take another one")
     files = (path, beside(path))
     for file in files:
         if file.exists():

@@ -66,14 +66,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                      help="an app without a rule of its own has converged if its state changes by at most X "
                      f"in a step ({TOLERANCE:g})")  # fmt: skip
     end.add_argument(
-        "--for", dest="run_for", type=_positive, metavar="S", help="end S seconds after the first robot's start"
+        "--for", dest="run_for", type=_seconds, metavar="S", help="end S seconds after the first robot's start"
     )
     away = parser.add_argument_group("missing robots")
     away.add_argument("--absent", choices=(WAIT, DROP), default=WAIT, help="wait for them (default), or go on without "
                       "them if a majority is there, and admit them again when they return")  # fmt: skip
     away.add_argument(
         "--drop-after",
-        type=_positive,
+        type=_seconds,
         default=AFTER,
         metavar="S",
         help=f"seconds of silence after which a robot counts as missing ({AFTER:g})",
@@ -90,14 +90,20 @@ def of(options: argparse.Namespace) -> RunOptions:
 
 
 def _rounds(text: str) -> int:
-    number = int(text)
-    if not 1 <= number <= MAX_ROUNDS:
-        raise argparse.ArgumentTypeError(f"expected 1 to {MAX_ROUNDS}")
-    return number
+    if not (text.isascii() and text.isdecimal() and 1 <= int(text) <= MAX_ROUNDS):
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number from 1 to {MAX_ROUNDS}")
+    return int(text)
 
 
 def _positive(text: str) -> float:
-    number = float(text)
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
     if not (math.isfinite(number) and number > 0):
-        raise argparse.ArgumentTypeError("expected a number above zero")
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a number above zero, such as 0.5")
     return number
+
+
+def _seconds(text: str) -> float:
+    return _positive(text.removesuffix("s"))

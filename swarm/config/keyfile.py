@@ -77,7 +77,7 @@ def new_key_file(path: Path, now: float) -> int:
             raise LocalError(f"{path}: is there already and is left alone (`swarm key rotate` replaces a key)")
         atomic_write(path, _text({key_id: os.urandom(KEY_SIZE)}), mode=0o600)
     except OSError as error:
-        raise LocalError(f"{path}: cannot be made: {error.strerror}") from None
+        raise LocalError(f"{path}: cannot be made: {error.strerror}; name another file, such as swarm.key") from None
     return key_id
 
 

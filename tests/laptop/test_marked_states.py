@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 import pytest
+from numpy import isnan
 
 from swarm import SyncApp, Vector, simulate
 
@@ -32,6 +33,15 @@ def test_what_the_author_marks_comes_first_and_counts_are_steps() -> None:
     left = made.axes[::2]
     assert [axes.get_ylabel() for axes in left] == ["spread", "count"]
     assert [axes.lines[0].get_drawstyle() for axes in left] == ["default", "steps-post"]
+
+
+def test_the_line_of_a_robot_that_others_went_on_without_has_a_gap_in_both_panels() -> None:
+    run = simulate("consensus", robots=3, topology="full", seconds=10, faults=["off r2@1s,5s"], absent="drop",
+                   drop_after=1.0, progress=False)  # fmt: skip
+    for axes in run.plot().axes[:2]:
+        away = [int(isnan(line.get_ydata()).sum()) for line in axes.lines]
+        assert away[2] == 1, "r2 was away once"
+        assert axes.get_xlabel() != "iteration" or away[:2] == [0, 0]
 
 
 def test_names_keep_clear_of_each_other() -> None:

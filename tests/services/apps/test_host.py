@@ -303,7 +303,7 @@ def test_an_app_that_raises_is_named_and_the_others_wait_for_it(make_rig: MakeRi
     [
         (("nothing",), "there is no app 'nothing': expected consensus, flooding_demo, "),
         (("consensus", "--run", "xyz"), "--run or SWARM_RUN: expected a hexadecimal number of 64 bits, got 'xyz'"),
-        (("consensus", "--iterations", "-1"), "expected 0 to 4294967295"),
+        (("consensus", "--iterations", "-1"), "expected a whole number from 0 to 4294967295"),
         (("localization",), "[dwm] target: expected the address of the target's module, this app needs it"),
         (("wrong.py",), "wrong.py, line 1: ModuleNotFoundError: No module named 'nothing'"),
         (("consensus",), "app consensus on r0: unknown parameter 'valeu'; Consensus has weights, diverges_above,"),
