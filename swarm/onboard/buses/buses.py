@@ -27,11 +27,11 @@ def find(arguments: argparse.Namespace) -> dict[str, Path]:
     if is_live(directory):
         return chosen(robots(directory), wanted)
     if arguments.run_dir is not None or not DEFAULT_RUNTIME.is_dir():
-        raise LocalError(
-            f"no simulation is running in {directory}"
-            + ("" if arguments.run_dir else f", and this is no robot ({DEFAULT_RUNTIME} is not there); `swarm sim` starts "
-               "a simulation, --run-dir names another one, and a swarm.toml (--config) names real robots")
+        elsewhere = (
+            f", and this is no robot ({DEFAULT_RUNTIME} is not there); `swarm sim` starts a simulation, --run-dir names "
+            "another one, and a swarm.toml (--config) names real robots"
         )
+        raise LocalError(f"no simulation is running in {directory}" + ("" if arguments.run_dir else elsewhere))
     return {_checked(who_am_i(load()), wanted): DEFAULT_RUNTIME}
 
 
