@@ -28,8 +28,8 @@ def find(arguments: argparse.Namespace) -> dict[str, Path]:
         return chosen(robots(directory), wanted)
     if arguments.run_dir is not None or not DEFAULT_RUNTIME.is_dir():
         elsewhere = (
-            f", and this is no robot ({DEFAULT_RUNTIME} is not there); `swarm sim` starts a simulation, --run-dir names "
-            "another one, and a swarm.toml (--config) names real robots"
+            f", and this is no robot ({DEFAULT_RUNTIME} is not there); `swarm sim` starts a simulation, --run-dir "
+            "names another one, and a swarm.toml (--config) names real robots"
         )
         raise LocalError(f"no simulation is running in {directory}" + ("" if arguments.run_dir else elsewhere))
     return {_checked(who_am_i(load()), wanted): DEFAULT_RUNTIME}
