@@ -6,30 +6,28 @@ its three places. The simulated modules read as its modules did, so the thesis' 
 
 import math
 import random
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from services.apps import loader
-from services.apps.builtin.localization.guard import check_step_size, limit_step_size
 from services.mesh.core.routing.physical_links import physical
 from services.mesh.mesh import links_of
 from sim.core import noise
 from sim.core.module_line import SOURCE, module_address
 from sim.disturbances import Cut, Disturbance, Kill, Off, drawn
 from sim.scenario import commission_report
-from sim.scenario.options import LAMPS, Options
-from sim.scenario.robot_limits import lacking_modules, too_many_links
+from sim.scenario.notes import algorithm_of, notes
+from sim.scenario.options import Options
 from swarm import config as configuration
-from swarm.app.event_app import EventApp, PeriodicApp, channels_of
+from swarm.app.event_app import EventApp, PeriodicApp
 from swarm.app.run_options import RunOptions
 from swarm.app.settings import on_top
 from swarm.config import Affine, Anchor, AppConfig, Config, Dwm, Linear, MeshConfig, RobotConfig, SimulationConfig
 from swarm.config.load import AUTO, wrong_links
 from swarm.config.types import DEFAULT_RELAY
 from swarm.core.graph import Graph
-from swarm.errors import AppError, ConfigError, LocalError
+from swarm.errors import ConfigError, LocalError
 from swarm.frozen import frozen
 from swarm.messages.codec import Value
 from swarm.process.paths import socket_path
@@ -56,7 +54,6 @@ STANDING_UP_FROM = "front"
 """How robots lie at the start where the app is about standing up."""
 
 DEFAULT_ITERATIONS = 100
-BEGUN_BY_BUTTON = ("flooding_demo", "stand_up", "unicast_demo")
 ITERATIONS = {"formation": 600, "goto": 3000, "stand_up": 5}
 """Of apps that want others; those of goto are the most it may take, it ends when all have arrived."""
 
@@ -189,7 +186,7 @@ def build(options: Options, run_dir: Path, app: loader.LoadedApp | None = None) 
         app=app.name if app is not None else None,
         program=_program(app) if app is not None else None,
         loaded=app,
-        algorithm=_algorithm(config, app) if app is not None else None,
+        algorithm=algorithm_of(config, app) if app is not None else None,
         topology=options.topology or ("file" if options.config is not None else "line"),
         iterations=iterations,
         run_options=replace(options.run_options, last=iterations),
@@ -199,20 +196,7 @@ def build(options: Options, run_dir: Path, app: loader.LoadedApp | None = None) 
         steps=app is not None and not _reacts_only(config, app),
         disturbances=disturbances,
         lying=options.lying or (STANDING_UP_FROM if any(each.name == "stand_up" for each in apps) else None),
-        notes=(
-            *(() if config.auto else too_many_links(config.names, config.edges, links_of(config, bluetooth=True))),
-            *(
-                note
-                for each in apps
-                for note in (
-                    *lacking_modules(base, each),
-                    *_step_size(config, each, {} if options.noise else recorded),
-                    *_buttons(each, options),
-                    *_forgetting(config, each, options),
-                    *_clocks(each, options),
-                )
-            ),
-        ),
+        notes=tuple(notes(config, base, apps, options, {} if options.noise else recorded)),
     )
 
 
@@ -264,71 +248,6 @@ def _reacts_only(config: Config, app: loader.LoadedApp) -> bool:
 
 def _program(app: loader.LoadedApp) -> str:
     return app.name if app.is_built_in else app.source
-
-
-def _algorithm(config: Config, app: loader.LoadedApp) -> str | None:
-    """What the app runs, None where it has no choice; `check` has seen to it that all robots run the same."""
-    if "" in app.algorithms:
-        return None
-    return str(config.app(app.name).of(config.names[0]).get("algorithm", next(iter(app.algorithms))))
-
-
-def _step_size(config: Config, app: loader.LoadedApp, recordings: Mapping[str, ThesisRecording]) -> tuple[str, ...]:
-    """Hold gradient tracking's step size against the limit of this graph and geometry.
-
-    One above it is refused, but in a replay, where the places are those of the recording, and with `check = false` it
-    is only told. Of an automatic topology nobody knows the graph yet.
-    """
-    algorithm = _algorithm(config, app)
-    if app.name != "localization" or not app.is_built_in or algorithm not in ("thesis", "diging") or config.auto:
-        return ()
-    made: Any = app.make(config, config.names[0])
-    gamma = made.step_size
-    places = {name: (x, y) for name, (x, y, _) in config.simulation.places.items()}
-    places |= {name: (recording.rows[0].x, recording.rows[0].y) for name, recording in recordings.items()}
-    graph = Graph(config.names, config.edges)
-    limit = limit_step_size(graph, places, config.simulation.target, metropolis=algorithm == "diging")
-    told = (
-        f"step size {gamma * 1e-4:.3g} 1/cm^2 = {gamma:.3g} 1/m^2, limit {limit * 1e-4:.3g} 1/cm^2 = {limit:.3g} 1/m^2"
-    )
-    try:
-        warning = check_step_size(gamma, limit)
-    except AppError as error:
-        if made.check and not recordings:
-            raise
-        warning = str(error)
-    return (told, f"warning: {warning}") if warning else (told,)
-
-
-def _buttons(app: loader.LoadedApp, options: Options) -> tuple[str, ...]:
-    """Tell of the hands that an app waits for."""
-    if app.name not in BEGUN_BY_BUTTON or options.presses:
-        return ()
-    return (f"{app.name} waits for a button: swarm hand press r0 A, from another terminal, or --press r0.A@2s",)
-
-
-def _forgetting(config: Config, app: loader.LoadedApp, options: Options) -> tuple[str, ...]:
-    """Tell that a lockstep does not go on by itself with a robot that was switched off."""
-    kind, _ = app.choose(config.app(app.name).of(config.names[0]))
-    lockstep = not issubclass(kind, EventApp) or bool(channels_of(kind))
-    off = next((each for each in options.offs if each.at is not None), None)
-    if off is None or options.run_options.drop or not lockstep:
-        return ()
-    return (
-        f"{off}: {app.name} has lost its state there afterwards, and the others wait for it; --absent drop goes on",
-    )
-
-
-def _clocks(app: loader.LoadedApp, options: Options) -> tuple[str, ...]:
-    if app.name != LAMPS or options.app != LAMPS or not options.clock_skew:
-        return ()
-    return (
-        f"each robot has a clock of its own, up to {options.clock_skew * 1e6:g} ppm off; --clock-skew changes that",
-    )
-
-
-def _both_units(gamma: float) -> str:
-    return f"{gamma * 1e-4:.3g} 1/cm^2 = {gamma:.3g} 1/m^2"
 
 
 def _default(options: Options, recorded: int) -> Config:

@@ -1,0 +1,99 @@
+"""What a simulated run tells before it starts: step sizes, buttons that are waited for, states that will be lost."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from services.apps import loader
+from services.apps.builtin.localization.guard import check_step_size, limit_step_size
+from services.mesh.mesh import links_of
+from sim.scenario.options import LAMPS, Options
+from sim.scenario.robot_limits import lacking_modules, too_many_links
+from swarm.app.event_app import EventApp, channels_of
+from swarm.config import Config
+from swarm.core.graph import Graph
+from swarm.errors import AppError
+from swarm.recording.thesis_ranges import ThesisRecording
+
+BEGUN_BY_BUTTON = ("flooding_demo", "stand_up", "unicast_demo")
+
+
+def notes(
+    config: Config,
+    given: Config,
+    apps: tuple[loader.LoadedApp, ...],
+    options: Options,
+    recordings: Mapping[str, ThesisRecording],
+) -> Iterator[str]:
+    """Yield what people are told of a run with `config`; `given` is the swarm's own configuration.
+
+    `recordings` are those that are replayed, by robot.
+    """
+    if not config.auto:
+        yield from too_many_links(config.names, config.edges, links_of(config, bluetooth=True))
+    for app in apps:
+        yield from lacking_modules(given, app)
+        yield from _step_size(config, app, recordings)
+        yield from _buttons(app, options)
+        yield from _forgetting(config, app, options)
+        yield from _clocks(app, options)
+
+
+def algorithm_of(config: Config, app: loader.LoadedApp) -> str | None:
+    """What the app runs, None where it has no choice; `check` has seen to it that all robots run the same."""
+    if "" in app.algorithms:
+        return None
+    return str(config.app(app.name).of(config.names[0]).get("algorithm", next(iter(app.algorithms))))
+
+
+def _step_size(config: Config, app: loader.LoadedApp, recordings: Mapping[str, ThesisRecording]) -> tuple[str, ...]:
+    """Hold gradient tracking's step size against the limit of this graph and geometry.
+
+    One above it is refused, but in a replay, where the places are those of the recording, and with `check = false` it
+    is only told. Of an automatic topology nobody knows the graph yet.
+    """
+    algorithm = algorithm_of(config, app)
+    if app.name != "localization" or not app.is_built_in or algorithm not in ("thesis", "diging") or config.auto:
+        return ()
+    made: Any = app.make(config, config.names[0])
+    gamma = made.step_size
+    places = {name: (x, y) for name, (x, y, _) in config.simulation.places.items()}
+    places |= {name: (recording.rows[0].x, recording.rows[0].y) for name, recording in recordings.items()}
+    graph = Graph(config.names, config.edges)
+    limit = limit_step_size(graph, places, config.simulation.target, metropolis=algorithm == "diging")
+    told = (
+        f"step size {gamma * 1e-4:.3g} 1/cm^2 = {gamma:.3g} 1/m^2, limit {limit * 1e-4:.3g} 1/cm^2 = {limit:.3g} 1/m^2"
+    )
+    try:
+        warning = check_step_size(gamma, limit)
+    except AppError as error:
+        if made.check and not recordings:
+            raise
+        warning = str(error)
+    return (told, f"warning: {warning}") if warning else (told,)
+
+
+def _buttons(app: loader.LoadedApp, options: Options) -> tuple[str, ...]:
+    """Tell of the hands that an app waits for."""
+    if app.name not in BEGUN_BY_BUTTON or options.presses:
+        return ()
+    return (f"{app.name} waits for a button: swarm hand press r0 A, from another terminal, or --press r0.A@2s",)
+
+
+def _forgetting(config: Config, app: loader.LoadedApp, options: Options) -> tuple[str, ...]:
+    """Tell that a lockstep does not go on by itself with a robot that was switched off."""
+    kind, _ = app.choose(config.app(app.name).of(config.names[0]))
+    lockstep = not issubclass(kind, EventApp) or bool(channels_of(kind))
+    off = next((each for each in options.offs if each.at is not None), None)
+    if off is None or options.run_options.drop or not lockstep:
+        return ()
+    return (
+        f"{off}: {app.name} has lost its state there afterwards, and the others wait for it; --absent drop goes on",
+    )
+
+
+def _clocks(app: loader.LoadedApp, options: Options) -> tuple[str, ...]:
+    if app.name != LAMPS or options.app != LAMPS or not options.clock_skew:
+        return ()
+    return (
+        f"each robot has a clock of its own, up to {options.clock_skew * 1e6:g} ppm off; --clock-skew changes that",
+    )
