@@ -9,8 +9,8 @@ from swarm.core import snapshot_fields
 from swarm.core.asynchronous import Asynchronous
 from swarm.core.epochs.epochs import Epochs
 from swarm.core.epochs.notes import NONE, Ballot, EpochNote, Offer, SavedEpochs, Vote, first, following
-from swarm.core.lockstep.frames import HeardNeighbour, Snapshot, decode_frame, encode_step, encode_want
-from swarm.core.lockstep.lockstep import Channel, Lockstep
+from swarm.core.lockstep.frames import Channel, HeardNeighbour, Snapshot, decode_frame, encode_step, encode_want
+from swarm.core.lockstep.lockstep import Lockstep
 from swarm.errors import FrameError, LocalError, PayloadError
 from swarm.messages import codec
 

@@ -23,8 +23,9 @@ from swarm import clock
 from swarm.app.sync_app import SyncApp
 from swarm.bus.protocol import BusLike
 from swarm.config import Config, load
-from swarm.core.lockstep.actions import address_of
-from swarm.core.lockstep.lockstep import Channel, Compute, Lockstep, Send
+from swarm.core.lockstep.actions import Compute, Send, address_of
+from swarm.core.lockstep.frames import Channel
+from swarm.core.lockstep.lockstep import Lockstep
 from swarm.errors import FrameError
 from swarm.messages.keys import key
 from swarm.process import log, service

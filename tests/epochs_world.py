@@ -17,7 +17,8 @@ from services.apps.core.terms import Terms
 from swarm.core.epochs.actions import SaveEpochs, SendToNeighbours, SwitchEpoch
 from swarm.core.epochs.notes import LOST, first
 from swarm.core.graph import Graph
-from swarm.core.lockstep.lockstep import Advanced, Channel, Compute, Fault, Finished, Save, Send, Waiting
+from swarm.core.lockstep.actions import Advanced, Compute, Fault, Finished, Save, Send, Waiting
+from swarm.core.lockstep.frames import Channel
 
 RUN, SCHEMA = 0xA1, 0x9F3C21AA
 STATE = struct.Struct("<d")

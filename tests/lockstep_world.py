@@ -13,7 +13,9 @@ from random import Random
 import networkx
 from timed_world import TimedWorld
 
-from swarm.core.lockstep.lockstep import Advanced, Channel, Compute, Fault, Finished, Lockstep, Save, Send, Waiting
+from swarm.core.lockstep.actions import Advanced, Compute, Fault, Finished, Save, Send, Waiting
+from swarm.core.lockstep.frames import Channel
+from swarm.core.lockstep.lockstep import Lockstep
 
 RUN = 0xA1
 SCHEMA = 0x9F3C21AA

@@ -18,9 +18,10 @@ from swarm.core.epochs.epochs import Epochs
 from swarm.core.epochs.notes import Epoch, SavedEpochs
 from swarm.core.epochs.roster import FRESH
 from swarm.core.graph import Graph
-from swarm.core.lockstep import lockstep
-from swarm.core.lockstep.frames import Snapshot
-from swarm.core.lockstep.lockstep import Channel, Compute, Fault, Finished, Lockstep, Save, Waiting
+from swarm.core.lockstep import actions as lockstep_actions
+from swarm.core.lockstep.actions import Compute, Fault, Finished, Save, Waiting
+from swarm.core.lockstep.frames import Channel, Snapshot
+from swarm.core.lockstep.lockstep import RTT, Lockstep
 from swarm.core.lockstep.stopping import Stopping
 from swarm.frozen import frozen
 from swarm.messages import Measurement
@@ -47,7 +48,7 @@ class RunState(NamedTuple):
     at: float
 
 
-Action = lockstep.Action | epoch_actions.Action | Renew
+Action = lockstep_actions.Action | epoch_actions.Action | Renew
 
 
 class LockstepRun:
@@ -103,7 +104,7 @@ class LockstepRun:
         """Whether this robot has been in the run and its state is gone, as after a reboot."""
         of = terms.run, terms.schema
         self.epochs = Epochs(me, names, of, incarnation, begin, kept, auto=terms.drop, lost=vote_lost)
-        self.rtt = lockstep.RTT
+        self.rtt = RTT
         self._me = me
         self.terms = terms
         self._program = program

@@ -16,8 +16,8 @@ from services.apps.host.topology import Place, TopologyWatch
 from services.apps.persistence.storage import Storage
 from services.apps.runner import Runner
 from swarm.core.epochs.actions import EpochRequest
-from swarm.core.lockstep.actions import address_of
-from swarm.core.lockstep.lockstep import Advanced, Channel
+from swarm.core.lockstep.actions import Advanced, address_of
+from swarm.core.lockstep.frames import Channel
 from swarm.errors import FrameError
 from swarm.messages import Links, SetAppEpoch, Topology
 from swarm.messages.codec import Value

@@ -16,8 +16,8 @@ from services.apps.runner import Runner
 from swarm.core.asynchronous import HANG
 from swarm.core.epochs.actions import EpochRequest, SaveEpochs, SendToNeighbours, SwitchEpoch
 from swarm.core.epochs.notes import LOST, Epoch
-from swarm.core.lockstep.frames import Snapshot
-from swarm.core.lockstep.lockstep import Advanced, Channel, Compute, Fault, Finished, Save, Send, Waiting
+from swarm.core.lockstep.actions import Advanced, Compute, Fault, Finished, Save, Send, Waiting
+from swarm.core.lockstep.frames import Channel, Snapshot
 from swarm.errors import SwarmError
 from swarm.messages import AppEpoch, AppProgress, AppState, Measurement
 from swarm.messages.codec import Value, encode

@@ -18,7 +18,7 @@ from swarm.app.run_options import RunOptions
 from swarm.config import Config
 from swarm.core.epochs.notes import Epoch, first
 from swarm.core.graph import Graph
-from swarm.core.lockstep.lockstep import Channel
+from swarm.core.lockstep.frames import Channel
 from swarm.errors import LocalError, PayloadError
 from swarm.files import atomic_write
 from swarm.frozen import frozen

@@ -30,9 +30,9 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 from swarm.core.epochs.actions import Action, EpochRequest, SaveEpochs, SendToNeighbours, SwitchEpoch
-from swarm.core.epochs.notes import NONE, Ballot, Epoch, EpochNote, Offer, SavedEpochs, Vote, following
+from swarm.core.epochs.choice import choose, decided
+from swarm.core.epochs.notes import NONE, Ballot, Epoch, EpochNote, Offer, SavedEpochs, Vote
 from swarm.core.epochs.roster import Roster
-from swarm.core.graph import Graph
 from swarm.errors import PayloadError
 from swarm.messages.codec import MAX_COUNT
 
@@ -53,38 +53,6 @@ STAGGER = 0.3
 
 class Epochs:
     """The membership of one run, as one robot knows it."""
-
-    __slots__ = (
-        "_actions",
-        "_answered_at",
-        "_answers",
-        "_bound",
-        "_cause_at",
-        "_deaf",
-        "_edges",
-        "_mine",
-        "_names",
-        "_of",
-        "_offered_at",
-        "_offers",
-        "_relink",
-        "_reminded_at",
-        "_request",
-        "_roster",
-        "_round",
-        "_settled",
-        "_tell_at",
-        "_told_at",
-        "auto",
-        "counters",
-        "frozen",
-        "k",
-        "me",
-        "member",
-        "number",
-        "stalled",
-        "well",
-    )
 
     def __init__(
         self,
@@ -155,11 +123,6 @@ class Epochs:
     def deaf(self) -> tuple[str, ...]:
         """The neighbours that it was told cannot be heard."""
         return self._deaf
-
-    @property
-    def frozen_at(self) -> int:
-        """The iteration at which it has stopped for a ballot."""
-        return self._mine.k
 
     @property
     def reason(self) -> str:
@@ -379,56 +342,16 @@ class Epochs:
         complete = len(notes) == len(self.epoch.members) and not self._roster.newcomers(now)
         if not complete and now < self._collected_at:
             return
-        epoch = self._choose(offer, notes, now)
+        epoch = choose(offer, self._request or EpochRequest(), notes, self._roster, self._edges, now)
         if epoch is not None:
             self._become(offer=replace(offer, epoch=epoch))
             self._stop(offer.ballot, Vote(offer.ballot, epoch), now)
 
-    def _choose(self, offer: Offer, notes: dict[str, EpochNote], now: float) -> Epoch | None:
-        """The epoch to offer: what may have been decided already, else what this robot would have."""
-        members = self.epoch.members
-        if not offer.forced:
-            if 2 * len(notes) <= len(members):
-                return None
-            votes = [note.accepted for note in notes.values() if note.accepted is not None]
-            if votes:
-                return max(votes, key=lambda vote: vote.ballot).epoch
-        request = self._request or EpochRequest()
-        away = tuple(sorted((set(self.epoch.away) | set(request.drop)) - set(request.add)))
-        there = {**notes, **self._roster.newcomers(now, *request.add)}
-        there = {n: note for n, note in there.items() if note.well and n not in away and self._roster.is_there(n, now)}
-        deaf = {frozenset((n, other)) for n, note in there.items() for other in note.deaf}
-        edges = [(a, b) for a, b in self._edges if a in there and b in there and frozenset((a, b)) not in deaf]
-        parts = Graph(tuple(sorted(there)), edges).components()
-        chosen = tuple(
-            sorted(max(parts, key=lambda part: (len(set(part) & set(members)), self.me in part), default=()))
-        )
-        if self.epoch.counter == MAX_COUNT:
-            return None
-        if not chosen or (not offer.forced and 2 * len(set(chosen) & set(members)) <= len(members)):
-            return None
-        carried = tuple(n for n in chosen if n in notes and notes[n].k >= 0)
-        k = min((notes[n].k for n in carried), default=self.epoch.k)
-        links = tuple(sorted(tuple(sorted(edge)) for edge in edges if edge[0] in chosen))
-        restored = tuple(sorted({there[n].lost for n in chosen if there[n].lost}))
-        return following(self.epoch, self.me, k, chosen, carried, links, away, restored, forced=offer.forced)
-
     def _decide(self, now: float) -> None:
         """As everybody: see whether an epoch has votes enough."""
-        votes: dict[Ballot, set[str]] = {}
-        epochs: dict[Ballot, Epoch] = {}
-        for name, note in self._roster.of_members().items():
-            if note.accepted is not None:
-                votes.setdefault(note.accepted.ballot, set()).add(name)
-                epochs[note.accepted.ballot] = note.accepted.epoch
-        for ballot, epoch in epochs.items():
-            if epoch.forced:
-                decided = votes[ballot] >= set(epoch.carried)
-            else:
-                decided = 2 * len(votes[ballot]) > len(self.epoch.members)
-            if decided:
-                self._adopt(epoch, now)
-                return
+        epoch = decided(self.epoch, self._roster.of_members())
+        if epoch is not None:
+            self._adopt(epoch, now)
 
     def _adopt(self, epoch: Epoch, now: float) -> None:
         lost = 0 if self._mine.lost in epoch.restored else self._mine.lost

@@ -7,6 +7,7 @@ one chunk of the bus key and which the mesh binds once to a handle. All integers
 import re
 import struct
 import zlib
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import NamedTuple, Self
@@ -174,6 +175,18 @@ class Snapshot:
         parts.append(self.private)
         data = b"".join(parts)
         return data + _CHECK.pack(zlib.crc32(data))
+
+    def check(self, channel: Channel, size: int, neighbours: Iterable[str]) -> None:
+        """Raise `LocalError` unless the snapshot is of this run, epoch, app and topology; `size`: bytes of a state."""
+        for what, found, expected in (
+            ("run", f"{self.run:016x}", f"{channel.run:016x}"),
+            ("epoch", self.epoch, channel.epoch),
+            ("schema", f"{self.schema:08x}", f"{channel.schema:08x}"),
+            ("state size", self.size, size),
+            ("neighbours", " ".join(self.heard), " ".join(neighbours)),
+        ):
+            if found != expected:
+                raise LocalError(f"snapshot: {what} {found}, this is {what} {expected}")
 
     @classmethod
     def decode(cls, data: bytes) -> Self:

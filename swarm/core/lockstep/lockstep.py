@@ -32,19 +32,6 @@ from swarm.core.lockstep.links import SilentLinks
 from swarm.core.lockstep.questions import QuestionTimes
 from swarm.errors import FrameError, LocalError
 
-__all__ = [
-    "Action",
-    "Advanced",
-    "Channel",
-    "Compute",
-    "Fault",
-    "Finished",
-    "Lockstep",
-    "Save",
-    "Send",
-    "Waiting",
-]
-
 NAME_AFTER = 2.5
 """Who is waited for is named after so many seconds without progress; 3 s are promised, the bus takes some."""
 LINGER = 10.0
@@ -60,31 +47,6 @@ class Lockstep:
 
     Make it, call `start()` or `resume()` once, then feed it. `counters` tells what was dropped and asked for.
     """
-
-    __slots__ = (
-        "_actions",
-        "_answered",
-        "_computing",
-        "_frame",
-        "_last",
-        "_leave_at",
-        "_linger",
-        "_links",
-        "_name_at",
-        "_named",
-        "_peers",
-        "_previous",
-        "_questions",
-        "_size",
-        "_value",
-        "channel",
-        "counters",
-        "done",
-        "fault",
-        "k",
-        "me",
-        "rtt",
-    )
 
     def __init__(
         self,
@@ -176,15 +138,7 @@ class Lockstep:
         """
         self._check_fresh()
         snapshot = Snapshot.decode(saved)
-        for what, found, expected in (
-            ("run", f"{snapshot.run:016x}", f"{self.channel.run:016x}"),
-            ("epoch", snapshot.epoch, self.channel.epoch),
-            ("schema", f"{snapshot.schema:08x}", f"{self.channel.schema:08x}"),
-            ("state size", snapshot.size, self._size),
-            ("neighbours", " ".join(snapshot.heard), " ".join(self._peers)),
-        ):
-            if found != expected:
-                raise LocalError(f"snapshot: {what} {found}, this is {what} {expected}")
+        snapshot.check(self.channel, self._size, self._peers)
         if snapshot.k > self._last:
             raise LocalError(f"snapshot: at iteration {snapshot.k}, beyond the last one, {self._last}")
         self._peers = snapshot.heard

@@ -10,7 +10,9 @@ from services.apps.runner import Runner
 from swarm.config import Anchor, AppConfig, Config
 from swarm.config.types import RobotConfig
 from swarm.core.graph import Graph
-from swarm.core.lockstep.lockstep import Advanced, Channel, Compute, Fault, Finished, Lockstep, Save, Send
+from swarm.core.lockstep.actions import Advanced, Compute, Fault, Finished, Save, Send
+from swarm.core.lockstep.frames import Channel
+from swarm.core.lockstep.lockstep import Lockstep
 from swarm.messages import Measurement
 
 MeasurementOf = Callable[[str, int], Measurement]

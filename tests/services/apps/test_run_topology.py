@@ -8,7 +8,7 @@ from test_host import START, MakeRig, make_rig
 
 from services.apps.host import topology
 from services.apps.host.topology import CONFIGURED, SETTLED, TopologyWatch, lacking
-from swarm.core.lockstep.lockstep import Channel
+from swarm.core.lockstep.frames import Channel
 from swarm.messages import Topology
 
 __all__ = ["make_rig"]

@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 from lockstep_world import EDGES, RUN, SCHEMA, STATE, World, named
 
 from swarm.core.lockstep import lockstep
-from swarm.core.lockstep.actions import address_of
+from swarm.core.lockstep.actions import Advanced, Compute, Fault, Finished, Save, Send, Waiting, address_of
 from swarm.core.lockstep.frames import (
     MAX_ITERATION,
     STEP,
     WANT,
+    Channel,
     HeardNeighbour,
     Snapshot,
     Step,
@@ -24,17 +25,7 @@ from swarm.core.lockstep.frames import (
     encode_step,
     encode_want,
 )
-from swarm.core.lockstep.lockstep import (
-    Advanced,
-    Channel,
-    Compute,
-    Fault,
-    Finished,
-    Lockstep,
-    Save,
-    Send,
-    Waiting,
-)
+from swarm.core.lockstep.lockstep import Lockstep
 from swarm.errors import FrameError, LocalError
 
 OURS = Channel(RUN, 0, 3, SCHEMA)

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule, run_state_machine_as_test
 from lockstep_world import RUN, SCHEMA, STATE, World
 
-from swarm.core.lockstep.frames import encode_step, encode_want
-from swarm.core.lockstep.lockstep import Channel
+from swarm.core.lockstep.frames import Channel, encode_step, encode_want
 
 RECOVERY = 2.5
 """Virtual seconds in which a healed swarm has asked for all it lacks: the 1 s between two questions, and the way."""

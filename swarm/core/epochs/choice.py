@@ -1,0 +1,67 @@
+"""The epoch that a proposer offers, and the one that votes have decided: pure functions of the notes of robots."""
+
+from collections.abc import Iterable, Mapping
+
+from swarm.core.epochs.actions import EpochRequest
+from swarm.core.epochs.notes import Ballot, Epoch, EpochNote, Offer, following
+from swarm.core.epochs.roster import Roster
+from swarm.core.graph import Graph
+from swarm.messages.codec import MAX_COUNT
+
+
+def choose(
+    offer: Offer,
+    request: EpochRequest,
+    notes: Mapping[str, EpochNote],
+    roster: Roster,
+    wanted: Iterable[tuple[str, ...]],
+    now: float,
+) -> Epoch | None:
+    """Return the epoch to offer: what may have been decided already, else what the proposer would have.
+
+    `notes` are those of the members that have answered the ballot, `wanted` are the links of the topology in force.
+    None: too few have answered, or there can be no further epoch.
+    """
+    epoch = roster.mine.epoch
+    members = epoch.members
+    if not offer.forced:
+        if 2 * len(notes) <= len(members):
+            return None
+        votes = [note.accepted for note in notes.values() if note.accepted is not None]
+        if votes:
+            return max(votes, key=lambda vote: vote.ballot).epoch
+    away = tuple(sorted((set(epoch.away) | set(request.drop)) - set(request.add)))
+    there = {**notes, **roster.newcomers(now, *request.add)}
+    there = {n: note for n, note in there.items() if note.well and n not in away and roster.is_there(n, now)}
+    deaf = {frozenset((n, other)) for n, note in there.items() for other in note.deaf}
+    edges = [(a, b) for a, b in wanted if a in there and b in there and frozenset((a, b)) not in deaf]
+    parts = Graph(tuple(sorted(there)), edges).components()
+    largest = max(parts, key=lambda part: (len(set(part) & set(members)), roster.me in part), default=())
+    chosen = tuple(sorted(largest))
+    if epoch.counter == MAX_COUNT:
+        return None
+    if not chosen or (not offer.forced and 2 * len(set(chosen) & set(members)) <= len(members)):
+        return None
+    carried = tuple(n for n in chosen if n in notes and notes[n].k >= 0)
+    k = min((notes[n].k for n in carried), default=epoch.k)
+    links = tuple(sorted(tuple(sorted(edge)) for edge in edges if edge[0] in chosen))
+    restored = tuple(sorted({there[n].lost for n in chosen if there[n].lost}))
+    return following(epoch, roster.me, k, chosen, carried, links, away, restored, forced=offer.forced)
+
+
+def decided(epoch: Epoch, notes: Mapping[str, EpochNote]) -> Epoch | None:
+    """Return the successor of `epoch` that has votes enough, None where none has; `notes` are its members'."""
+    votes: dict[Ballot, set[str]] = {}
+    epochs: dict[Ballot, Epoch] = {}
+    for name, note in notes.items():
+        if note.accepted is not None:
+            votes.setdefault(note.accepted.ballot, set()).add(name)
+            epochs[note.accepted.ballot] = note.accepted.epoch
+    for ballot, successor in epochs.items():
+        if successor.forced:
+            enough = votes[ballot] >= set(successor.carried)
+        else:
+            enough = 2 * len(votes[ballot]) > len(epoch.members)
+        if enough:
+            return successor
+    return None
