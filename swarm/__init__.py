@@ -56,8 +56,8 @@ def __getattr__(name: str) -> object:
     if name in _LAPTOP:
         from swarm.packages import check_found  # not above: robots need nothing of it
 
-        check_found()
         try:
+            check_found()
             return getattr(import_module(_LAPTOP[name]), name)
         except ModuleNotFoundError as error:
             if error.name not in ("laptop", "sim"):

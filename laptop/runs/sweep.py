@@ -96,7 +96,8 @@ def sweep(
         raise ConfigError("jobs: a class cannot go to other processes; put it into a file, and give its path")
     points = points_of([(name, [_text(value) for value in choices]) for name, choices in over.items()])
     if not points:
-        raise ConfigError("over: a list is empty")
+        empty = ", ".join(name for name, choices in over.items() if not choices)
+        raise ConfigError(f"over: {empty}: a list is empty, expected values")
     numbers = range(1, seeds + 1) if isinstance(seeds, int) else seeds
     planned: list[Job] = []
     for index, point in enumerate(points):

@@ -93,7 +93,8 @@ class LoadedApp:
         hashes = {name: type(self.make(config, name)).spec.schema.hash for name in config.names}
         odd = [name for name in hashes if hashes[name] != hashes[config.names[0]]]
         if odd:
-            raise AppError(f"app {self.name}: {odd[0]} runs another algorithm than {config.names[0]}")
+            first = config.names[0]
+            raise AppError(f"app {self.name}: {odd[0]} runs another algorithm than {first}: give all robots the same")
 
 
 def load(name_or_file: str) -> LoadedApp:

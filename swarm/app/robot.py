@@ -1,7 +1,7 @@
-"""What an app sees of the robot it runs on: `self.robot`. The same on robots, simulated ones and in virtual time.
+"""What an app sees of the robot it runs on: `self.robot`. It is the same on real robots and in both simulations.
 
-The host puts in what there is: graph and random numbers always, the rest (`overlays`, `mesh_clock`, `ranging`,
-`devices`, `bus`...) where the app runs on a bus. An app that asks for what is not there is told so.
+The app host fills it: graph and random numbers always, the rest (`overlays`, `mesh_clock`, `ranging`, `devices`,
+`bus`...) if the app runs on a bus. An app that uses a part that is missing gets an `AppError`.
 """
 
 import logging
@@ -27,55 +27,62 @@ if TYPE_CHECKING:  # brings the bus along, which a step in virtual time does wit
     from swarm.app.truth import Truth
     from swarm.bus.protocol import BusLike
 
+NEEDS_BUS = "needs a bus: an app has one when it runs on a robot, real or simulated"
+
 
 @dataclass
 class Robot:
-    """What an app sees of the robot it runs on."""
+    """What an app sees of the robot it runs on.
+
+    Values of sensors and clocks differ in each run. A `SyncApp` that puts them into its state loses the promise that
+    runs are equal to the bit; it may use them in what it publishes or does.
+    """
 
     name: str
+    """Name of this robot."""
     graph: Graph
     """The topology of the whole swarm."""
     anchors: tuple[Anchor, ...] = ()
     """UWB modules at known places, m."""
     seed: int = 0
-    """Of the swarm's random numbers."""
+    """The number from which the swarm's random numbers are drawn."""
     log: logging.Logger = field(default_factory=lambda: logging.getLogger("app"))
+    """The app's logger: `swarm logs` and recordings show what it logs."""
     weights: Mapping[str, float] = field(default_factory=dict)
     """Consensus weight w_ij of each neighbour, by name."""
     own_weight: float = 1.0
-    """w_ii; all weights together are 1."""
+    """Consensus weight w_ii of this robot; the sum of all weights is 1."""
     app: str = "app"
     """Name of the app on the bus."""
     time: Callable[[], float] = clock.now
     """The host's clock."""
     bus: "BusLike | None" = None
-    """Where the app runs on a robot: that robot's bus."""
+    """The robot's bus; None if the app does not run on a robot."""
     overlays: "Overlays | None" = None
-    """Likewise: messages to the whole swarm, or to one robot (docs/how-to/apps/talk-beyond-neighbours.md)."""
+    """Messages to the whole swarm or to one robot; None without a bus."""
     mesh_clock: "MeshClock | None" = None
-    """Likewise: the swarm's common time."""
+    """The swarm's common time; None without a bus."""
     ranging: "Ranging | None" = None
-    """Likewise: distances by UWB."""
+    """Distances by UWB; None without a bus."""
     devices: "Devices | None" = None
-    """Likewise: the robot's own devices."""
+    """The robot's own devices; None without a bus."""
     timers: Callable[[float, str], None] | None = None
-    """Put in by the host of an event-driven app: what `after` calls."""
+    """The function that `after` calls; the host of an event-driven app sets it."""
     recording: Callable[[str, float, Value], None] | None = None
-    """Put in by the host where the run is recorded: takes name, time and value of what `record` is given."""
+    """The function that `record` calls with name, time (s) and value; the host of a recorded run sets it."""
 
     said: Callable[[str, str], None] | None = None
-    """Put in by the host: takes level and text of what the app prints or logs."""
+    """The function that takes level and text of what the app prints or logs; the host sets it."""
     truth: "Callable[[], Truth | None] | None" = None
-    """Put in by the host of an app that measures its `error`: what a simulation knows; None as on real robots."""
+    """The function that returns what a simulation knows, for an app that measures its `error`; None on real robots."""
 
     def __post_init__(self) -> None:
         self._measurement: Measurement | None = None
         self._label = "start"
         self._stepped: tuple[int, float] | None = None
         self.dt = 0.0
-        """s between the beginning of this step and of the one before, by the host's clock; 0 in the first step of a
-        process. It is an input of the step, as a measurement is: links and restarts change it, and with it the
-        trajectory."""
+        """Seconds between the beginning of the step before and of this one, by the host's clock; 0 in the first step of
+        a process. Links and restarts change it, and with it the trajectory of an app that uses it."""
         self._random: random.Random | None = None
 
     # -- the swarm
@@ -92,7 +99,7 @@ class Robot:
 
     @property
     def random(self) -> random.Random:
-        """Random numbers by the swarm's seed, the robot and the iteration: a repeated step repeats them."""
+        """A generator of random numbers. Seed, robot and iteration set it, so a repeated step gets the same numbers."""
         if self._random is None:
             self._random = random.Random(f"{self.seed}/{self.name}/{self._label}")
         return self._random
@@ -101,21 +108,23 @@ class Robot:
 
     @property
     def now(self) -> float:
-        """Time of the host's clock, s: the robot's monotonic one, virtual in virtual time. It says how long something
-        took; what o'clock it is for all robots says `clock`. For what an app does, not for the state of a SyncApp."""
+        """Time of the robot's monotonic clock, s; virtual in virtual time. Use it to measure how long something takes.
+        Different robots have different times: `clock` has a common one. Keep it out of the state of a SyncApp."""
         return self.time()
 
     @property
     def clock(self) -> "MeshClock":
-        """The swarm's common time: `now()`, `error` and `root`, all None until the mesh has told it. For what an app
-        does, not for its state: a step that computes with it has another trajectory each time."""
+        """The swarm's common time: `now()` (s), `error` (s) and `root` (a robot's name). They are None until the mesh
+        has measured them. Keep it out of the state of a SyncApp. Raises `AppError` without a bus."""
         if self.mesh_clock is None:
-            raise AppError("robot.clock needs a bus: it is there when the app runs on a robot")
+            raise AppError(f"robot.clock {NEEDS_BUS}")
         return self.mesh_clock
 
     def after(self, seconds: float, name: str) -> None:
-        """Call the app's `on_timer(name)` in so many seconds; said again, it is moved. In event-driven and periodic
-        apps."""
+        """Call the app's `on_timer(name)` after `seconds`. A second call with the same name replaces the first one.
+
+        For event-driven and periodic apps. Raises `AppError` in a SyncApp, or for a time that is negative or not
+        finite."""
         if self.timers is None:
             raise AppError("robot.after: a SyncApp has no timers; EventApp and PeriodicApp do")
         if not (math.isfinite(seconds) and seconds >= 0.0):
@@ -126,50 +135,56 @@ class Robot:
 
     @property
     def measurement(self) -> Measurement:
-        """Range to the target and own place for this step, m. For apps with `measured = True`."""
+        """The measurement for this step: `distance` to the target and own place `x`, `y`, all in m.
+
+        Raises `AppError` if the class does not declare `measured = True`."""
         if self._measurement is None:
             raise AppError("no measurement: write `measured = True` into the app class to get one before each step")
         return self._measurement
 
     @property
     def ranges(self) -> tuple[Range, ...]:
-        """The newest UWB ranges, to anchors and to robots that carry one; none older than a second. See `clock`."""
+        """The newest UWB ranges to anchors, and to robots whose module is an anchor; none is older than 1 s. Keep them
+        out of the state of a SyncApp. Raises `AppError` without a bus."""
         return self._ranging().ranges
 
     def distance(self, robot: str) -> float | None:
-        """The measured distance to another robot, m; None where neither has measured it within the last second: one of
-        the two modules has to be an anchor (docs/how-to/robots/set-up-uwb.md). See `clock`."""
+        """The measured distance to the robot `robot`, m; None if neither robot has measured it within the last second.
+
+        One of the two modules must be an anchor (docs/how-to/robots/set-up-uwb.md). Raises `AppError` for a name that
+        is no robot, and without a bus."""
         if robot not in self.swarm:
-            raise AppError(f"robot.distance({robot!r}): there is no such robot")
+            raise AppError(f"robot.distance({robot!r}): the robots are {', '.join(self.swarm)}")
         return self._ranging().distance(robot)
 
     @property
     def pose(self) -> "PoseView | None":
-        """Where the robot is: `x`, `y`, `heading`, `sigma_x`, `sigma_y`, `sigma_heading` (m, rad) and `age` (s); None
-        where that is not known. See `clock`."""
+        """The robot's place: `x`, `y`, `sigma_x`, `sigma_y` (m), `heading`, `sigma_heading` (rad) and `age` (s).
+
+        None if it is not known. Keep it out of the state of a SyncApp. Raises `AppError` without a bus."""
         return self._devices().pose
 
     # -- the body
 
     @property
     def posture(self) -> str:
-        """standing, standing_up, lying_down, front or back (it lies on it), upright (held), leaning, or unknown as long
-        as the balancer has not told it. See `clock`."""
+        """How the robot stands or lies: "standing", "standing_up", "lying_down", "front" or "back" (it lies on that
+        side), "upright" (somebody holds it), "leaning", or "unknown" before the first message of the balancer."""
         return self._devices().posture
 
     @property
     def fault(self) -> str:
-        """Why the balancer keeps the motors off; empty where it does not."""
+        """The reason why the balancer keeps the motors off; empty if there is none."""
         return self._devices().fault
 
     @property
     def battery(self) -> float | None:
-        """V; None before it was read."""
+        """The battery's voltage, V; None before the first reading."""
         return self._devices().battery
 
     @property
     def buttons(self) -> tuple[str, ...]:
-        """The buttons held at this moment: of "a", "b" and "c". Presses come to `on_button`."""
+        """The buttons that are held at this moment: any of "a", "b" and "c". `on_button` is called for each press."""
         return self._devices().buttons
 
     def leds(
@@ -180,22 +195,26 @@ class Robot:
         *,
         at: float | None = None,
     ) -> None:
-        """Switch LEDs at once, or at a time `at` of `now` (at most 10 s ahead, to some ms: `clock.monotonic` makes one
-        of the swarm's common time); what was ordered for that time and later is void. What is left out stays as the
-        app had it. They show the robot's own state again when the app stops or dies."""
+        """Switch LEDs on (True) or off (False) at once, or at the time `at` (s, by `now`, at most 10 s ahead).
+
+        An LED that is left out stays as it is. An order cancels earlier orders for the same time or later ones.
+        `clock.monotonic` converts the swarm's common time for `at`. When the app ends, the LEDs show the robot's own
+        state again. Raises `AppError` for a time in the past, and without a bus."""
         self._devices().leds(red, yellow, green, at)
 
     def display(self, *lines: object) -> None:
-        """Show up to four lines of 21 letters; without any, the app's values again."""
+        """Show up to four lines of 21 letters on the display. Without lines it shows the app's values again."""
         self._devices().display(lines)
 
     def drive(self, speed: float, turn: float) -> None:
-        """Drive with this speed (m/s, forward) and turn rate (rad/s, left) until told otherwise, as far as the robot
-        stands and its limits allow; `drive(0, 0)` stops. It stops, too, when the app does, hangs or dies."""
+        """Drive with this `speed` (m/s, forward) and `turn` rate (rad/s, to the left) until the next call.
+
+        The robot drives only while it stands, and within its limits. It stops at `drive(0, 0)`, and when the app ends
+        or hangs. Raises `AppError` for numbers that are not finite, and without a bus."""
         self._devices().drive(speed, turn)
 
     def stand_up(self) -> None:
-        """Stand up and balance. A robot that cannot says so in `fault` and stays where it is."""
+        """Stand up and balance. If the robot cannot do it, it stays where it is and `fault` has the reason."""
         self._devices().mode("stand")
 
     def lie_down(self) -> None:
@@ -205,29 +224,36 @@ class Robot:
     # -- messages
 
     def flood(self, payload: bytes, *, priority: str = "bulk", announce: bool = False) -> "Handle[Flooded]":
-        """Carry a payload to the same app on all robots; with `announce` all learn when all have it. A step must not
-        wait for the answer: it keeps the handle's `ticket` and looks for the `answer` later (an event-driven app has it
-        by `on_answer`). One that is repeated after a restart floods again."""
+        """Carry a payload of at most 960 KiB to the same app on all robots.
+
+        With `announce` all robots learn when all have it. A step must not wait for the answer: it keeps the handle's
+        `ticket` and asks `answer` later. An event-driven app gets it in `on_answer`. A step that is repeated after a
+        restart sends the payload again. Raises `AppError` without a bus."""
         return self._reach().flood(payload, priority=priority, announce=announce)
 
     def send(self, to: str, payload: bytes, *, priority: str = "bulk", timeout: float = 30.0) -> "Handle[Sent]":
-        """Carry a payload to the same app on one robot, within `timeout` s or not at all; the same holds."""
+        """Carry a payload of at most 960 KiB to the same app on the robot `to`, within `timeout` s or not at all.
+
+        The answer comes as that of `flood`. Raises `AppError` without a bus."""
         return self._reach().send(to, payload, priority=priority, timeout=timeout)
 
     def answer(self, ticket: str) -> Flooded | Sent | None:
-        """What became of a flood or a message of this process; None as long as that is not known."""
+        """Return the result of a flood or message that this process sent; None as long as it is not known."""
         return self._reach().answer(ticket)
 
     def messages(self) -> "list[Message]":
-        """What the same app on other robots has flooded, and sent to this one, since the last call: at most the newest
-        256, each with `sender`, `payload` and `flooded`. They come when they come, and once: see `clock`. To an
-        event-driven app they come by `on_message` instead."""
+        """Return the messages that arrived since the last call: at most the newest 256, from the same app elsewhere.
+
+        Each has `sender`, `payload` (bytes) and `flooded`. Their time of arrival differs in each run, so keep them out
+        of the state of a SyncApp. An event-driven app gets them in `on_message` instead."""
         return self._reach().messages()
 
     def publish(self, topic: str, value: Value | Mapping[str, Value]) -> None:
-        """Tell a value, or several by name, to whoever watches: on the key `swarm/<robot>/app/<app>/out/<topic>`."""
+        """Publish a value, or several by name, on the key `swarm/<robot>/app/<app>/out/<topic>`.
+
+        `swarm view` and `z_sub` show it. Raises `AppError` for a value of a wrong type, and without a bus."""
         if self.bus is None:
-            raise AppError("robot.publish needs a bus: it is there when the app runs on a robot")
+            raise AppError(f"robot.publish {NEEDS_BUS}")
         given = dict(value) if isinstance(value, Mapping) else {"value": value}
         try:
             values = {name: as_value(item) for name, item in given.items()}
@@ -236,8 +262,10 @@ class Robot:
         self.bus.publish(key(self.name, f"app/{self.app}", "out", topic), AppOutput(self.now, values))
 
     def record(self, name: str, value: Value) -> None:
-        """Write a value into the run's recording, under this name and the time of `now`, and tell it to whoever watches
-        the robot. A name's values are all of one type."""
+        """Write a value into the run's recording, with this name and the time of `now`; `swarm view` shows it, too.
+
+        All values of a name have one type. Without a recording nothing happens. Raises `AppError` for a value that
+        cannot be recorded."""
         if self.recording is not None:
             try:
                 self.recording(name, self.now, as_value(value))
@@ -260,20 +288,15 @@ class Robot:
 
     def _ranging(self) -> "Ranging":
         if self.ranging is None:
-            raise AppError("robot.ranges and distance need a bus: they are there when the app runs on a robot")
+            raise AppError(f"robot.ranges or robot.distance {NEEDS_BUS}")
         return self.ranging
 
     def _devices(self) -> "Devices":
         if self.devices is None:
-            raise AppError(
-                "robot.pose, posture, battery, buttons, leds, display, drive, stand_up and lie_down need a bus: "
-                "they are there when the app runs on a robot"
-            )
+            raise AppError(f"a device of the robot, such as robot.pose or robot.leds, {NEEDS_BUS}")
         return self.devices
 
     def _reach(self) -> "Overlays":
         if self.overlays is None:
-            raise AppError(
-                "robot.flood, send, answer and messages need a bus: they are there when the app runs on a robot"
-            )
+            raise AppError(f"robot.flood, send, answer or messages {NEEDS_BUS}")
         return self.overlays

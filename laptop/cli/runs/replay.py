@@ -61,7 +61,8 @@ def run(args: argparse.Namespace) -> int:
         return 0
     with _bus(args) as bus:
         if not bus.wait_connected(OPENING_S):
-            raise LocalError(f"no bus answers within {OPENING_S:g} s")
+            place = args.on or "the run directory"
+            raise LocalError(f"no bus answers within {OPENING_S:g} s: does one run in {place}?")
         time.sleep(SETTLE_S)
         count = _play(bus, samples, args.speed)
         time.sleep(SETTLE_S)

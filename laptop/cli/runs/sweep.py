@@ -111,7 +111,7 @@ def _limits(
     except ValueError:
         raise ConfigError(f"--limit {args.limit}: expected NAME=LOW,HIGH") from None
     if not low < high:
-        raise ConfigError(f"--limit {args.limit}: {low:g} is not below {high:g}")
+        raise ConfigError(f"--limit {args.limit}: {low:g} is not below {high:g}, expected NAME=LOW,HIGH")
     progress = _Progress(sys.stderr, None)
     with engine as run:
         brackets = search(args.app, points, args.seeds, rest, args.within, name, (low, high), run, progress.done)

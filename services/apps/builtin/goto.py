@@ -37,7 +37,7 @@ class Goto(DrivingApp):
         super().start()
         self._goals = read_waypoints(self.waypoints)
         if len(self.robot.swarm) > MOST:
-            raise AppError(f"goto: {len(self.robot.swarm)} robots, at most {MOST}")
+            raise AppError(f"goto has room for {MOST} robots, the swarm has {len(self.robot.swarm)}: use fewer robots")
 
     def on_parameter(self, name: str) -> None:
         """New waypoints take the place of all old ones. Text that names no places changes nothing, and the robot's
@@ -101,6 +101,6 @@ def read_waypoints(text: str) -> tuple[Point, ...]:
         except ValueError:
             raise AppError(f'waypoints: expected "x,y x,y ..." in m, got {word!r}') from None
         if not (math.isfinite(x) and math.isfinite(y)):
-            raise AppError(f"waypoints: {word!r} is no place")
+            raise AppError(f"waypoints: {word!r}: expected finite numbers, in m")
         points.append((x, y))
     return tuple(points)

@@ -179,7 +179,7 @@ def _session(options: argparse.Namespace, config: Config, robot: str, places: li
         hold(guide, Hearing(bus, robot), module, path, lambda text: print(text, flush=True), clock.now)
     print(f"{len(guide.samples)} samples in {path}")
     if not guide.samples:
-        raise LocalError("nothing was measured")
+        raise LocalError("nothing was measured: does the module give ranges? See swarm dwm check")
     return guide.samples
 
 

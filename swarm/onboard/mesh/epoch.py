@@ -48,7 +48,8 @@ def run(args: argparse.Namespace) -> int:
     with opened(buses.find(args)) as found:
         answers = Answers(found, AppEpoch, f"app/{args.app}", "epoch")
         if not answers.wait(PATIENCE, lambda: bool(answers.newest)):
-            raise LocalError(f"no robot tells who is in {args.app}: {', '.join(found)} ({PATIENCE:g} s)")
+            raise LocalError(f"no robot tells who is in {args.app}: {', '.join(found)} ({PATIENCE:g} s); "
+                             "does the app run? (swarm status)")  # fmt: skip
         problem = ""
         if args.verb == "show":
             answers.wait(PATIENCE, lambda: len(answers.newest) == len(found))

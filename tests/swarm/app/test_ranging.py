@@ -62,5 +62,5 @@ def test_over_the_bus(router, runtime):
 def test_without_a_bus_it_says_so():
     robot = Robot("r0", Graph(("r0", "r1"), (("r0", "r1"),)))
     for call in (lambda: robot.ranges, lambda: robot.distance("r1")):
-        with pytest.raises(AppError, match="need a bus"):
+        with pytest.raises(AppError, match="needs a bus"):
             call()
