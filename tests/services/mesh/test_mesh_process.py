@@ -9,12 +9,12 @@ import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import msgpack
 import pytest
 from conftest import Processes, ask, stop, wait_until
 
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.frames import Hello
+from sim.control.link_cuts import silence
 from swarm.bus.zenoh_bus import Bus, Router
 from swarm.config.keyfile import new_key_file, read_keys, rotate
 from swarm.messages import HoldLink, LinkState, Status, read
@@ -252,12 +252,16 @@ def test_it_starts_before_the_bus_and_survives_its_restart(build: Build) -> None
 def test_a_cut_link_returns(build: Build) -> None:
     swarm = build(model="latency=0.005", times=SHORT)
     swarm.start()
-    for robot, peer in (("r0", "r1"), ("r1", "r0")):
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
-            sock.sendto(msgpack.packb({"cut": peer, "seconds": 2.5}), str(swarm.runtime / robot / "air.sock"))
+
+    def cut(seconds: float) -> None:
+        for robot, peer in (("r0", "r1"), ("r1", "r0")):
+            silence(swarm.runtime, robot, peer, seconds)
+
+    cut(60.0)
     wait_until(lambda: swarm["r0"].links["r1"].state in ("down", "connecting"))
     assert ("r1", "suspect") in swarm["r0"].seen
     wait_until(lambda: swarm["r0"].links["r1"].reason == "unreachable")
+    cut(0.0)
     swarm.wait_up()
     assert swarm["r0"].links["r1"].connection == 2
     swarm.talk("r0", "r1")
