@@ -208,11 +208,6 @@ class Connections:
 
     # -- outputs ---------------------------------------------------------------------------------------------
 
-    @property
-    def robots(self) -> frozenset[str]:
-        """All of the swarm."""
-        return self._local.robots
-
     def ready(self) -> list[Session]:
         """Sessions that have had something to send since the last call."""
         ready, self._ready = self._ready, []
@@ -325,19 +320,11 @@ class Connections:
 
     def _clash(self, robot: str, process: int, now: float) -> str:
         """Why a robot's process may have no link because another robot has its name; empty where it may."""
-        link, clashes = self.links.get(robot), self._overlays.clashes
-        if not process:
-            return ""  # a caller that tells no process is taken for the robot that it names
-        if link is not None and (session := link.session) is not None and session.process not in (0, process):
-            if session.state == SUSPECT:
-                return ""  # it was started anew, perhaps: no need to wait for silence
-            text = f"{self._local.robot} has a link with one of them"
-        elif (other := clashes.elsewhere(robot, process)) is not None:
-            text = f"{other} has a link with one of them"
-        else:
-            return ""
-        clashes.seen(robot, process, text, now)
-        return f"another robot is called {robot}, too: {text}"
+        link = self.links.get(robot)
+        session = link.session if link is not None else None
+        if session is not None and session.state == SUSPECT and session.process not in (0, process):
+            return ""  # it was started anew, perhaps: no need to wait for silence
+        return self._overlays.clashes.refusal(robot, process, session.process if session is not None else 0, now)
 
     def _look_for_clashes(self, now: float) -> None:
         """End young links with the second robot of a name."""

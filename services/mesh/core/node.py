@@ -58,6 +58,7 @@ class MeshNode:
         """`random` gives uniform numbers from 0 up to 1, `nonce` 16 bytes nobody can foresee. Which links there are
         is said by `overlays.linking`."""
         assert overlays.linking is not None
+        self._robots = local.robots
         self._relay = relay
         self.overlays = overlays
         self._carried = overlays.linking.carried
@@ -181,7 +182,7 @@ class MeshNode:
     def _longest(self, overlay: int, priority: int) -> int:
         """The longest payload of a relayed value, bytes."""
         if overlay == frames.NEIGHBOURS and self._carried:
-            return carried.limit_of(priority, self.connections.robots)
+            return carried.limit_of(priority, self._robots)
         return longest(overlay, priority)
 
     def _send(self, send: RelaySend, now: float) -> None:

@@ -94,7 +94,7 @@ def test_no_small_message_waits_longer_than_the_window_and_a_write() -> None:
     start = link.now
 
     def note() -> None:
-        limits.append(link.a.session._window.limit)
+        limits.append(link.a.session.window.limit)
         link.at(link.now + 0.01, note)
 
     note()
@@ -125,17 +125,17 @@ def test_on_a_slow_link_little_waits_in_the_socket() -> None:
     link = Link(bandwidth=5_000.0)
     time = transfer(link, 200_000)
     assert 200_000 / time >= 0.8 * 5_000.0
-    assert link.a.session._window.limit <= 4000
+    assert link.a.session.window.limit <= 4000
 
 
 def test_a_link_that_becomes_slower_gets_a_smaller_window() -> None:
     link = Link()
     link.send(link.a, BULK, "big", bytes(MIB))
     link.run(4.0)
-    assert link.a.session._window.limit > 4000
+    assert link.a.session.window.limit > 4000
     link.b.line._model = type(link.b.line._model)(0.03, 0.0, 8_000.0)
     link.run(20.0)
-    assert link.a.session._window.limit < 2500
+    assert link.a.session.window.limit < 2500
 
 
 def test_lockstep_alone_costs_almost_no_acknowledgements() -> None:
@@ -159,7 +159,7 @@ def test_one_way_traffic_is_acknowledged_too() -> None:
 
     send()
     link.run(5.0)
-    assert link.a.session._window.in_flight < 5000
+    assert link.a.session.window.in_flight < 5000
 
 
 def test_a_class_of_sync_that_fills_the_link_leaves_bulk_its_share() -> None:
@@ -176,12 +176,12 @@ def test_a_class_of_sync_that_fills_the_link_leaves_bulk_its_share() -> None:
     assert arrived(link.b, "big"), "not starved"
     sync = sum(len(data) for _, data in arrived(link.b, "flood"))
     assert sync > 4 * 300_000, "but sync had far more"
-    assert link.a.session._window.in_flight < 20_000, "and the kernel's queue stayed short"
+    assert link.a.session.window.in_flight < 20_000, "and the kernel's queue stayed short"
 
 
 def test_an_acknowledgement_of_more_than_was_sent_ends_the_connection() -> None:
     link = Link()
-    link.a.session.receive(encode_ack(link.a.session._window.sent + 1), link.now)
+    link.a.session.receive(encode_ack(link.a.session.window.sent + 1), link.now)
     assert link.a.session.state == "down"
     assert link.a.counters["bad_frames"] == 1
 

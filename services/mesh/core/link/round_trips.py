@@ -131,3 +131,10 @@ class Pulse:
 
 def _microseconds(now: float) -> int:
     return int(now * 1e6)
+
+
+def next_beat(now: float, period: float, incarnation: int) -> float:
+    """Return when a link's next heartbeat is due. Those of all links of a robot leave together: each time it wakes
+    costs. Robots have moments of their own, by their incarnation."""
+    wait = period - (now - incarnation % 1024 / 1024 * period) % period
+    return now + (wait if wait > period / 4 else wait + period)

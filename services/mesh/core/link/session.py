@@ -19,7 +19,7 @@ from services.mesh.core.link.calls import Local
 from services.mesh.core.link.clock import ClockSync, decode_claim, encode_claim
 from services.mesh.core.link.flow import Fragment, Reassembly, decode_fragment, encode_fragment
 from services.mesh.core.link.outbox import Channels, Outbox, OutgoingPart, QueuedMessage, overlay_of
-from services.mesh.core.link.round_trips import Pulse
+from services.mesh.core.link.round_trips import Pulse, next_beat
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.auth import Keys, newest_common
 from services.mesh.core.wire.frames import BULK, BYE_TEXT, SYNC, Frame, Hello
@@ -86,8 +86,10 @@ class Session:
         self._incarnation: int | None = None
         self._decoder = frames.FrameDecoder()
         self._events: list[Event] = []
-        self._outbox = Outbox(counters)
-        self._window = flow.SendWindow()
+        self.queue = Outbox(counters)
+        """What waits to leave."""
+        self.window = flow.SendWindow()
+        """What is under way."""
         self._receipts = flow.Receipts()
         self._reassembly = Reassembly(counters)
         self._channels = Channels()
@@ -135,7 +137,7 @@ class Session:
     @property
     def sent_bytes(self) -> int:
         """Bytes handed out to be sent."""
-        return self._window.sent
+        return self.window.sent
 
     @property
     def received_bytes(self) -> int:
@@ -143,21 +145,11 @@ class Session:
         return self._receipts.taken
 
     @property
-    def queue(self) -> Outbox:
-        """What waits to leave."""
-        return self._outbox
-
-    @property
-    def window(self) -> flow.SendWindow:
-        """What is under way."""
-        return self._window
-
-    @property
     def wants_to_send(self) -> bool:
         """Whether `data_to_send` has something."""
         if self._urgent or self._heartbeat_due or (self._receipts.due() and self.is_up):
             return True
-        return self._outbox.waiting > 0 and self._outbox.leaves(self._window.free(0))
+        return self.queue.waiting > 0 and self.queue.leaves(self.window.free(0))
 
     def events(self) -> list[Event]:
         """What happened since the last call."""
@@ -198,7 +190,7 @@ class Session:
         """
         if not self.is_up:
             raise LocalError(f"the link to {self.peer} is {self.state}")
-        return self._outbox.push(priority, key, payload, latest)
+        return self.queue.push(priority, key, payload, latest)
 
     def transport_down(self, reason: str) -> None:
         """The transport is gone; nothing can be sent any more."""
@@ -227,14 +219,14 @@ class Session:
                 self._events.append(LinkSuspect())
             if now >= self._heartbeat_at:
                 self._heartbeat_due = True
-                self._heartbeat_at = self._next_beat(now)
+                self._heartbeat_at = next_beat(now, self._local.heartbeat, self._local.incarnation)
             patience = dead if self.state == SUSPECT else suspect
             self.deadline = min(self._heartbeat_at, self._heard + patience)
 
     def data_to_send(self, now: float, max_bytes: int) -> bytes:
         """Whole frames to be sent next, most urgent first; stops when `max_bytes` are reached or passed."""
-        outbox, receipts = self._outbox, self._receipts
-        if not (outbox.waiting or self._urgent or self._heartbeat_due or receipts.due()):
+        queue, receipts = self.queue, self._receipts
+        if not (queue.waiting or self._urgent or self._heartbeat_due or receipts.due()):
             return b""
         chunks, self._urgent = self._urgent, []
         size = sum(map(len, chunks)) if chunks else 0
@@ -245,9 +237,9 @@ class Session:
                 self._beat(chunks, now)
             if (count := receipts.take(at_once=beat)) is not None:
                 chunks.append(flow.encode_ack(count))
-            window = self._window
+            window = self.window
             fragment = window.fragment(now)
-            while size < max_bytes and (item := outbox.pop(window.free(size), fragment)) is not None:
+            while size < max_bytes and (item := queue.pop(window.free(size), fragment)) is not None:
                 part = item if isinstance(item, OutgoingPart) else None
                 message = item if isinstance(item, QueuedMessage) else item.message
                 channel, new = self._channels.handle(message.key)
@@ -257,7 +249,7 @@ class Session:
                     chunks.append(frames.encode_data(message.priority, channel, message.payload))
                 elif new and part.number:
                     # So many other keys were used since its last part that the key has lost its handle.
-                    outbox.restart(part)
+                    queue.restart(part)
                     continue
                 else:
                     total = 0 if part.number else len(message.payload)
@@ -273,14 +265,8 @@ class Session:
                         break
         self.sent += len(chunks)
         data = b"".join(chunks) if self._auth is None else self._auth.seal(chunks, self._confirm)
-        self._window.wrote(len(data), now, bulk=bulk, waits=outbox.bulk_waits)
+        self.window.wrote(len(data), now, bulk=bulk, waits=queue.bulk_waits)
         return data
-
-    def _next_beat(self, now: float) -> float:
-        """Those of all links of a robot leave together: each time it wakes costs. Robots have moments of their own."""
-        period = self._local.heartbeat
-        wait = period - (now - self._local.incarnation % 1024 / 1024 * period) % period
-        return now + (wait if wait > period / 4 else wait + period)
 
     def _beat(self, chunks: list[bytes], now: float) -> None:
         """A heartbeat, and what goes with it."""
@@ -333,7 +319,7 @@ class Session:
         elif frame.kind == frames.FRAGMENT:
             self._on_fragment(frame, now)
         elif frame.kind == frames.ACK:
-            self._window.on_ack(flow.decode_ack(frame.body), now)
+            self.window.on_ack(flow.decode_ack(frame.body), now)
         elif frame.kind == frames.HEARTBEAT:
             assert self.peer is not None
             if (heard := self.pulse.heard(frames.decode_heartbeat(frame.body), now)) is not None:
@@ -410,5 +396,5 @@ class Session:
         self.deadline = _NEVER
         self._urgent = []
         self._heartbeat_due = False
-        self._outbox.clear()
+        self.queue.clear()
         self._events.append(LinkDown(reason, code, said) if was_up else HandshakeFailed(reason, code, said))

@@ -12,6 +12,7 @@ from services.mesh.core.actions import LinkAction, Transmit
 from services.mesh.core.bulk import exchange, transfers
 from services.mesh.core.events import Received
 from services.mesh.core.overlays import carried, flood, flood_store, large_messages, unicast
+from services.mesh.core.overlays.admission import Admission
 from services.mesh.core.overlays.carried import CARRY, Carrier
 from services.mesh.core.overlays.flood import FloodOverlay
 from services.mesh.core.overlays.large_messages import Large
@@ -26,8 +27,8 @@ from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD, MAX_PAYLOAD
 from swarm.errors import FrameError, PayloadError
 from swarm.messages import Members, MeshGraph, Stop, Stopped, Topology
 from swarm.messages.codec import encode
-from swarm.messages.keys import is_name, parse
 from swarm.messages.keys import key as key_of
+from swarm.messages.keys import parse
 
 MEMBERS_PERIOD = 10.0
 """s between two publications of `mesh/members` when nothing changes."""
@@ -72,8 +73,7 @@ class RobotOverlays:
             self._robots |= {me}
         self._counters = counters
         counters.update(dict.fromkeys(COUNTERS, 0))
-        self._admits_flood = admits_flood
-        self._admits_unicast = admits_unicast
+        self._admission = Admission(me, self._robots, admits_flood, admits_unicast)
         self._actions: list[Action] = []
         emit = self._actions.append
         self._requests = OverlayRequests(me, to_bus=self._to_bus, now=lambda: self._now)
@@ -94,7 +94,7 @@ class RobotOverlays:
         self.clashes = Clashes(me, self._robots, self._map)
         self._unicast = Unicast(
             me, incarnation, self._robots,
-            emit=emit, route=self._map.route, admits=self._admits_message, deliver=self._to_bus,
+            emit=emit, route=self._map.route, admits=self._admission.accepts, deliver=self._to_bus,
             ended=self._requests.sent, passed=self._requests.passed, counters=counters,
         )  # fmt: skip
         self._requests.flood = self._flood
@@ -186,21 +186,10 @@ class RobotOverlays:
 
     def admits(self, peer: str, overlay: int, key: str) -> bool:
         """Whether a neighbour may bind a channel of flood or unicast to this key."""
-        try:
-            robot, service, topic = parse(key)
-        except PayloadError:
-            return False
-        if robot not in self._robots:
-            return False
-        if overlay != FLOOD:
-            if robot == peer and service == "mesh" and topic in ("unicast", "pieces"):
-                return True
-            return self.linking is not None and self.linking.carried and self._carrier.admits(key)
-        if service == "mesh" and topic in ("digest", "halt", "topology"):
-            return robot == peer
-        if (service, topic) in (("mesh", "lsa"), ("mesh", "flooded"), ("mesh", "stopped"), ("mesh", "watch")):
+        if self._admission.binds(peer, overlay, key):
             return True
-        return _is_app_flood(service, topic) or self._admits_flood(key)
+        carried = overlay != FLOOD and self.linking is not None and self.linking.carried
+        return carried and self._carrier.admits(key)
 
     def receive(self, peer: str, overlay: int, key: str, data: bytes, priority: int, now: float) -> None:
         """A packet of a neighbour on an admitted channel. What is wrong is dropped and counted: the one who made it
@@ -394,23 +383,8 @@ class RobotOverlays:
         if self._membership.look(self._map.told(), incarnations, left, now):
             self._members_at = now
 
-    def _admits_message(self, sender: str, key: str) -> bool:
-        if sender == self.me:
-            return False  # what we send ourselves crosses no link: somebody pretends to be us
-        robot, service, topic = parse(key)
-        if robot == sender and service == "app":
-            chunks = topic.split("/")
-            if len(chunks) == 3 and chunks[1:] == ["send", self.me] and is_name(chunks[0]):
-                return True
-        return (robot, service, topic) == (sender, "mesh", "view") or self._admits_unicast(sender, key)
-
 
 @lru_cache(maxsize=1)
 def _sorted(robots: frozenset[str]) -> tuple[str, ...]:
     """Names in order; of the robots of a simulation the same for all."""
     return tuple(sorted(robots))
-
-
-def _is_app_flood(service: str, topic: str) -> bool:
-    app, _, rest = topic.partition("/")
-    return service == "app" and rest == "flood" and is_name(app)

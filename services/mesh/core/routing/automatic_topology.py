@@ -1,4 +1,4 @@
-"""The automatic topology as a pure function: from what links there are and who hears whom, which ones there should be.
+"""The automatic topology: from what links there are and who hears whom, which ones there should be.
 
 A link that works stays: the plan only adds what is lacking, and takes away what is clearly too much, in five steps,
 none of which undoes another's work. So the same swarm has the same plan, and the plan of a plan is the plan itself.
@@ -17,9 +17,10 @@ Links with a robot that is away stay as far as there is room: who comes back fin
 """
 
 import heapq
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence, Set
 
-from services.mesh.core.routing.topology import MAX_LINKS
+from services.mesh.core.routing.link_state import LinkStateMap
+from services.mesh.core.routing.topology import MAX_LINKS, Ground
 from swarm.core.graph import Edge
 
 SOCIABLE = 4
@@ -28,6 +29,8 @@ SOCIABLE = 4
 DOUBLED = MAX_LINKS - 1
 """Links a robot has at most for the sake of a second way: the last one is for who comes."""
 
+FORGET = 60.0
+"""s after which the automatic rule takes a link between two robots that do not hear each other out of the topology."""
 
 Pair = tuple[int, int]
 
@@ -249,3 +252,34 @@ def _farthest(graph: _Graph, pairs: Sequence[Pair]) -> tuple[int, Pair]:
 def places(bits: int, count: int) -> list[int]:
     """The places below `count` whose bit is set. A peer may have set others."""
     return [place for place in range(count) if bits >> place & 1]
+
+
+class AutomaticRule:
+    """How the robot with the lowest place mends the topology. Calls with `now` must not go back in time."""
+
+    def __init__(self, ground: Ground, map: LinkStateMap) -> None:
+        self._ground = ground
+        self._map = map
+        self._dead: dict[Edge, float] = {}
+        """Links of the topology between robots in reach that do not hear each other, and since when."""
+
+    def forget(self) -> None:
+        """Another robot mends the topology."""
+        self._dead.clear()
+
+    def mend(self, edges: tuple[Edge, ...], members: Set[str], now: float) -> tuple[tuple[Edge, ...], float]:
+        """Return the links that there are to be in place of `edges`, and when to look at those that may be dead.
+
+        `members` are the robots in reach and this one.
+        """
+        names, edge = self._ground.names, self._ground.edge
+        up = {edge(a, b) for a, near in self._map.graph().items() for b in near if a in members and b in members}
+        heard = set(up)
+        for name in members:
+            reached = places(self._map.heard(name), len(names))
+            heard |= {edge(name, names[place]) for place in reached if names[place] in members and names[place] != name}
+        silent = {each for each in edges if each[0] in members and each[1] in members and each not in heard}
+        self._dead = {each: self._dead.get(each, now) for each in silent}
+        dead = {each for each, since in self._dead.items() if now >= since + FORGET}
+        look_at = min((since + FORGET for each, since in self._dead.items() if each not in dead), default=float("inf"))
+        return plan(names, members, [each for each in edges if each not in dead], heard, up), look_at

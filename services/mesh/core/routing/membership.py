@@ -234,6 +234,20 @@ class Clashes:
             signs = self._signs[robot] = _Signs(process, now)
         signs.last, signs.text = now, text
 
+    def refusal(self, robot: str, process: int, linked: int, now: float) -> str:
+        """Why a process may have no link because another robot has its name; empty where it may. `linked` is the
+        process that this robot has a link with; a process of 0 is not known."""
+        if not process:
+            return ""  # a caller that tells no process is taken for the robot that it names
+        if linked not in (0, process):
+            text = f"{self._me} has a link with one of them"
+        elif (other := self.elsewhere(robot, process)) is not None:
+            text = f"{other} has a link with one of them"
+        else:
+            return ""
+        self.seen(robot, process, text, now)
+        return f"another robot is called {robot}, too: {text}"
+
     def check_link(self, robot: str, process: int, since: float, now: float) -> str:
         """Look at a link that came up at `since`. The reason to end it; empty where it is to stay."""
         if (other := self.elsewhere(robot, process)) is None:

@@ -92,6 +92,10 @@ class Ground:
         self._packet = (self.first, self._encode(self.first))
         self._read: dict[bytes, TopologyVersion] = {self._packet[1]: self.first}
 
+    def edge(self, a: str, b: str) -> Edge:
+        """The link of two robots as it stands in a graph."""
+        return (a, b) if self.place[a] < self.place[b] else (b, a)
+
     def physical(self, value: TopologyVersion) -> tuple[Edge, ...]:
         """The links that carry a value."""
         return physical(self.names, value.edges, self._links)

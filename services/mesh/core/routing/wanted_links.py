@@ -8,7 +8,8 @@ restarts.)
 Make before break. A new value's links are asked for at once. A link that it does not contain stays until
 1. every robot in reach has the same value (its link state says so), or `PATIENCE` is over,
 2. this robot's own links of it are up, as far as their other ends are in reach, or `MAKE` is over, and
-3. for `GRACE` its two ends have been connected without it: by links of the topology, and unwanted ones of lower rank.
+3. for a while its two ends have been connected without it: by links of the topology, and unwanted ones of lower rank
+   (`SpareLinks`).
 By 3 the links that stay are a minimum spanning forest with the topology's links at no cost (Kruskal 1956), so robots
 that drop links at the same time, on old news even, never count on one another's: whatever is dropped, a chain of lower
 ones remains. By 1 all ranks are of one value. So a link that alone holds two parts together stays for good
@@ -28,9 +29,10 @@ from typing import NamedTuple
 
 from services.mesh.core.actions import Connect, Disconnect, LinkAction, LogLine, Neighbours, Transmit, Write
 from services.mesh.core.link.calls import Search
-from services.mesh.core.routing.automatic_topology import places, plan
+from services.mesh.core.routing.automatic_topology import AutomaticRule
 from services.mesh.core.routing.link_state import LinkStateMap
 from services.mesh.core.routing.physical_links import Succession
+from services.mesh.core.routing.spare_links import SpareLinks
 from services.mesh.core.routing.topology import (
     AUTO,
     MAX_LINKS,
@@ -51,9 +53,6 @@ PATIENCE = 30.0
 MAKE = 10.0
 """s after which new links are not waited for: a radio that is full has no room for them before old ones are gone."""
 
-GRACE = 1.0
-"""s for which the other way must have been there: what is being flooded has passed, routes have been told."""
-
 LOOK = 0.05
 """s from a change of the map until it is looked at: news come in packs."""
 
@@ -65,9 +64,6 @@ DOUBT = 10.0
 
 SETTLE = 1.0
 """s of news that the automatic rule waits for, and between two changes of it."""
-
-FORGET = 60.0
-"""s after which the automatic rule takes a link between two robots that do not hear each other out of the topology."""
 
 _NEVER = float("inf")
 
@@ -102,17 +98,14 @@ class Linking:
         self._map = map
         self._act = act
         self._counters = counters
-        self._place = start.ground.place
         self._search = Search(random, len(start.ground.names) if start.ground.carried else 0)
         self._links: dict[str, None] = {}
-        self._spare: dict[str, float] = {}
-        """Unwanted links that are not needed any more, and since when."""
+        self._spare = SpareLinks(me, start.ground)
         self._reach: dict[str, bool] = {}
         """Of the robots that we dial, as far as we have tried: whether we hear each other."""
         self._down: dict[str, float] = {}
         """Links of the topology that are down, and since when."""
-        self._dead: dict[Edge, float] = {}
-        """Links of the topology between robots in reach that do not hear each other, and since when."""
+        self._rule = AutomaticRule(start.ground, map)
         self.missing: dict[str, str] = {}
         """Robots out of reach that this one has called, and why in vain."""
         self._channel = key_of(me, "mesh", "topology")
@@ -174,7 +167,7 @@ class Linking:
         if peer not in self._links:
             return
         del self._links[peer]
-        self._spare.pop(peer, None)
+        self._spare.lost(peer)
         if peer in self.wanted:
             self._down[peer] = now
         else:
@@ -279,7 +272,7 @@ class Linking:
         if self.carried:
             self._act(Neighbours(self.neighbours))
         self.adopted = now
-        self._spare.clear()
+        self._spare.forget()
         for peer in sorted(self.wanted - before):
             self._down[peer] = now
             self._act(Connect(peer))
@@ -307,7 +300,7 @@ class Linking:
         """Tell the swarm which value holds here and, where the automatic rule wants to know, whom we hear."""
         heard = 0
         if self.value.auto:
-            heard = sum(1 << self._place[peer] for peer, reached in self._reach.items() if reached)
+            heard = sum(1 << self._ground.place[peer] for peer, reached in self._reach.items() if reached)
         self._map.tell(self.tag, heard, now)
 
     def _note_reach(self, peer: str, reached: bool, now: float) -> None:
@@ -358,15 +351,10 @@ class Linking:
         agreed = self._is_agreed(now)
         made = now >= self.adopted + MAKE or all(peer in self._links for peer in self.wanted if peer in reachable)
         graph = self._map.graph() if agreed and made else {}
-        topology = frozenset(self.physical)
-        for peer in kept:
-            if not graph or not self._is_connected(graph, topology, peer):
-                self._spare.pop(peer, None)
-            elif now >= self._spare.setdefault(peer, now) + GRACE:
-                del self._spare[peer]
-                self._act(Disconnect(peer, frames.UNWANTED))
-            else:
-                self._check_at = min(self._check_at, self._spare[peer] + GRACE)
+        needless, look_at = self._spare.needless(kept, graph, frozenset(self.physical), now)
+        for peer in needless:
+            self._act(Disconnect(peer, frames.UNWANTED))
+        self._check_at = min(self._check_at, look_at)
         for end in (self.adopted + MAKE, self.adopted + PATIENCE):
             if now < end:
                 self._check_at = min(self._check_at, end)
@@ -377,29 +365,6 @@ class Linking:
         tag = self.tag
         return now >= self.adopted + PATIENCE or all(self._map.topology(name) == tag for name in self._map.routes())
 
-    def _edge(self, a: str, b: str) -> Edge:
-        return (a, b) if self._place[a] < self._place[b] else (b, a)
-
-    def _rank(self, edge: Edge) -> tuple[int, int]:
-        return self._place[edge[0]], self._place[edge[1]]
-
-    def _is_connected(self, graph: Mapping[str, Mapping[str, object]], topology: frozenset[Edge], peer: str) -> bool:
-        """Whether there is a way to a neighbour by links of the topology, and unwanted ones below its own."""
-        limit = self._rank(self._edge(self._me, peer))
-        seen, todo = {self._me}, [self._me]
-        while todo:
-            here = todo.pop()
-            for other in graph.get(here, ()):
-                if other in seen:
-                    continue
-                edge = self._edge(here, other)
-                if edge in topology or self._rank(edge) < limit:
-                    if other == peer:
-                        return True
-                    seen.add(other)
-                    todo.append(other)
-        return False
-
     # -- the automatic rule ------------------------------------------------------------------------------------
 
     def _plan(self, now: float) -> None:
@@ -407,24 +372,13 @@ class Linking:
         self._plan_at = _NEVER
         routes = self._map.routes()
         members = {self._me, *routes}
-        if not self.value.auto or min(members, key=self._place.__getitem__) != self._me:
-            self._dead.clear()
+        if not self.value.auto or min(members, key=self._ground.place.__getitem__) != self._me:
+            self._rule.forget()
             return
         if not self._is_agreed(now):
             self._plan_at = now + SETTLE
             return
-        names = self._ground.names
-        up = {self._edge(a, b) for a, near in self._map.graph().items() for b in near if a in members and b in members}
-        heard = set(up)
-        for name in members:
-            reached = places(self._map.heard(name), len(names))
-            heard |= {self._edge(name, names[place]) for place in reached if names[place] in members - {name}}
-        silent = {edge for edge in self.value.edges if edge[0] in members and edge[1] in members and edge not in heard}
-        self._dead = {edge: self._dead.get(edge, now) for edge in silent}
-        dead = {edge for edge, since in self._dead.items() if now >= since + FORGET}
-        if len(dead) < len(silent):
-            self._plan_at = min(since + FORGET for edge, since in self._dead.items() if edge not in dead)
-        edges = plan(names, members, [edge for edge in self.value.edges if edge not in dead], heard, up)
+        edges, self._plan_at = self._rule.mend(self.value.edges, members, now)
         if edges == self.value.edges:
             return
         if self.value.step == MAX_STEP:
