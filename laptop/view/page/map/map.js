@@ -1,5 +1,5 @@
 // The map: metres, anchors, robots, links, targets. Drawn where something that can be seen has changed, or has moved by a
-// pixel. What seldom changes (grid, anchors, trails) is a picture of its own below the rest.
+// step. What seldom changes (grid, anchors, trails) is a picture of its own below the rest.
 
 import { Pen, reach, rimSize } from "./drawing.js";
 import { listen } from "./hands.js";
@@ -8,9 +8,10 @@ import { sharp, theme } from "../theme.js";
 
 const CROWD = 60; // robots above which links are thin, and trails and crowded names are left out
 const ROOM = 60; // pixels between robots of a crowd that have names
-const BUSY = 10; // messages a second above which a link no longer flashes
+const BUSY = 5; // messages a second above which a link no longer flashes: one would begin before the other has ended, in each frame
 const FLASH_MS = 160;
 const FRAME_MS = 16;
+const STEP = 1.5; // pixels by which something may be off before it is drawn anew: nobody sees less
 const LABELS_MS = 250; // between two looks at names that are about to move
 const MARGIN = 0.3; // m around everything
 const LOOSE = 1.4; // times as large as it might be, and it is fitted anew
@@ -45,7 +46,7 @@ export class SwarmMap {
   }
 
   // Something has changed: it is drawn with the next frame of the screen. A frame that is asked for costs the browser some
-  // milliseconds even where nothing is drawn in it, so that the next one is asked for when something will have moved by a pixel.
+  // milliseconds even where nothing is drawn in it, so that the next one is asked for when something will have moved by a step.
   wake() {
     clearTimeout(this.timer);
     if (this.awake) return;
@@ -68,11 +69,11 @@ export class SwarmMap {
   rest(now) {
     const wait = this.due(now);
     clearTimeout(this.timer);
-    if (wait < FRAME_MS) this.wake();
-    else if (wait < Infinity) this.timer = setTimeout(() => this.wake(), wait - FRAME_MS);
+    if (wait < FRAME_MS / 2) this.wake();
+    else if (wait < Infinity) this.timer = setTimeout(() => this.wake(), wait - FRAME_MS / 2); // the frame that is nearest
   }
 
-  // ms until what moves will be a pixel away from where it has been drawn, if nothing new is told.
+  // ms until what moves will be a step away from where it has been drawn, if nothing new is told.
   due(now) {
     const { scale } = this.shown ?? { scale: 0 }, tip = reach(scale, this.ratio), pixels = { x: scale, y: scale, heading: tip, tilt: tip };
     let wait = this.labels.moving ? LABELS_MS : Infinity;
@@ -82,8 +83,8 @@ export class SwarmMap {
       if (!is) continue;
       for (const [axis, size] of Object.entries(pixels)) {
         const turn = axis === "heading", off = size * apart(is[axis], drawn[axis], turn), rest = size * apart(to[axis], is[axis], turn), whole = size * apart(to[axis], drawn[axis], turn);
-        if (off >= 1) return 0;
-        if (whole >= 1) wait = Math.min(wait, rest > 0 ? (left * (1 - off)) / rest : 0);
+        if (off >= STEP) return 0;
+        if (whole >= STEP) wait = Math.min(wait, rest > 0 ? (left * (STEP - off)) / rest : 0);
       }
     }
     return wait;

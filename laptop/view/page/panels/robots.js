@@ -2,11 +2,13 @@
 
 import { scaled, short } from "../numbers.js";
 import { held } from "../series.js";
-import { sharp } from "../theme.js";
 import { gone } from "./answers.js";
 
 const SPARK_MS = 400;
 const LOW_S = 45 * 60;
+const WIDE = 200, HIGH = 20; // of a sparkline, before it is drawn out
+
+const SVG = "http://www.w3.org/2000/svg";
 
 // Of each: its name, its group of columns, whether it is a number.
 const COLUMNS = [
@@ -107,33 +109,32 @@ export class Robots {
     row.called = text;
     const spark = row.insertCell();
     spark.className = "app spark";
-    row.spark = document.createElement("canvas");
-    row.spark.ariaHidden = "true";
-    spark.append(row.spark);
+    const line = document.createElementNS(SVG, "svg");
+    for (const [key, value] of [["viewBox", `0 0 ${WIDE} ${HIGH}`], ["preserveAspectRatio", "none"], ["aria-hidden", "true"]]) line.setAttribute(key, value);
+    row.path = document.createElementNS(SVG, "path");
+    line.append(row.path);
+    spark.append(line);
     for (const [, group, number] of COLUMNS) row.insertCell().className = `${group}${number ? " num" : ""}`;
     this.rows.set(name, row);
     return row;
   }
 
-  // Its own value over the last time, without numbers.
+  // Its own value over the last time, without numbers. A path of the page: each canvas would cost something in every frame
+  // in which the map moves.
   spark(row, points, colour, at) {
-    const ratio = sharp(row.spark);
-    if (!ratio || points.length < 2) return;
-    const shape = `${points.length} ${points.at(-1)[0]} ${at} ${colour} ${row.spark.width}`;
-    if (row.shape === shape) return;
-    row.shape = shape;
-    const c = row.spark.getContext("2d"), { width, height } = row.spark, shown = points.filter(([t]) => t <= at);
+    const shown = points.filter(([t]) => t <= at);
+    if (shown.length < 2) return;
     const ys = shown.map(([, y]) => y), low = Math.min(...ys), high = Math.max(...ys), [first, last] = [points[0][0], points.at(-1)[0]];
-    c.clearRect(0, 0, width, height);
-    c.strokeStyle = colour;
-    c.lineWidth = 1.4 * ratio;
-    c.beginPath();
-    const step = Math.max(1, Math.floor(shown.length / 80));
+    const step = Math.max(1, Math.floor(shown.length / 80)), places = [];
     for (let index = 0; index < shown.length; index += step) {
       const [t, y] = shown[index];
-      c.lineTo(((t - first) / (last - first || 1)) * width, height - ratio - ((y - low) / (high - low || 1)) * (height - 2 * ratio));
+      places.push(`${(((t - first) / (last - first || 1)) * WIDE).toFixed(1)} ${(HIGH - 1 - ((y - low) / (high - low || 1)) * (HIGH - 2)).toFixed(1)}`);
     }
-    c.stroke();
+    const line = `M${places.join("L")}`;
+    if (line === row.line && colour === row.colour) return;
+    [row.line, row.colour] = [line, colour];
+    row.path.setAttribute("d", line);
+    row.path.setAttribute("stroke", colour);
   }
 
   // Text and kind of each cell behind the values.
