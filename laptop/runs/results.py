@@ -29,8 +29,10 @@ Array = np.ndarray[Any, np.dtype[Any]]
 
 
 class RunData:
-    """One run. Arrays have the axes iteration (from 0 on) and robot (in the order of `robots`), and further ones for a
-    vector or matrix. Where a robot has no such iteration there is nan, or None for what is no number."""
+    """One run as numpy arrays.
+
+    Arrays have the axes iteration (from 0 on) and robot (in the order of `robots`), and further ones for a vector or
+    matrix. If a robot has no such iteration, its entry is nan, or None in an array of texts."""
 
     def __init__(self, path: Path, app: str = "") -> None:
         """`path`: the run's folder, or one recording of it; `app`: which one is looked at where robots ran several.
@@ -45,13 +47,13 @@ class RunData:
 
     @property
     def robots(self) -> tuple[str, ...]:
-        """Their names: the second axis of all arrays."""
+        """Names of the robots: the second axis of all arrays."""
         return tuple(next(iter(self._trajectories.values())))
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """What `run[...]` takes: shared states, then what `result` of the app reports beside them, each vector by one
-        name; those of a channel as `channel.name`."""
+        """Names that `run[...]` takes: shared states, then further results of the app. A vector has one name, and a
+        field of a channel is `channel.name`."""
         return tuple(self._columns)
 
     @property
@@ -61,7 +63,7 @@ class RunData:
 
     @cached_property
     def times(self) -> Array:
-        """When each state was there, s after the first one; float of shape (iteration, robot)."""
+        """Time at which each robot had each state, s after the first one; float of shape (iteration, robot)."""
         return _times(self._trajectories.get("", {}))
 
     @property
@@ -72,30 +74,30 @@ class RunData:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What went wrong: an app in fault, no iteration for a minute; empty where all went well."""
+        """Problems of the run, such as an app in fault or a minute without an iteration; empty if there was none."""
         return tuple(json.loads(self._outcome.get("problems", "[]")))
 
     @property
     def never(self) -> tuple[str, ...]:
-        """What was to happen and did not, since the run ended before."""
+        """Faults that were planned and did not happen, because the run ended before."""
         return tuple(json.loads(self._outcome.get("never", "[]")))
 
     @property
     def closest(self) -> float | None:
-        """How near two simulated robots have come, m between axles: they touch at 0.15; None of one robot, and of real
-        robots."""
+        """The smallest distance between two simulated robots, m between their axles; they touch at 0.15. None for one
+        robot, and for real robots."""
         return self._scene.get("closest_m")
 
     @property
     def contacts(self) -> int | None:
-        """How often two simulated robots have touched; None as for `closest`."""
+        """The number of times that two simulated robots have touched; None as for `closest`."""
         return self._scene.get("contacts")
 
     @cached_property
     def truth(self) -> Array | None:
-        """Where the simulated robots really were when they reached each state: x, y in m and heading in rad, float of
-        shape (iteration, robot, 3), linear between the
-        world's samples (5 a second); None of real robots."""
+        """True places of the simulated robots when they reached each state: x, y in m and heading in rad.
+
+        The array has floats of shape (iteration, robot, 3). They are interpolated between the world's samples (5 a second). None for real robots."""
         return self._along("truth", ("x", "y", "heading"))
 
     @cached_property

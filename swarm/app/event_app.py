@@ -33,9 +33,9 @@ SHORTEST_PERIOD = 0.01
 
 
 class EventApp(BaseApp):
-    """Base of apps that react to events. All handlers may be left out.
+    """Base of apps that react to events. An app defines only the handlers that it needs.
 
-    Private fields may be of any type: a process that is started again begins with `start`.
+    Private fields may have any type, because a process that restarts begins with `start` again.
     """
 
     barrier: ClassVar[bool] = False
@@ -43,11 +43,13 @@ class EventApp(BaseApp):
     view_extras: ClassVar[tuple[str, ...]] = ("age",)
     live: ClassVar[bool] = True
     neighbours: tuple[Any, ...]
-    """The newest states of those neighbours that have told one, sorted by name, each with `name`, the shared fields and
-    `age`: s since it was told, at most some 1 s for one that is well. Set before each handler."""
+    """The newest known states of the neighbours, sorted by name; the host sets them before each handler.
+
+    Each has `name`, the shared fields, and `age`: the seconds since the neighbour sent it, about 1 s at most if the
+    neighbour is well. A neighbour that has sent no state is missing."""
 
     finished: str | None
-    """What `finish` was called with; None = it was not."""
+    """The reason that `finish` got; None before."""
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -81,35 +83,36 @@ class EventApp(BaseApp):
                 raise AppError(f"channel {name}: {error}") from None
 
     def start(self) -> None:
-        """Called once, when the process has started: set the first state."""
+        """Set the first state. The host calls it once, when the process has started."""
 
     def on_button(self, button: str) -> None:
-        """A button of the robot was pressed: "a", "b" or "c"."""
+        """React to a press of a button of the robot: "a", "b" or "c"."""
 
     def on_message(self, message: "Message") -> None:
-        """The same app on another robot has flooded something, or sent it to this one: `sender`, `payload`,
-        `flooded`."""
+        """React to a message of the same app on another robot.
+
+        `message` has `sender` (a robot's name), `payload` (bytes) and `flooded` (False if it went to this robot)."""
 
     def on_answer(self, ticket: str, outcome: Flooded | Sent) -> None:
-        """What became of a flood or a message of this app: the `ticket` is that of the handle which `flood` and `send`
-        gave."""
+        """React to the result of a flood or message of this app.
+
+        `ticket`: that of the handle which `flood` or `send` returned."""
 
     def on_announced(self, origin: str, outcome: Flooded) -> None:
-        """Another robot's flood that was made with `announce` has come to its end: whom it has reached, and whether
-        that is all."""
+        """React to the end of another robot's flood with `announce`: `outcome` tells which robots have it."""
 
     def on_neighbour(self, neighbour: Any) -> None:
-        """A neighbour's state is another one than before. Of several changes since the last call only the newest
-        counts."""
+        """React to a new state of a neighbour. If it has changed several times since the last call, this is the
+        newest state."""
 
     def on_parameter(self, name: str) -> None:
-        """A parameter was changed while the app runs: it has its new value already."""
+        """React to a changed parameter: `self` already has the new value under this name."""
 
     def on_timer(self, name: str) -> None:
-        """The time of `self.robot.after(seconds, name)` is over."""
+        """React to the timer that `self.robot.after(seconds, name)` has set."""
 
     def finish(self, reason: str = "") -> None:
-        """The app has done its work on this robot: no handler is called any more, its state stays to be read."""
+        """End the app's work on this robot: no handler is called any more, and others can still read its state."""
         self._put("finished", reason)
 
     @classmethod
@@ -169,14 +172,14 @@ class EventApp(BaseApp):
 
 
 class PeriodicApp(EventApp):
-    """Base of apps that step by a clock of their own, whatever their neighbours do, and react to events besides."""
+    """Base of apps that step by a clock of their own without waiting for neighbours, and that also react to events."""
 
     period: float = parameter(0.1, unit="s", low=SHORTEST_PERIOD, high=3600.0)
-    """s between two steps; each robot may have its own. A step that takes longer costs the next one."""
+    """Seconds between two steps; each robot may have another one. If a step takes longer, the next one is left out."""
     barrier: ClassVar[bool] = True
 
     def step(self, neighbours: Sequence[Any]) -> None:
-        """Called every period. `neighbours`: those whose state is known, as in `self.neighbours`."""
+        """Do one step. The host calls it every `period`. `neighbours`: the same as `self.neighbours`."""
         raise NotImplementedError
 
 
@@ -198,10 +201,11 @@ class ChannelDeclaration:
 def channel(kind: type[SyncApp], **values: object) -> Any:
     """Declare a lockstep channel: `frequency = channel(FrequencyConsensus, gain=0.3)` in the body of an app's class.
 
-    It runs by itself, with states and messages of its own. In the app `self.frequency.value` is the field `value` of
-    its newest iteration, `self.frequency.k` the iteration; `self.frequency.feed(_heard=0.3)` sets a private field, an
-    input for its next step. Its parameters and first values come from `values`, from
-    swarm.toml and `--set` as `frequency_NAME`, and `start` may assign first values: `self.frequency.value = 2.0`.
+    The channel runs by itself, with its own states and messages. In the app, `self.frequency.value` is the field
+    `value` of its newest iteration, and `self.frequency.k` is that iteration. `self.frequency.feed(_heard=0.3)` sets a private
+    field as an input for its next step. Parameters and first values come from `values`, and from swarm.toml or `--set`
+    as `frequency_NAME`. `start` may assign first values, too: `self.frequency.value = 2.0`. Raises `AppError` for a
+    class that is no SyncApp.
     """
     if not (isinstance(kind, type) and issubclass(kind, SyncApp)):
         raise AppError(f"channel({kind!r}): expected a class derived from SyncApp")

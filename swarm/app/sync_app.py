@@ -34,23 +34,22 @@ WEIGHTS = ("metropolis", "row")
 class BaseApp:
     """What all kinds of apps have in common: SyncApp, EventApp and PeriodicApp are derived from it.
 
-    Annotated class attributes are the state: shared with the neighbours, or private where the name starts
-    with an underscore (never sent). A default value in the class, or a parameter of the
-    same name on top of it, is the first value of a shared field; `start` may set another one. Without any it
-    starts at zero.
+    Annotated class attributes are the state. A field is shared with the neighbours, or private if its name starts with
+    an underscore (the robot never sends it). A shared field starts with its default value in the class, or at zero.
+    `swarm.toml` and `--set` can give another first value, and `start` may set one, too.
     """
 
     weights: str = parameter("metropolis", choices=WEIGHTS)
     view_extras: ClassVar[tuple[str, ...]] = ()
-    """What a neighbour's view has beside `name` and the shared fields."""
+    """Attributes that a neighbour has beside `name` and the shared fields."""
     live: ClassVar[bool] = False
-    """Whether parameters may be changed while it runs where they do not say."""
+    """Whether parameters that do not declare `live` may be changed while the app runs."""
     plotted: ClassVar[Sequence[str]] = ()
-    """Names of states and results that pictures of a run show, in this order; empty: by their kinds."""
+    """Names of states and results that pictures of a run show, in this order; if empty, the picture chooses."""
     spec: ClassVar[Spec]
     robot: Robot
     neighbours: Sequence[Any]
-    """The neighbours whose states are known, sorted by name: in a step those that it is given."""
+    """The neighbours whose states are known, sorted by name; in a step the same as its argument."""
     k: int
     """The iteration: the number of the state that the step starts from."""
 
@@ -62,7 +61,9 @@ class BaseApp:
             raise AppError(f"class {cls.__name__}: {error}") from None
 
     def __init__(self, robot: Robot, values: Mapping[str, object] | None = None) -> None:
-        """`values`: parameters and first values by name. `AppError` for one the class does not know."""
+        """Make the app of one robot. `values`: parameters and first values by name.
+
+        Raises `AppError` for a name that the class does not declare, and for a value that does not fit."""
         spec = type(self).spec
         self.check_state()
         self.check_step()
@@ -88,21 +89,25 @@ class BaseApp:
         self._weigh()
 
     def start(self) -> None:
-        """Set the first state; may be left out."""
+        """Set the first state. The host calls it once, before the first step. An app need not define it."""
 
     def result(self) -> Mapping[str, Value]:
-        """What the run reports, always under the same names; by default the shared state."""
+        """Return what the run reports: numbers, texts or lists by name, always with the same names.
+
+        By default it is the shared state."""
         schema = type(self).spec.schema
         return schema.message_values({name: getattr(self, name) for name in schema.names})
 
     def neighbour_weights(self) -> Mapping[str, float]:
-        """The consensus weight w_ij of each neighbour, by name: by the parameter `weights`. Override it for weights of
-        your own: a pure function of parameters and `self.robot`, called before `start`."""
+        """Return the consensus weight w_ij of each neighbour, by name; the parameter `weights` chooses the rule.
+
+        Override it for other weights. It must be a pure function of parameters and `self.robot`; the host calls it
+        before `start`, and again when members or parameters change."""
         graph = self.robot.graph
         return (graph.row_weights if self.weights == "row" else graph.metropolis_weights)(self.robot.name)
 
     def weighted(self, neighbours: Sequence[Any]) -> list[tuple[float, Any]]:
-        """Each neighbour with its consensus weight w_ij (`neighbour_weights`)."""
+        """Return pairs of consensus weight w_ij (`neighbour_weights`) and neighbour, in the order of `neighbours`."""
         weights = self.robot.weights
         return [(weights[neighbour.name], neighbour) for neighbour in neighbours]
 
@@ -156,10 +161,11 @@ class BaseApp:
         self._weigh()
 
     def mix(self, name: str) -> Any:
-        """The weighted sum of a shared field over this robot and its neighbours, x_i + sum of w_ij (x_j - x_i): a
-        float, tuple or array like the field. `self.x = self.mix("x")` is a step of consensus. The same bits on every
-        machine: floats are added by `fsum`, entries of arrays in the order of the neighbours' names. Raises `AppError`
-        for a field that is not of floats."""
+        """Return the weighted sum of a shared field, x_i + sum of w_ij (x_j - x_i) over the neighbours j.
+
+        The result is a float, tuple or array with the shape of the field. `self.x = self.mix("x")` is a step of
+        consensus. It has the same bits on every machine: `fsum` adds floats, and entries of arrays are added in the
+        order of the neighbours' names. Raises `AppError` for a field that does not hold floats."""
         field = next((each for each in type(self).spec.schema.fields if each.name == name), None)
         if field is None or field.kind not in ("float", "float32", "vector", "matrix", "array"):
             kinds = ", ".join(f"{each.name} ({each.kind})" for each in type(self).spec.schema.fields)
@@ -211,30 +217,38 @@ class BaseApp:
 
 
 class SyncApp(BaseApp):
-    """Base of apps that step together with their neighbours. See the module's text and docs/reference/apps.md.
+    """Base of apps that step together with their neighbours, in lockstep.
 
-    Private fields are saved for a restart, so they are of types that msgpack holds.
+    `step` runs when the states of iteration k of all neighbours are there, and turns the own state k into k + 1. Keep
+    it a pure function: without clock, files and random numbers but `self.robot.random`. A run then gives the same bits
+    when links are cut and processes are killed. Private fields are saved for a restart, so they must have types that
+    msgpack can hold.
     """
 
     diverges_above: float = parameter(1e30, low=0.0)
-    """A shared number beyond it is a fault: the app diverges, and does so on every robot that goes on."""
+    """Largest absolute value of a shared number; beyond it the app stops with a fault, because it diverges."""
     measured: ClassVar[bool] = False
-    """True = before `start` and before each step there is a new `robot.measurement`."""
+    """True gives the app a new `robot.measurement` before `start` and before each step."""
 
     def step(self, neighbours: Sequence[Any]) -> None:
-        """Turn the own state k into k + 1, given all neighbours' states k, sorted by name."""
+        """Turn the own state k into k + 1, by assigning to the fields of `self`.
+
+        `neighbours`: the states k of all neighbours, sorted by name; each has `name` and the shared fields."""
         raise NotImplementedError
 
     def converged(self) -> bool | None:
-        """Called after each step where the run ends when all robots have converged: whether this one has. None: as
-        soon as its shared numbers hardly change any more. As pure as a step."""
+        """Return whether this robot has converged; None leaves the decision to the change of its shared numbers.
+
+        The host calls it after each step of a run with `--until converged`. It must be as pure as a step."""
         return None
 
     def on_epoch(self, members: Sequence[str]) -> None:
-        """The members of the run, or their links, have changed: `robot.neighbours`, `robot.weights` and `robot.swarm`
-        are the new ones, and the state is that of the iteration at which all go over. It may be changed here, where
-        an algorithm has a history that must fit the members. As pure as a step. A robot that comes new to a run has
-        been through `start` before."""
+        """Adapt the state to new members of the run, or to new links.
+
+        The host calls it when all members have gone over to the new epoch. `members`: names of the robots in it.
+        `robot.neighbours`, `robot.weights` and `robot.swarm` are the new ones. An algorithm whose state holds a history
+        changes it here so that it fits the members. It must be as pure as a step. The host calls `start` first on a
+        robot that is new to the run."""
 
     def regraph(self) -> None:
         """Called by the host when `robot.graph` is another one: the weights follow from it."""

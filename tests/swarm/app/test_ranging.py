@@ -55,7 +55,7 @@ def test_over_the_bus(router, runtime):
         wait_until(told, what="ranges")
         assert [(item.robot, item.distance) for item in robot.ranges] == [("r1", 0.4)]
         assert robot.distance("r1") == 0.4
-        with pytest.raises(AppError, match="no such robot"):
+        with pytest.raises(AppError, match="the robots are r0, r1"):
             robot.distance("r9")
 
 
