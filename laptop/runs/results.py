@@ -97,7 +97,8 @@ class RunData:
     def truth(self) -> Array | None:
         """True places of the simulated robots when they reached each state: x, y in m and heading in rad.
 
-        The array has floats of shape (iteration, robot, 3). They are interpolated between the world's samples (5 a second). None for real robots."""
+        The array has floats of shape (iteration, robot, 3), interpolated between the world's samples (5 a second). None
+        for real robots."""
         return self._along("truth", ("x", "y", "heading"))
 
     @cached_property
