@@ -204,8 +204,9 @@ def channel(kind: type[SyncApp], **values: object) -> Any:
     The channel runs by itself, with its own states and messages. In the app, `self.frequency.value` is the field
     `value` of its newest iteration, and `self.frequency.k` is that iteration. `self.frequency.feed(_heard=0.3)` sets a
     private field as an input for its next step. Parameters and first values come from `values`, and from swarm.toml or
-    `--set` as `frequency_NAME`. `start` may assign first values, too: `self.frequency.value = 2.0`. Raises `AppError` for a
-    class that is no SyncApp.
+    `--set` as `frequency_NAME`. `start` may assign first values, too: `self.frequency.value = 2.0`.
+
+    Raises `AppError` for a class that is no SyncApp.
     """
     if not (isinstance(kind, type) and issubclass(kind, SyncApp)):
         raise AppError(f"channel({kind!r}): expected a class derived from SyncApp")
