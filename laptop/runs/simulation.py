@@ -28,8 +28,9 @@ from swarm.recording.recorded_topics import TOPICS
 
 App = type[BaseApp] | str | Path
 
-DEVICES = ("dwm/pose", "balancer/state", "mesh/links", "mesh/clock")
-"""What is recorded with `devices` alone: to compute it takes longer than the run of a small app."""
+DEVICES = ("dwm/pose", "balancer/state", "mesh/links", "mesh/clock", "mesh/topology", "mesh/members")
+"""What is recorded with `devices` alone: to compute it takes longer than the run of a small app, and each robot's
+message of the topology or of the members grows with the swarm."""
 
 ELSEWHERE = {"apps", "help", "json", "plot", "record", "run_dir", "settings", "view", "virtual", "speed", "no_open",
              "demo", "replay", "seconds", "iterations", "seed", "latency", "robots", "topology", "cuts", "kills",

@@ -5,7 +5,7 @@ import random
 from collections import deque
 from typing import Any, Protocol
 
-from services.mesh.core.link.session import Session
+from services.mesh.core.link.session import BULK_WRITE, Session
 from services.mesh.core.radio_model import AirModel, DelayLine
 from services.mesh.mesh import CLOSED, Mesh
 from sim.virtual.events import EventQueue, Time
@@ -205,6 +205,8 @@ class Air:
         if self._model.bandwidth is None:
             while data := session.data_to_send(end.station.time.now, CHUNK):
                 self._plan(end, end.line.push(data, now))
+                if len(data) < BULK_WRITE:
+                    break  # nothing more may leave now, which a second question would only confirm
             return
         while sum(map(len, end.socket)) < SOCKET and (data := session.data_to_send(end.station.time.now, CHUNK)):
             end.socket.append(data)

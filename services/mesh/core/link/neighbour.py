@@ -199,11 +199,9 @@ class Prober:
         self._echo_key = key(me, "mesh", "echo")
         self._pings = {ping_key(peer): peer for peer in peers}
         self._pongs = {pong_key(peer): peer for peer in self._pings.values()}
+        self.sender: Callable[[str], str | None] = {**self._pongs, **self._pings}.get
+        """The neighbour whose pings or answers travel under a key; None where neither do. Asked of each message."""
         self._sent: dict[tuple[str, int, int], _Sent] = {}
-
-    def sender(self, key: str) -> str | None:
-        """The neighbour whose pings or answers travel under a key; None where neither do."""
-        return self._pings.get(key) or self._pongs.get(key)
 
     def ping(self, request: EchoRequest, link: Link | None, now: float) -> Echo | None:
         """Send what a request asks for; the echo that says why that cannot be."""

@@ -239,7 +239,10 @@ class Session:
                 chunks.append(flow.encode_ack(count))
             window = self.window
             fragment = window.fragment(now)
-            while size < max_bytes and (item := queue.pop(window.free(size), fragment)) is not None:
+            while queue.waiting and size < max_bytes:
+                item = queue.pop(window.free(size), fragment)
+                if item is None:
+                    break
                 part = item if isinstance(item, OutgoingPart) else None
                 message = item if isinstance(item, QueuedMessage) else item.message
                 channel, new = self._channels.handle(message.key)
