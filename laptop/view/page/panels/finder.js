@@ -27,7 +27,7 @@ export class Finder {
     const typing = event.target.closest?.("input:not([type=range], [type=checkbox]), select, textarea"), time = this.time();
     if (event.key === "Escape" && event.shiftKey) this.controls.stop.hidden || this.controls.stop.click();
     else if (event.key === "k" && (event.ctrlKey || event.metaKey)) this.open();
-    else if (event.key === "Escape") this.dialog.open ? this.dialog.close() : window.swarmView.selected && this.select(window.swarmView.selected);
+    else if (event.key === "Escape") document.querySelector("dialog[open]") ? document.querySelector("dialog[open]").close() : window.swarmView.selected && this.select(window.swarmView.selected);
     else if (typing || event.ctrlKey || event.metaKey || event.altKey) return;
     else if (event.target.closest?.("#map canvas") && event.key.startsWith("Arrow")) return;
     else if (/^[1-9]$/.test(event.key) && this.store.names[event.key - 1]) this.select(this.store.names[event.key - 1]);
@@ -69,10 +69,11 @@ export class Finder {
     this.index = Math.min(this.found.length - 1, Math.max(0, index));
     this.list.replaceChildren(...this.found.slice(0, 40).map(({ text, act }, at) => {
       const item = document.createElement("li");
-      [item.textContent, item.role, item.ariaSelected] = [text, "option", String(at === this.index)];
+      [item.textContent, item.id, item.role, item.ariaSelected] = [text, `found-${at}`, "option", String(at === this.index)];
       item.addEventListener("click", act);
       return item;
     }));
+    this.input.setAttribute("aria-activedescendant", this.found.length ? `found-${this.index}` : "");
     this.list.children[this.index]?.scrollIntoView({ block: "nearest" });
   }
 }
