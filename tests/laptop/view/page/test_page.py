@@ -18,8 +18,6 @@ pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 expect = sync_api.expect
 
-LOST_WITHIN_MS = 2_000
-
 MIDDLE = """(() => {
   const { map } = swarmView, { left, top } = map.canvas.getBoundingClientRect(), { width, height } = map.canvas;
   const all = [...map.placed.values()], mean = (axis) => all.reduce((sum, each) => sum + each[axis], 0) / all.length;
@@ -208,7 +206,8 @@ def test_a_lost_server_is_shown_as_lost(browser: Any, simulation: Simulation) ->
     with shown(browser, "--run-dir", simulation.run_dir) as page:
         expect(page.locator("#connection")).to_have_text("live", timeout=PATIENCE_MS)
         page.view.close()
-        expect(page.locator("#connection")).to_have_text("server lost", timeout=LOST_WITHIN_MS)
+        # By the page's own clock 1.5 s after the last word; a busy machine may draw that later.
+        expect(page.locator("#connection")).to_have_text("server lost", timeout=PATIENCE_MS)
 
 
 def test_a_picture_without_a_person(simulation: Simulation, tmp_path: Path) -> None:
