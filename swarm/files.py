@@ -31,7 +31,7 @@ def atomic_write(
         try:
             if owner is not None and owner != (os.geteuid(), os.getegid()):
                 os.fchown(file, *owner)
-            if mode is not None:
+            if mode is not None and hasattr(os, "fchmod"):  # Windows has none before Python 3.13
                 with contextlib.suppress(PermissionError):  # a FAT file system has no permissions
                     os.fchmod(file, mode)
             rest = memoryview(data)

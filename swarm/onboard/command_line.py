@@ -48,6 +48,9 @@ Commands = Mapping[str, Command | CommandGroup]
 Sections = Mapping[str, Commands]
 """Commands by the title above them in the help."""
 
+UNIX_MODULES = frozenset({"fcntl", "grp", "pty", "pwd", "resource", "termios", "tty"})
+"""Modules of Python that Windows lacks."""
+
 _ROOT = Path(__file__).parents[2]
 """Where the packages lie."""
 
@@ -73,6 +76,11 @@ def end_with(program: str, run: Callable[[], int], *, interrupted: int = 130, un
         sys.stdout.flush()
     except SwarmError as error:
         complain(program, str(error))
+        code = 2
+    except ModuleNotFoundError as error:
+        if error.name not in UNIX_MODULES:
+            raise
+        complain(program, f"this command needs Linux or macOS (on Windows: WSL): Python has no {error.name} here")
         code = 2
     except KeyboardInterrupt:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second one must not disturb the end

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from swarm.errors import LocalError
 from swarm.onboard.arguments import add_json, number, show
+from swarm.onboard.command_line import UNIX_MODULES
 from swarm.process.terminal import bar
 
 if TYPE_CHECKING:
@@ -63,6 +64,8 @@ def run(args: argparse.Namespace) -> int:
     try:
         from laptop.view import chromium, film, server
     except ModuleNotFoundError as error:
+        if error.name in UNIX_MODULES:
+            raise
         raise LocalError(f"swarm film needs {error.name}: pip install 'balboa-swarm[lab]'") from None
     from laptop.view.recording import ViewedRecording
 
