@@ -4,10 +4,11 @@ import asyncio
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from laptop.fleet.core.pairing import Bond, Edge, Schedule, ordered, plan
+from laptop.fleet.core.pairing import Bond, PairingSchedule, ordered, plan
 from laptop.fleet.ssh import remote
 from laptop.fleet.ssh.everyone import FAILURES, ReportProgress, failure
 from laptop.fleet.ssh.ssh import Host, HostError, Ssh
+from swarm.core.graph import Edge
 
 INQUIRY_S = 25.0
 """An inquiry of 10.24 s finds most devices, two of them find those that were missed."""
@@ -53,7 +54,7 @@ class Pairing:
                 problems[edge] = f"{' and '.join(absent)} did not take part"
             else:
                 reachable.append(edge)
-        schedule = Schedule(ordered(reachable, addresses))
+        schedule = PairingSchedule(ordered(reachable, addresses))
         running: dict[asyncio.Task[str], Edge] = {}
         while schedule.waiting or running:
             for edge in schedule.start():

@@ -14,7 +14,7 @@ from laptop.runs.simulation import App, app_of, arguments_of, settings_for
 from sim.scenario.options import parse
 from sim.sweep.engines import here, local
 from sim.sweep.measure import SweptRun, summarize
-from sim.sweep.plan import Job, Point, points_of
+from sim.sweep.plan import Job, SweepPoint, points_of
 from swarm.app.parameters import number_or_text
 from swarm.errors import ConfigError
 
@@ -29,7 +29,7 @@ WITHIN = 0.01
 class SweepTable:
     """What came out of a sweep. Printed, it is a table with a row for each combination."""
 
-    def __init__(self, app: str, points: Sequence[Point], found: Sequence[SweptRun]) -> None:
+    def __init__(self, app: str, points: Sequence[SweepPoint], found: Sequence[SweptRun]) -> None:
         self._app, self._points, self._found = app, points, found
 
     @property
@@ -138,6 +138,6 @@ def _text(value: Any) -> str:
     return str(value)
 
 
-def _values(point: Point) -> dict[str, Any]:
+def _values(point: SweepPoint) -> dict[str, Any]:
     """The values of a combination, numbers as such."""
     return {name: number_or_text(text) for name, text in point.choices}

@@ -12,7 +12,7 @@ import logging
 from collections.abc import Callable, Sequence
 
 from services.balancer.balancer import Balancer
-from services.balancer.bridge.link import Message
+from services.balancer.bridge.link import LoopMessage
 from services.balancer.core.control.lqr import PERIOD_S
 from services.balancer.core.devices import balboa, imu
 from services.balancer.core.devices.buttons import ButtonCounter
@@ -103,7 +103,7 @@ class SlackTasks:
         """Tasks for which the bus has no time, by name; empty where it has time for all."""
         return self._behind
 
-    def obey(self, message: Message, now: float) -> bool:
+    def obey(self, message: LoopMessage, now: float) -> bool:
         """Take a command; False where it is none for a task."""
         match message:
             case ModuleRequest():
@@ -184,10 +184,10 @@ class SlackTasks:
         queued, self._boarded = self._boarded, None
         self._taken(queued, data[self._before :], now)
 
-    def run(self, until: float, stop: float | None = None) -> Sequence[Message]:
+    def run(self, until: float, stop: float | None = None) -> Sequence[LoopMessage]:
         """Do what fits before `until`, the next tick's time, and before `stop`. Returns what is to be told."""
         now = self._clock()
-        news: list[Message] = []
+        news: list[LoopMessage] = []
         balancer = self._balancer
         self._until = until
         if not balancer.connected:

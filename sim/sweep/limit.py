@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from sim.sweep.engines import Engine
 from sim.sweep.measure import SweptRun
-from sim.sweep.plan import Point, jobs_of
+from sim.sweep.plan import SweepPoint, jobs_of
 
 PRECISION = 0.01
 """Share of the value to which it is found."""
@@ -23,7 +23,7 @@ class Bracket:
 
 def search(
     app: str,
-    points: Sequence[Point],
+    points: Sequence[SweepPoint],
     seeds: Sequence[int],
     rest: Sequence[str],
     within: float,

@@ -12,7 +12,7 @@ _BETWEEN = re.compile(r",(?![^\[]*\])")
 
 
 @frozen
-class Point:
+class SweepPoint:
     """One combination."""
 
     choices: tuple[tuple[str, str], ...]
@@ -28,9 +28,9 @@ class Point:
                 found += ["--set", f"{name}={value}"]
         return found
 
-    def with_value(self, name: str, value: float) -> "Point":
+    def with_value(self, name: str, value: float) -> "SweepPoint":
         """The same with one parameter more."""
-        return Point((*self.choices, (name, repr(value))))
+        return SweepPoint((*self.choices, (name, repr(value))))
 
 
 @frozen
@@ -72,15 +72,18 @@ def seeds_of(text: str) -> tuple[int, ...]:
     return tuple(range(first, last + 1))
 
 
-def points_of(lists: Sequence[tuple[str, Sequence[str]]]) -> list[Point]:
+def points_of(lists: Sequence[tuple[str, Sequence[str]]]) -> list[SweepPoint]:
     """All combinations, the last list changing fastest."""
     names = [name for name, _ in lists]
     return [
-        Point(tuple(zip(names, chosen, strict=True))) for chosen in itertools.product(*(values for _, values in lists))
+        SweepPoint(tuple(zip(names, chosen, strict=True)))
+        for chosen in itertools.product(*(values for _, values in lists))
     ]
 
 
-def jobs_of(app: str, points: Sequence[Point], seeds: Sequence[int], rest: Sequence[str], within: float) -> list[Job]:
+def jobs_of(
+    app: str, points: Sequence[SweepPoint], seeds: Sequence[int], rest: Sequence[str], within: float
+) -> list[Job]:
     """Every point with every seed; `rest` are arguments of `swarm sim` for all of them."""
     return [
         Job(index, seed, (app, *point.arguments(), "--seed", str(seed), *rest), within)

@@ -12,11 +12,9 @@ from typing import NamedTuple
 from services.mesh.core.relay import matches
 from sim.virtual.events import EventQueue
 from swarm.bus.packer import Packer
+from swarm.bus.protocol import OnQuery, OnSample
 from swarm.errors import LocalError
 from swarm.messages.keys import MAX_KEY_LENGTH
-
-OnSample = Callable[[str, bytes], None]
-OnQuery = Callable[[str, dict[str, str]], bytes | None]
 
 
 class _Subscription(NamedTuple):

@@ -16,7 +16,7 @@ from services.apps.host import topology
 from services.apps.host.event_host import EventHost
 from services.apps.host.host import LockstepHost, Part
 from services.apps.host.observer import Observer
-from services.apps.host.topology import Place
+from services.apps.host.topology import RunPlace
 from services.apps.runner import Runner, metrics_of
 from services.dwm.replay import row_of
 from services.mesh.core.radio_model import AirModel
@@ -42,7 +42,7 @@ from sim.virtual.runtime import VirtualRuntime
 from swarm.app.event_app import EventApp
 from swarm.app.run_options import RunOptions
 from swarm.app.sync_app import SyncApp
-from swarm.app.truth import Truth, told
+from swarm.app.truth import RobotTruth, told
 from swarm.config import Config
 from swarm.messages import Target
 from swarm.messages.codec import Value
@@ -147,7 +147,7 @@ class VirtualWorld:
         self._names = frozenset(config.names)
         self._processes_end = processes_end
         self._launched: dict[tuple[str, str], Launch] = {}
-        self._begin_with: dict[tuple[str, int, int], Place] = {}
+        self._begin_with: dict[tuple[str, int, int], RunPlace] = {}
         self._common = Common(config, bluetooth=slots is not None)
         self.robots = {name: self._robot(name) for name in config.names}
         self.contacts = contacts_of(config)
@@ -256,7 +256,7 @@ class VirtualWorld:
         runtime = VirtualRuntime(robot, there.time, bus)
         begin = app.name, run, epoch
         if begin not in self._begin_with:
-            self._begin_with[begin] = Place.of(run, app.digest, run_options, config, epoch, 1)
+            self._begin_with[begin] = RunPlace.of(run, app.digest, run_options, config, epoch, 1)
         place = self._begin_with[begin]._replace(incarnation=there.starts)
         # Tickets of requests: others in each run, and after each start.
         tickets = f"{run & 0xFFFFFFFFFFFF:012x}" + (f"-{there.starts}" if there.starts > 1 else "")
@@ -283,14 +283,14 @@ class VirtualWorld:
         there.apps[app.name], there.buses[app.name] = host, bus
         host.start()
 
-    def truth(self, robot: str, app: str) -> Callable[[], Truth]:
+    def truth(self, robot: str, app: str) -> Callable[[], RobotTruth]:
         """What gives the truth for an app on a robot."""
         simulation, known = self.config.simulation, told(self.config, app)
 
-        def look() -> Truth:
+        def look() -> RobotTruth:
             body = self.robots[robot].balancer.look()
             target = simulation.target_after(self.time.now - self.modules.moves_from)
-            return Truth(body.x, body.y, body.heading, target, known)
+            return RobotTruth(body.x, body.y, body.heading, target, known)
 
         return look
 

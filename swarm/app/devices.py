@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 from typing import TypeVar
 
 from swarm import clock
-from swarm.bus.protocol import BusLike, Clock
+from swarm.bus.protocol import BusLike, Now
 from swarm.errors import AppError, PayloadError
 from swarm.frozen import frozen
 from swarm.messages import (
@@ -69,7 +69,7 @@ class PoseView:
 class Devices:
     """One app's view of its robot."""
 
-    def __init__(self, bus: BusLike, robot: str, now: Clock = clock.now) -> None:
+    def __init__(self, bus: BusLike, robot: str, now: Now = clock.now) -> None:
         """`now` is the clock of this robot's processes."""
         self._bus = bus
         self._robot = robot

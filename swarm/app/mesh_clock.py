@@ -7,8 +7,7 @@ Clock); here it is applied. No time server is needed, and mesh time has nothing 
 import logging
 
 from swarm import clock
-from swarm.bus.protocol import BusLike
-from swarm.bus.protocol import Clock as Now
+from swarm.bus.protocol import BusLike, Now
 from swarm.errors import PayloadError
 from swarm.messages import Clock
 from swarm.messages.codec import decode

@@ -18,7 +18,7 @@ from functools import partial
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from swarm import clock
-from swarm.bus.protocol import BusLike, Clock
+from swarm.bus.protocol import BusLike, Now
 from swarm.errors import LocalError, PayloadError
 from swarm.messages import Arm, Flooded, FloodRequest, Progress, Reminder, SendRequest, Sent
 from swarm.messages.codec import MAX_BINARY, decode, encode
@@ -54,7 +54,7 @@ class Message(NamedTuple):
 class Handle(Generic[A]):
     """One request under way: wait for its `result`, look at its `answer`, or have a callback (`on_done`)."""
 
-    def __init__(self, ticket: str, ask: Callable[[], None], remind: Callable[[], None], now: Clock) -> None:
+    def __init__(self, ticket: str, ask: Callable[[], None], remind: Callable[[], None], now: Now) -> None:
         """`ask()` makes the request, `remind()` repeats it."""
         self._now = now
         self.ticket = ticket
@@ -126,9 +126,7 @@ class Handle(Generic[A]):
 class Overlays:
     """What one process, under an app's name, floods and sends."""
 
-    def __init__(
-        self, bus: BusLike, robot: str, app: str, *, now: Clock = clock.now, prefix: str | None = None
-    ) -> None:
+    def __init__(self, bus: BusLike, robot: str, app: str, *, now: Now = clock.now, prefix: str | None = None) -> None:
         """`app` is what both ends call themselves: payloads reach the processes of that name. Tickets begin with
         `prefix`, which no other process may have: a random one, unless a simulation wants the same ones again."""
         self._now = now

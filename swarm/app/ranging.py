@@ -9,7 +9,7 @@ import logging
 import threading
 
 from swarm import clock
-from swarm.bus.protocol import BusLike, Clock
+from swarm.bus.protocol import BusLike, Now
 from swarm.core.ranging import RangeTable
 from swarm.errors import PayloadError
 from swarm.messages import Range, Ranges
@@ -23,7 +23,7 @@ class Ranging:
     """Reads `dwm/ranges` of all robots from one robot's bus, from when somebody first asks: most apps never do, and ten
     messages a second cost each of them more than its own work."""
 
-    def __init__(self, bus: BusLike, robot: str, now: Clock = clock.now) -> None:
+    def __init__(self, bus: BusLike, robot: str, now: Now = clock.now) -> None:
         """`now` is the robot's monotonic clock."""
         self._now = now
         self._table = RangeTable(robot)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # brings the bus along, which a step in virtual time does wit
     from swarm.app.mesh_clock import MeshClock
     from swarm.app.overlays import Handle, Message, Overlays
     from swarm.app.ranging import Ranging
-    from swarm.app.truth import Truth
+    from swarm.app.truth import RobotTruth
     from swarm.bus.protocol import BusLike
 
 NEEDS_BUS = "needs a bus: an app has one when it runs on a robot, real or simulated"
@@ -73,7 +73,7 @@ class Robot:
 
     said: Callable[[str, str], None] | None = None
     """The function that takes level and text of what the app prints or logs; the host sets it."""
-    truth: "Callable[[], Truth | None] | None" = None
+    truth: "Callable[[], RobotTruth | None] | None" = None
     """The function that returns what a simulation knows, for an app that measures its `error`; None on real robots."""
 
     def __post_init__(self) -> None:

@@ -19,7 +19,7 @@ _log = logging.getLogger("truth")
 
 
 @frozen
-class Truth:
+class RobotTruth:
     """The truth for one robot at one moment."""
 
     x: float
@@ -42,10 +42,10 @@ class TruthWatch:
         self._told = told(config, app)
         bus.subscribe([key(robot, "sim", "truth"), key(robot, "sim", "target")], self._take)
 
-    def __call__(self) -> Truth | None:
+    def __call__(self) -> RobotTruth | None:
         """What is known now; None before a simulation has told something."""
         pose = self._pose
-        return None if pose is None else Truth(pose.x, pose.y, pose.heading, self._target, self._told)
+        return None if pose is None else RobotTruth(pose.x, pose.y, pose.heading, self._target, self._told)
 
     def _take(self, name: str, payload: bytes) -> None:
         try:

@@ -10,7 +10,7 @@ OnSample = Callable[[str, bytes], None]
 """Called with key and payload."""
 OnQuery = Callable[[str, dict[str, str]], bytes | None]
 """Called with key and parameters; gives the answer, or None for none."""
-Clock = Callable[[], float]
+Now = Callable[[], float]
 """Gives the time, s: `swarm.clock.now` in a process."""
 
 

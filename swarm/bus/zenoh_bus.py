@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from swarm.bus.packer import Packer
+from swarm.bus.protocol import OnQuery, OnSample
 from swarm.bus.publisher import Publisher
 from swarm.bus.zenoh_config import client_config, peer_config, router_config
 from swarm.bus.zenoh_runtime import direct, guard, text, zenoh
@@ -26,9 +27,6 @@ from swarm.process.paths import ENDPOINT_PROTOCOL, bus_endpoint
 
 MSGPACK = "application/msgpack"
 BINARY = "application/octet-stream"
-
-OnSample = Callable[[str, bytes], None]
-OnQuery = Callable[[str, dict[str, str]], bytes | None]
 
 _log = logging.getLogger("bus")
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection
 from functools import partial
 from typing import NamedTuple, Protocol
 
-from swarm.bus.protocol import BusLike, Clock
+from swarm.bus.protocol import BusLike, Now
 from swarm.bus.throttle import THROTTLED
 from swarm.errors import PayloadError
 from swarm.messages import Flooded, FloodRequest, Passed, SendRequest, Sent, read
@@ -94,7 +94,7 @@ class TopicRecorder:
         robot: str,
         app: str,
         sink: Takes,
-        now: Clock,
+        now: Now,
         *,
         copies: bool = True,
         topics: Collection[str] = tuple(TOPICS),

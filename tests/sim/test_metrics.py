@@ -11,9 +11,9 @@ from services.apps.event_runner import EventRunner
 from services.apps.runner import metrics_of
 from sim.rehearsal import rehearse
 from sim.sweep.measure import measure
-from sim.sweep.plan import Job, Point
+from sim.sweep.plan import Job, SweepPoint
 from sim.virtual.run import simulate
-from swarm.app.truth import Truth, TruthWatch
+from swarm.app.truth import RobotTruth, TruthWatch
 from swarm.config import Config
 from swarm.errors import LocalError
 from swarm.messages import Target
@@ -116,13 +116,13 @@ def test_a_process_hears_the_truth_from_its_bus() -> None:
     take("swarm/r1/sim/target", encode(Target(1.0, 0.7, 0.8)))  # type: ignore[operator]
     assert isinstance(config, Config)
     found = watch()
-    assert isinstance(found, Truth)
+    assert isinstance(found, RobotTruth)
     assert (found.x, found.y, found.target, found.told["r1"]["value"]) == (0.5, 0.25, (0.7, 0.8), 3.0)
 
 
 def test_a_sweep_has_the_apps_error_and_says_so_where_there_is_nothing(tmp_path: Path) -> None:
     app = write(tmp_path, FINDS)
-    points = [Point((("robots", "2"),)), Point((("robots", "3"),))]
+    points = [SweepPoint((("robots", "2"),)), SweepPoint((("robots", "3"),))]
     jobs = [Job(i, 1, (app, *each.arguments(), "--iterations", "5"), 0.01) for i, each in enumerate(points)]
     found = [measure(job) for job in jobs]
     assert [run.error for run in found] == [pytest.approx(0.1)] * 2

@@ -13,7 +13,7 @@ from laptop.cli.runs import sweep_results
 from sim.sweep import engines
 from sim.sweep.limit import search
 from sim.sweep.measure import SweptRun, measure, settled, summarize
-from sim.sweep.plan import Job, Point, jobs_of, points_of, seeds_of, setting_of, values_of
+from sim.sweep.plan import Job, SweepPoint, jobs_of, points_of, seeds_of, setting_of, values_of
 from swarm.errors import LocalError
 from swarm.recording.trajectory import Trajectory
 
@@ -52,7 +52,7 @@ def test_every_combination_with_every_seed():
     assert [(job.point, job.seed) for job in jobs] == [(point, seed) for point in range(4) for seed in (1, 2)]
     assert jobs[0].arguments[:3] == ("app", "--robots", "3")
     assert jobs[0].arguments[-4:] == ("--seed", "1", "--jitter", "10ms")
-    assert points_of([]) == [Point(())]
+    assert points_of([]) == [SweepPoint(())]
 
 
 def path_of(*values):
@@ -88,7 +88,7 @@ def test_runs_of_a_point_together():
     assert (one.runs, one.failed, one.unsettled) == (4, 1, 1)
     assert (one.settled, one.settled_most) == (20, 30)
     assert one.problem == "r1 app boom"
-    text = sweep_results.table([Point((("gain", "0.1"),))], runs)
+    text = sweep_results.table([SweepPoint((("gain", "0.1"),))], runs)
     assert "gain=0.1" in text
     assert "boom" in text
 

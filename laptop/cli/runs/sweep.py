@@ -14,7 +14,7 @@ from laptop.cli.runs import sweep_results
 from sim.scenario import options as simulation
 from sim.sweep.engines import ENGINES, Engine, dask, local
 from sim.sweep.limit import search
-from sim.sweep.plan import Point, jobs_of, points_of, seeds_of, setting_of, values_of
+from sim.sweep.plan import SweepPoint, jobs_of, points_of, seeds_of, setting_of, values_of
 from swarm.errors import ConfigError
 from swarm.onboard.arguments import whole
 from swarm.process import log, service
@@ -103,7 +103,10 @@ def main() -> int:
 
 
 def _limits(
-    args: argparse.Namespace, points: list[Point], rest: list[str], engine: contextlib.AbstractContextManager[Engine]
+    args: argparse.Namespace,
+    points: list[SweepPoint],
+    rest: list[str],
+    engine: contextlib.AbstractContextManager[Engine],
 ) -> int:
     name, values = setting_of(args.limit)
     try:

@@ -9,7 +9,7 @@ from laptop.plotting import style
 from laptop.plotting.style import figure
 from sim.sweep.limit import Bracket
 from sim.sweep.measure import Summary, SweptRun, summarize
-from sim.sweep.plan import Point
+from sim.sweep.plan import SweepPoint
 from swarm.errors import LocalError
 from swarm.process.terminal import columns
 
@@ -28,7 +28,7 @@ _NUMBERS = {
 }
 
 
-def by_point(points: Sequence[Point], found: Sequence[SweptRun]) -> list[list[SweptRun]]:
+def by_point(points: Sequence[SweepPoint], found: Sequence[SweptRun]) -> list[list[SweptRun]]:
     """The runs of each point."""
     runs: list[list[SweptRun]] = [[] for _ in points]
     for run in found:
@@ -36,7 +36,7 @@ def by_point(points: Sequence[Point], found: Sequence[SweptRun]) -> list[list[Sw
     return runs
 
 
-def table(points: Sequence[Point], found: Sequence[SweptRun]) -> str:
+def table(points: Sequence[SweepPoint], found: Sequence[SweptRun]) -> str:
     """A row for each point, and what failed."""
     sums = [summarize(runs) for runs in by_point(points, found)]
     names = [name for name, _ in points[0].choices] if points else []
@@ -54,7 +54,7 @@ def table(points: Sequence[Point], found: Sequence[SweptRun]) -> str:
     return "\n".join([text, *([""] if notes else []), *notes])
 
 
-def limits(points: Sequence[Point], name: str, brackets: Sequence[Bracket]) -> str:
+def limits(points: Sequence[SweepPoint], name: str, brackets: Sequence[Bracket]) -> str:
     """A row for each point."""
     rows = [[*(name for name, _ in points[0].choices), f"{name} settles", "fails"]]
     for point, each in zip(points, brackets, strict=True):
@@ -62,7 +62,7 @@ def limits(points: Sequence[Point], name: str, brackets: Sequence[Bracket]) -> s
     return _aligned(rows)
 
 
-def as_json(points: Sequence[Point], found: Sequence[SweptRun]) -> list[dict[str, object]]:
+def as_json(points: Sequence[SweepPoint], found: Sequence[SweptRun]) -> list[dict[str, object]]:
     """Each point with its summary and its runs."""
     return [
         {**dict(point.choices), "summary": asdict(summarize(runs)), "runs": [_run(run) for run in runs]}
@@ -70,13 +70,13 @@ def as_json(points: Sequence[Point], found: Sequence[SweptRun]) -> list[dict[str
     ]
 
 
-def draw(app: str, points: Sequence[Point], found: Sequence[SweptRun], path: Path) -> None:
+def draw(app: str, points: Sequence[SweepPoint], found: Sequence[SweptRun], path: Path) -> None:
     """Write the picture of a sweep to a file."""
     with figure(path, settings=style.RC, layout="constrained") as made:
         draw_on(made, app, points, found)
 
 
-def draw_on(made: Any, app: str, points: Sequence[Point], found: Sequence[SweptRun]) -> None:
+def draw_on(made: Any, app: str, points: Sequence[SweepPoint], found: Sequence[SweptRun]) -> None:
     """Iterations to settle and error over the first list of numbers, a line for each combination of the others."""
     sums = [summarize(runs) for runs in by_point(points, found)]
     along = _along(points)
@@ -121,7 +121,7 @@ def draw_on(made: Any, app: str, points: Sequence[Point], found: Sequence[SweptR
         made.legend(named.values(), named.keys(), loc="outside upper center", ncols=2, fontsize="small")
 
 
-def _along(points: Sequence[Point]) -> str | None:
+def _along(points: Sequence[SweepPoint]) -> str | None:
     """The first choice that has several values, all numbers."""
     for place, (name, _) in enumerate(points[0].choices):
         values = {point.choices[place][1] for point in points}
@@ -142,7 +142,7 @@ def _run(run: SweptRun) -> dict[str, object]:
     return {name: value for name, value in asdict(run).items() if name != "point"}
 
 
-def _named(point: Point) -> str:
+def _named(point: SweepPoint) -> str:
     return " ".join(f"{name}={value}" for name, value in point.choices)
 
 

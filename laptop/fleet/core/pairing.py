@@ -6,10 +6,8 @@ from dataclasses import dataclass, field
 from itertools import combinations
 
 from swarm.config.types import Config
+from swarm.core.graph import Edge
 from swarm.frozen import frozen
-
-Edge = tuple[str, str]
-"""Two robots; the first calls the second."""
 
 
 @frozen
@@ -63,7 +61,7 @@ def plan(a: Bond | None, b: Bond | None) -> list[str]:
 
 
 @dataclass
-class Schedule:
+class PairingSchedule:
     """Which links are worked at, so that no robot is asked twice at once: one radio does one thing at a time."""
 
     waiting: list[Edge]

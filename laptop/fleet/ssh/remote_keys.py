@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from laptop.fleet.ssh.ssh import Host, Ssh
 from swarm.errors import LocalError
-from swarm.onboard.body.keyboard import Keys
+from swarm.onboard.body.keyboard import Keyboard
 
 _CLIENT_FAILED = 255
 
@@ -25,7 +25,7 @@ def run(ssh: Ssh, host: Host, command: str, on_line: Callable[[str], None]) -> i
         raise LocalError("there is no ssh here: sudo apt-get install openssh-client") from None
     assert process.stdout is not None
     try:
-        with Keys(sys.stdin).raw():
+        with Keyboard(sys.stdin).raw():
             for line in process.stdout:
                 on_line(line.rstrip("\n"))
             code = process.wait()

@@ -8,11 +8,11 @@ from swarm.app.mesh_clock import MeshClock
 from swarm.app.overlays import Overlays
 from swarm.app.ranging import Ranging
 from swarm.app.robot import Robot
-from swarm.bus.protocol import BusLike, Clock
+from swarm.bus.protocol import BusLike, Now
 
 
 def equip(
-    robot: Robot, bus: BusLike, log: logging.Logger, now: Clock = clock.now, tickets: str | None = None
+    robot: Robot, bus: BusLike, log: logging.Logger, now: Now = clock.now, tickets: str | None = None
 ) -> Overlays:
     """Give an app's robot the clients of the other services. `tickets`: what those of its requests begin with; random
     where it is not named. Returns the client of the overlays."""

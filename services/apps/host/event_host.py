@@ -17,7 +17,7 @@ from services.apps.host.changes import Changes
 from services.apps.host.host import MOST_KEYS, LockstepHost, Part
 from services.apps.host.lockstep_driver import CLOSE_WITHIN
 from services.apps.host.observer import Observer, StepRecord
-from services.apps.host.topology import Place, of_edges
+from services.apps.host.topology import RunPlace, of_edges
 from services.apps.persistence.storage import Storage
 from services.apps.runner import Runner
 from swarm.app.devices import Devices
@@ -47,7 +47,7 @@ class EventHost:
         runtime: Runtime,
         name: str,
         runner: EventRunner,
-        place: Place,
+        place: RunPlace,
         config: Config,
         storage: Storage,
         observer: Observer | None,

@@ -12,7 +12,7 @@ from services.apps.equipment.measurements import Measurements
 from services.apps.host.changes import Changes
 from services.apps.host.lockstep_driver import LockstepDriver
 from services.apps.host.observer import Observer
-from services.apps.host.topology import Place, TopologyWatch
+from services.apps.host.topology import RunPlace, TopologyWatch
 from services.apps.persistence.storage import Storage
 from services.apps.runner import Runner
 from swarm.core.epochs.actions import EpochRequest
@@ -58,7 +58,7 @@ class LockstepHost:
         runtime: Runtime,
         app: str,
         parts: Sequence[Part],
-        place: Place,
+        place: RunPlace,
         storage: Storage,
         observer: Observer | None,
         *,

@@ -9,7 +9,7 @@ from services.apps.core.terms import Terms
 from services.apps.equipment.measurements import Measurements
 from services.apps.host.app_status import LOOK_EVERY, REPEAT, AppStatus
 from services.apps.host.observer import Observer, StepRecord
-from services.apps.host.topology import Place, TopologyWatch
+from services.apps.host.topology import RunPlace, TopologyWatch
 from services.apps.persistence.ballots import told
 from services.apps.persistence.storage import Storage
 from services.apps.runner import Runner
@@ -40,7 +40,7 @@ class LockstepDriver:
         part: str,
         runner: Runner,
         terms: Terms,
-        place: Place,
+        place: RunPlace,
         storage: Storage,
         watch: TopologyWatch,
         measurements: Measurements | None,

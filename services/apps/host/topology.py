@@ -43,7 +43,7 @@ SETTLED = 5.0
 _log = logging.getLogger("topology")
 
 
-class Place(NamedTuple):
+class RunPlace(NamedTuple):
     """Where an app runs, and in which run. Of thousands of robots in one process all may have the same objects."""
 
     run: int
@@ -62,7 +62,9 @@ class Place(NamedTuple):
     """It goes up with every start of the app's process, or of the robot."""
 
     @classmethod
-    def of(cls, run: int, digest: bytes, options: RunOptions, config: Config, epoch: int, incarnation: int) -> "Place":
+    def of(
+        cls, run: int, digest: bytes, options: RunOptions, config: Config, epoch: int, incarnation: int
+    ) -> "RunPlace":
         """The place in a run that begins with the links of a configuration; `epoch` is the number of these links."""
         begin = first(config.names, config.edges, epoch)
         return cls(run, digest, options, frozenset(config.names), begin, config.graph, incarnation)

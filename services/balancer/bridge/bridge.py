@@ -17,7 +17,7 @@ import sys
 import threading
 
 from services.balancer.bridge.bus_side import BusSide
-from services.balancer.bridge.link import MAX_DATAGRAM, Command, Message, pack, pack_command, unpack
+from services.balancer.bridge.link import MAX_DATAGRAM, LoopCommand, LoopMessage, pack, pack_command, unpack
 from services.balancer.core.devices.screen import Composer
 from services.balancer.core.inbox import Inbox, WaitingCommand
 from swarm import clock
@@ -90,7 +90,7 @@ class _Relay:
             self._publish(unpack(datagram))
         return bool(datagram)
 
-    def _publish(self, message: Message) -> None:
+    def _publish(self, message: LoopMessage) -> None:
         if isinstance(message, BalancerState):
             self._composer.take_state(message)
             text = self._composer.lines(self._heard)
@@ -104,7 +104,7 @@ class _Relay:
         with contextlib.suppress(OSError):
             self._stops.send(pack(stop), socket.MSG_DONTWAIT)
 
-    def take(self, command: Command, heard: float) -> bool:
+    def take(self, command: LoopCommand, heard: float) -> bool:
         """See `services.balancer.bridge.bus_side.LoopLink`."""
         try:
             self._loop.send(pack_command(heard, command), socket.MSG_DONTWAIT)

@@ -7,10 +7,10 @@ body without physics (`sim.virtual.robot.balancer`).
 from collections.abc import Callable
 from typing import Protocol
 
-from services.balancer.bridge.link import Command, Message
+from services.balancer.bridge.link import LoopCommand, LoopMessage
 from services.balancer.core.control.controller import CALIBRATING, COMMANDS, FAULT, STARTING
 from services.balancer.core.devices.requests import check
-from swarm.bus.protocol import Clock
+from swarm.bus.protocol import Now
 from swarm.bus.throttle import THROTTLED, Throttle
 from swarm.errors import LocalError, PayloadError
 from swarm.messages import (
@@ -70,7 +70,7 @@ class LoopLink(Protocol):
     def halt(self, stop: Stop) -> None:
         """Stop the motors. Called by the bus's thread, and must not wait."""
 
-    def take(self, command: Command, heard: float) -> bool:
+    def take(self, command: LoopCommand, heard: float) -> bool:
         """Take a command that was heard at that time, s; False where there is no room for it."""
 
     def show(self, request: SetDisplay) -> None:
@@ -92,7 +92,7 @@ class BusSide:
         "_throttle",
     )
 
-    def __init__(self, process: Process, now: Clock, loop: LoopLink) -> None:
+    def __init__(self, process: Process, now: Now, loop: LoopLink) -> None:
         self._process = process
         self._now = now
         self._loop = loop
@@ -124,7 +124,7 @@ class BusSide:
         state = self.key(BalancerState)
         return state, f"{state}/{THROTTLED}"
 
-    def publish(self, message: Message) -> None:
+    def publish(self, message: LoopMessage) -> None:
         """Publish a message of the loop."""
         process = self._process
         if isinstance(message, BalancerState):
@@ -155,7 +155,7 @@ class BusSide:
             return
         if isinstance(message, SetDisplay):
             self._loop.show(message)
-        elif isinstance(message, Command) and not self._loop.take(message, heard):
+        elif isinstance(message, LoopCommand) and not self._loop.take(message, heard):
             self.refuse(name, "dropped", f"{name}: the control loop does not take commands")
 
     def refuse(self, name: str, counter: str, reason: str, count: int = 1) -> None:

@@ -8,7 +8,7 @@ import signal
 import socket
 import sys
 
-from services.balancer.bridge.link import MAX_DATAGRAM, Message, pack, unpack, unpack_command
+from services.balancer.bridge.link import MAX_DATAGRAM, LoopMessage, pack, unpack, unpack_command
 from swarm.errors import PayloadError
 from swarm.messages import Stop
 
@@ -44,7 +44,7 @@ class Bridge:
         """Messages that did not fit or found no bridge."""
         self._start(now)
 
-    def send(self, message: Message) -> bool:
+    def send(self, message: LoopMessage) -> bool:
         """Hand over a message, or drop it; True when it was taken."""
         if self._socket is not None:
             # Full, or the bridge is gone; which one shows in keep_up.
@@ -69,9 +69,9 @@ class Bridge:
                 return message
         return Stop(0.0, "", "")
 
-    def commands(self) -> list[tuple[float, Message]]:
+    def commands(self) -> list[tuple[float, LoopMessage]]:
         """The commands that the bridge sent since the last call, a few at most, and when it had heard each, s."""
-        received: list[tuple[float, Message]] = []
+        received: list[tuple[float, LoopMessage]] = []
         while len(received) < _COMMANDS_AT_ONCE and (datagram := self._receive(self._socket)) is not None:
             try:
                 received.append(unpack_command(datagram))

@@ -56,7 +56,7 @@ Told = (
     | Firmware
 )
 """By the loop."""
-Command = (
+LoopCommand = (
     SetMode
     | SetVelocity
     | SetParameters
@@ -70,26 +70,26 @@ Command = (
     | TryMotors
 )
 """By the bridge."""
-Message = Told | Command
+LoopMessage = Told | LoopCommand
 
 TELEMETRY_S = 0.04
 """Seconds between two messages of state and odometry."""
 
-_KINDS: dict[bytes, type[Message]] = {bytes((n,)): kind for n, kind in enumerate(get_args(Message))}
+_KINDS: dict[bytes, type[LoopMessage]] = {bytes((n,)): kind for n, kind in enumerate(get_args(LoopMessage))}
 """Numbered as they stand above: loop and bridge are always of one version, since one starts the other."""
-_BYTES: dict[type[Message], bytes] = {kind: byte for byte, kind in _KINDS.items()}
+_BYTES: dict[type[LoopMessage], bytes] = {kind: byte for byte, kind in _KINDS.items()}
 
 _HEARD = struct.Struct("<d")
 
 MAX_DATAGRAM = MAX_PAYLOAD + 1 + _HEARD.size
 
 
-def pack(message: Message) -> bytes:
+def pack(message: LoopMessage) -> bytes:
     """The datagram that carries `message`."""
     return _BYTES[type(message)] + encode(message)
 
 
-def unpack(datagram: bytes) -> Message:
+def unpack(datagram: bytes) -> LoopMessage:
     """The message of a datagram; raises `PayloadError` where it is none."""
     try:
         kind = _KINDS[datagram[:1]]
@@ -98,12 +98,12 @@ def unpack(datagram: bytes) -> Message:
     return decode(kind, datagram[1:], "link")
 
 
-def pack_command(heard: float, command: Command) -> bytes:
+def pack_command(heard: float, command: LoopCommand) -> bytes:
     """The datagram that carries a command which the bridge heard at the time `heard`, s."""
     return _HEARD.pack(heard) + pack(command)
 
 
-def unpack_command(datagram: bytes) -> tuple[float, Message]:
+def unpack_command(datagram: bytes) -> tuple[float, LoopMessage]:
     """When a command was heard, and the command; raises `PayloadError` where the datagram carries none."""
     if len(datagram) < _HEARD.size:
         raise PayloadError(f"command of {len(datagram)} bytes")

@@ -4,7 +4,7 @@ import logging
 from collections.abc import Callable, Mapping
 from typing import Protocol
 
-from services.balancer.bridge.link import Message
+from services.balancer.bridge.link import LoopMessage
 from services.balancer.core.devices.leds import Shown
 from swarm.errors import LocalError
 from swarm.messages import SetLeds, SetMode, SetParameters, SetVelocity, Stop, TryMotors
@@ -35,7 +35,7 @@ class Obedient(Protocol):
         """Tell people something about a command."""
 
 
-def obey(balancer: Obedient, message: Message, now: float, log: logging.Logger) -> bool:
+def obey(balancer: Obedient, message: LoopMessage, now: float, log: logging.Logger) -> bool:
     """Carry out a command; False where the message is none."""
     match message:
         case SetVelocity(speed, turn_rate, seconds):
@@ -60,7 +60,7 @@ def halt(balancer: Obedient, stop: Stop) -> bool:
     return balancer.stop(f"{stop.reason or 'no reason given'} (by {stop.origin or 'unknown'})")
 
 
-def moves(message: Message) -> bool:
+def moves(message: LoopMessage) -> bool:
     """Whether a command may set a robot in motion, or keep it moving."""
     return isinstance(message, SetVelocity | TryMotors) or (isinstance(message, SetMode) and message.mode != "rest")
 

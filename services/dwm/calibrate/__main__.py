@@ -12,7 +12,7 @@ from services.dwm.calibrate.session import Hearing, hold
 from services.dwm.core.calibration import calibration_file, fitting, limits, samples
 from services.dwm.core.calibration.calibration_file import CalibrationFile
 from services.dwm.core.calibration.guide import QUARTERS, SAMPLES, Guide, grid
-from services.dwm.core.calibration.samples import Point, RangeSample, groups, of_recording
+from services.dwm.core.calibration.samples import Point3, RangeSample, groups, of_recording
 from services.dwm.core.estimation.filters import Place
 from services.dwm.localizer import calibration_path, load_calibration, uncalibrated
 from swarm import clock
@@ -183,7 +183,7 @@ def _session(options: argparse.Namespace, config: Config, robot: str, places: li
     return guide.samples
 
 
-def _modules(options: argparse.Namespace, config: Config) -> dict[str, Point]:
+def _modules(options: argparse.Namespace, config: Config) -> dict[str, Point3]:
     """Places of the modules that ranges go to, heights over the robots' antennas."""
     known = {a.address: (a.x, a.y, a.z - config.dwm.height) for a in config.anchors}
     if options.target is not None and config.dwm.target is not None:

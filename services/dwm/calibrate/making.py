@@ -10,7 +10,7 @@ from pathlib import Path
 from services.dwm.core.calibration import calibration_file, fitting, samples
 from services.dwm.core.calibration.calibration_file import CalibrationFile, Evidence
 from services.dwm.core.calibration.models import Calibration, RangeModel
-from services.dwm.core.calibration.samples import Point, RangeSample, SampleGroup, Spot
+from services.dwm.core.calibration.samples import Point3, RangeSample, SampleGroup, Spot
 from services.dwm.core.estimation import thesis
 from services.dwm.core.estimation.filters import Place, mean
 from swarm.config import Config
@@ -51,7 +51,7 @@ class CalibrationData:
     spots: tuple[Spot, ...]
 
     @classmethod
-    def of(cls, found: Sequence[RangeSample], modules: Mapping[str, Point]) -> "CalibrationData":
+    def of(cls, found: Sequence[RangeSample], modules: Mapping[str, Point3]) -> "CalibrationData":
         """`modules`: places of those whose ranges count."""
         return cls(tuple(found), tuple(samples.groups(found, modules)), tuple(samples.spots(found)))
 

@@ -15,9 +15,10 @@ from functools import partial
 from services.mesh.core.radio_model import AirModel, DelayLine
 from services.mesh.core.relay import KeyRelay
 from services.mesh.core.wire.frames import NEIGHBOURS
-from sim.virtual.bus import OnSample, VirtualBus
+from sim.virtual.bus import VirtualBus
 from sim.virtual.events import EventQueue
 from sim.virtual.radio.air import line_of
+from swarm.bus.protocol import OnSample
 from swarm.config import Config
 from swarm.errors import LocalError
 from swarm.messages.keys import key

@@ -8,7 +8,7 @@ import random
 from collections.abc import Callable, Mapping
 
 from services.balancer.bridge.bus_side import BusSide
-from services.balancer.bridge.link import TELEMETRY_S, Command
+from services.balancer.bridge.link import TELEMETRY_S, LoopCommand
 from services.balancer.bridge.orders import halt, obey
 from services.balancer.core.devices.buttons import REPEAT_S, ButtonCounter
 from services.balancer.core.devices.leds import LedClaim, Shown, shown
@@ -144,7 +144,7 @@ class VirtualBalancer:
         """See `services.balancer.bridge.bus_side.LoopLink`."""
         halt(self, stop)
 
-    def take(self, command: Command, heard: float) -> bool:
+    def take(self, command: LoopCommand, heard: float) -> bool:
         """See `services.balancer.bridge.bus_side.LoopLink`. What only a real device can do is left undone."""
         obey(self, command, heard, VirtualRuntime.log)
         return True

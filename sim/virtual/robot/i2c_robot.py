@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from services.balancer.balancer import Balancer
-from services.balancer.bridge.link import Message
+from services.balancer.bridge.link import LoopMessage
 from services.balancer.core.control.body import body_model
 from services.balancer.core.control.lqr import PERIOD_S
 from services.balancer.core.devices.display import ScreenText
@@ -94,7 +94,7 @@ class TimedRobot:
         self.bus = ComputingBus(self.robot, self.clock, self._take, self._compute)
         self.balancer = Balancer(self.bus, model, 0.0, self.clock, self.bus.pause, start_mode="stand")
         self.tasks = SlackTasks(self.balancer, self.clock)
-        self.news: list[Message] = []
+        self.news: list[LoopMessage] = []
         self.missed = 0
         self.step_max = 0.0
         self.behind: set[str] = set()

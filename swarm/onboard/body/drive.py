@@ -18,7 +18,7 @@ from swarm.messages import BalancerFault, BalancerState, Notice, SetVelocity, St
 from swarm.messages.keys import STOP, key
 from swarm.onboard import halt
 from swarm.onboard.body.key_velocity import STANDSTILL, KeyVelocity, Velocity
-from swarm.onboard.body.keyboard import Keys
+from swarm.onboard.body.keyboard import Keyboard
 from swarm.onboard.buses import buses
 from swarm.onboard.buses.ask import PATIENCE
 from swarm.process.terminal import write_lines
@@ -78,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Drive until x, Ctrl-C or the end of the input; code 1 where the robot was stopped or went silent."""
     robot, directory = one(args)
-    keys, tale = Keys(sys.stdin), _Telltale()
+    keys, tale = Keyboard(sys.stdin), _Telltale()
     with Bus.of(directory) as bus:
         bus.subscribe([key(robot, "balancer", topic) for topic in _TOPICS], tale.take)
         if not bus.wait_connected(PATIENCE):
@@ -111,7 +111,7 @@ def one(args: argparse.Namespace) -> tuple[str, Path]:
     return robot, directory
 
 
-def _drive(bus: Bus, robot: str, keys: Keys, tale: _Telltale) -> str:
+def _drive(bus: Bus, robot: str, keys: Keyboard, tale: _Telltale) -> str:
     """Drive until the person ends it; returns why it ended otherwise, or ""."""
     driver = KeyVelocity()
     began = clock.now()

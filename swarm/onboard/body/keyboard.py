@@ -39,8 +39,8 @@ def split(data: bytes) -> list[str]:
     return keys
 
 
-class Keys:
-    """Keys as they are pressed on a stream; `ended` where none will come any more."""
+class Keyboard:
+    """The keys that are pressed on a stream; `ended` where none will come any more."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream

@@ -23,10 +23,10 @@ from swarm.messages import Arm, ImuRequest, MeasureI2C, SetDisplay, SetMode, Sto
 from swarm.messages.keys import STOP, key
 from swarm.onboard.arguments import add_json
 from swarm.onboard.body.drive import one
-from swarm.onboard.body.keyboard import Keys
+from swarm.onboard.body.keyboard import Keyboard
 from swarm.onboard.buses import buses
 from swarm.onboard.buses.ask import PATIENCE
-from swarm.onboard.commission.core.procedure import Action, Ask, Procedure, Say, Send, Subject
+from swarm.onboard.commission.core.procedure import Action, Ask, Procedure, Say, SendCommand, Subject
 from swarm.onboard.commission.core.steps import STEPS
 from swarm.process.simulations import CONFIG
 from swarm.process.terminal import write_lines
@@ -117,7 +117,7 @@ class _Session:
     def __init__(self, bus: Bus, robot: str, procedure: Procedure, *, as_json: bool) -> None:
         self._bus, self._robot, self._procedure, self._as_json = bus, robot, procedure, as_json
         self._heard: queue.Queue[tuple[str, bytes]] = queue.Queue(_QUEUE)
-        self.keys = Keys(sys.stdin)
+        self.keys = Keyboard(sys.stdin)
         for topic in TOPICS:
             bus.subscribe(key(robot, *topic.split("/")), self._take)
 
@@ -166,7 +166,7 @@ class _Session:
                     self._say(text)
                 case Ask(what, text):
                     self._say(text, what)
-                case Send(message):
+                case SendCommand(message):
                     self.command(message)
 
     def _say(self, text: str, what: str = "") -> None:

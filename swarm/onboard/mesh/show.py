@@ -8,7 +8,8 @@ from dataclasses import asdict
 from pathlib import Path
 
 from swarm import clock
-from swarm.bus.zenoh_bus import Bus, OnSample
+from swarm.bus.protocol import OnSample
+from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError, PayloadError
 from swarm.messages import Clock, Links, Status, read
 from swarm.messages.keys import key, parse

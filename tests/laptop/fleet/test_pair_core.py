@@ -7,7 +7,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from laptop.fleet.core.pairing import Bond, Schedule, check, edges, ordered, plan, with_addresses
+from laptop.fleet.core.pairing import Bond, PairingSchedule, check, edges, ordered, plan, with_addresses
 from swarm.config import parse
 
 bonds = st.none() | st.builds(Bond, st.booleans(), st.booleans())
@@ -32,7 +32,7 @@ def test_a_plan_leads_to_what_needs_none(a: Bond | None, b: Bond | None) -> None
 @given(st.sets(st.tuples(st.integers(0, 5), st.integers(0, 5)).filter(lambda e: e[0] < e[1])), st.randoms())
 def test_all_links_have_their_turn_and_no_robot_two_at_once(pairs: set[tuple[int, int]], random: Any) -> None:
     wanted = [(f"r{a}", f"r{b}") for a, b in sorted(pairs)]
-    schedule, running, done = Schedule(list(wanted)), [], []
+    schedule, running, done = PairingSchedule(list(wanted)), [], []
     while schedule.waiting or running:
         running += schedule.start()
         robots = [name for edge in running for name in edge]

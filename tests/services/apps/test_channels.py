@@ -15,7 +15,7 @@ from services.apps import loader
 from services.apps.host import topology
 from services.apps.persistence.claim import AppLock
 from services.apps.host.host import LockstepHost, Part
-from services.apps.host.topology import Place
+from services.apps.host.topology import RunPlace
 from services.apps.runner import Runner
 from services.apps.persistence.storage import FileStorage
 from swarm.app.run_options import RunOptions
@@ -32,7 +32,7 @@ def main():
             for name, app in (("a", fast), ("b", slow))
         ]
         claim = AppLock(service.runtime, "pair")
-        place = Place.of(7, b"1", RunOptions(50), links.config, links.epoch, claim.incarnation)
+        place = RunPlace.of(7, b"1", RunOptions(50), links.config, links.epoch, claim.incarnation)
         runtime = ThreadedRuntime(service)
         host = LockstepHost(runtime, "pair", parts, place, FileStorage(service.runtime), None)
         runtime.entry(host.start)()

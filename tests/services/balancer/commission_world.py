@@ -20,7 +20,7 @@ from sim.core.devices import SimulatedRobot, draw_errors
 from sim.devices.i2c import SimulatedBus
 from swarm.config.types import Body
 from swarm.messages import Arm, Firmware, Links, LinkState, Range, Ranges, SetDisplay, Stop
-from swarm.onboard.commission.core.procedure import Action, Ask, Procedure, Send, Subject
+from swarm.onboard.commission.core.procedure import Action, Ask, Procedure, SendCommand, Subject
 from swarm.onboard.commission.core.steps import STEPS
 
 ANCHORS = ("C933", "D10A", "4F21")
@@ -151,7 +151,7 @@ class World:
 
     def _do(self, actions: list[Action]) -> None:
         for action in actions:
-            if isinstance(action, Send):
+            if isinstance(action, SendCommand):
                 self._command(action.message)
             elif isinstance(action, Ask):
                 self._hand(action)

@@ -40,7 +40,7 @@ _MM = 1000.0
 _MAX_RANGE = 1000.0
 """m: a larger number is none."""
 
-Point = tuple[float, float, float]
+Point3 = tuple[float, float, float]
 
 
 class RangeSample(NamedTuple):
@@ -127,7 +127,7 @@ def digest(samples: Sequence[RangeSample]) -> str:
     return hashlib.sha256("\n".join(map(write, samples)).encode()).hexdigest()
 
 
-def groups(samples: Sequence[RangeSample], modules: Mapping[str, Point]) -> list[SampleGroup]:
+def groups(samples: Sequence[RangeSample], modules: Mapping[str, Point3]) -> list[SampleGroup]:
     """Ranges to modules whose places (x, y, z) are known, the robot's antenna at height 0, by place and orientation."""
     found: dict[tuple[int, str, float | None], list[RangeSample]] = {}
     for sample in samples:

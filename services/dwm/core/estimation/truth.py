@@ -6,7 +6,7 @@ from collections import defaultdict
 from statistics import fmean, pstdev
 from typing import Any
 
-from services.dwm.core.calibration.samples import Point
+from services.dwm.core.calibration.samples import Point3
 from services.dwm.core.estimation.filters import Place
 from swarm.messages import Pose, Ranges
 
@@ -17,7 +17,7 @@ GAP_S = 0.3
 class TruthComparison:
     """Gathers what is heard; `result` compares it. Times are those of one clock, s."""
 
-    def __init__(self, anchors: dict[str, Point]) -> None:
+    def __init__(self, anchors: dict[str, Point3]) -> None:
         """`anchors`: places by address, m, heights over the robot's antenna."""
         self._anchors = anchors
         self._truth: list[tuple[float, float, float]] = []

@@ -13,7 +13,15 @@ wire.
 from collections import Counter
 from collections.abc import Callable
 
-from services.mesh.core.events import Event, HandshakeFailed, LinkDown, LinkRecovered, LinkSuspect, LinkUp, Received
+from services.mesh.core.events import (
+    HandshakeFailed,
+    LinkDown,
+    LinkRecovered,
+    LinkSuspect,
+    LinkUp,
+    Received,
+    SessionEvent,
+)
 from services.mesh.core.link import calls, flow
 from services.mesh.core.link.calls import Local
 from services.mesh.core.link.clock import ClockSync, decode_claim, encode_claim
@@ -85,7 +93,7 @@ class Session:
         self.received = 0
         self._incarnation: int | None = None
         self._decoder = frames.FrameDecoder()
-        self._events: list[Event] = []
+        self._events: list[SessionEvent] = []
         self.queue = Outbox(counters)
         """What waits to leave."""
         self.window = flow.SendWindow()
@@ -151,7 +159,7 @@ class Session:
             return True
         return self.queue.waiting > 0 and self.queue.leaves(self.window.free(0))
 
-    def events(self) -> list[Event]:
+    def events(self) -> list[SessionEvent]:
         """What happened since the last call."""
         events, self._events = self._events, []
         return events

@@ -50,13 +50,13 @@ class Ask:
 
 
 @frozen
-class Send:
+class SendCommand:
     """Send a command to the robot; which key it goes to follows from its type."""
 
     message: object
 
 
-Action = Say | Ask | Send
+Action = Say | Ask | SendCommand
 
 
 class StepError(Exception):
@@ -88,7 +88,7 @@ class Desk:
 
     def send(self, message: object) -> None:
         """Command the robot."""
-        self.actions.append(Send(message))
+        self.actions.append(SendCommand(message))
 
     def prompt(self, what: str, text: str) -> None:
         """Ask for an act whose effect shows by itself."""
