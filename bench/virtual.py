@@ -6,11 +6,15 @@ many iterations and starts of robots, of graphs with as many links a robot. The 
 what else goes on in a shared machine changes both, and from minute to minute.
 """
 
+import json
+import linecache
 import multiprocessing
+import os
 import statistics
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 from bench.rows import Row
 from sim.scenario.options import parse
@@ -18,6 +22,8 @@ from sim.scenario.scenario import build
 from sim.virtual.run import PLACE, VirtualRun
 
 SIX_S, THOUSAND_S, TEN_THOUSAND_S = 1.0, 60.0, 120.0
+NOTEBOOK_S = 2.0
+NOTEBOOK = Path(__file__).parents[1] / "examples" / "consensus.ipynb"
 FLAT = 1.3
 
 
@@ -45,6 +51,7 @@ def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     """Measure; yields rows as they are there."""
     yield Row(f"6 robots, {sizes.six} iterations, whole mesh", _alone(6, "loop", sizes.six), "s", SIX_S, 1.0)
     yield Row("the same by swarm.simulate, with all states", _library(sizes.six), "s", SIX_S, 1.0)
+    yield Row("the notebook's consensus, from import to plot", _notebook(), "s", NOTEBOOK_S, 1.0)
     iterations = sizes.iterations
     settled = "random:1", iterations, "--mesh", "settled"
     # As many iterations and starts of robots on both sides of a turn.
@@ -77,6 +84,24 @@ def _library_seconds(iterations: int) -> float:
     began = time.process_time()
     states = simulate("consensus", robots=6, topology="loop", iterations=iterations)["value"]
     assert states.shape == (iterations + 1, 6)
+    return time.process_time() - began
+
+
+def _notebook() -> float:
+    """CPU time of the first code cell of `NOTEBOOK`, its imports among it, s, in a process of its own."""
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        seconds: float = pool.apply(_notebook_seconds)
+    return seconds
+
+
+def _notebook_seconds() -> float:
+    os.environ["MPLBACKEND"] = "agg"
+    cells = json.loads(NOTEBOOK.read_text())["cells"]
+    text = "".join(next(cell["source"] for cell in cells if cell["cell_type"] == "code"))
+    began = time.process_time()
+    names: dict[str, object] = {"__name__": "__main__"}
+    linecache.cache["cell"] = len(text), None, text.splitlines(keepends=True), "cell"
+    exec(compile(text, "cell", "exec"), names)  # noqa: S102 - as a kernel does
     return time.process_time() - began
 
 

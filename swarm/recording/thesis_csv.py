@@ -93,7 +93,7 @@ def _line(cells: Sequence[float | bool], kind: str, k: int, *, metres: bool) -> 
     t = float(cells[0])
     if kind == "localization":
         if len(cells) not in (7, 8, 12):
-            raise ValueError(f"{len(cells)} columns are none of localization")
+            raise ValueError(f"{len(cells)} columns are none of localization, expected 7, 8 or 12")
         state = dict(zip(_LOCALIZATION, cells[1:7], strict=True))
         scale = 1.0 if metres else _CM
         result = {"x": cells[1] / scale, "y": cells[2] / scale}
@@ -104,7 +104,7 @@ def _line(cells: Sequence[float | bool], kind: str, k: int, *, metres: bool) -> 
         cost = cells[8] / _CM**4 if len(cells) == 12 else 0.0
         return _Line(t, k + 1 if new else None, state, {**result, "cost": cost}, measured if new else None)
     if len(cells) not in (2, 3):
-        raise ValueError(f"{len(cells)} columns are none of {kind}")
+        raise ValueError(f"{len(cells)} columns are none of {kind}, expected 2 or 3")
     new = k < 0 or len(cells) == 2 or cells[2] == 0 or kind not in ("consensus", "led_sync")
     name = TRUTHS.get(kind, "value") if isinstance(cells[1], bool) else "value"
     return _Line(t, k + 1 if new else None, {name: cells[1]}, nothing, None)

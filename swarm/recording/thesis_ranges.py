@@ -76,7 +76,10 @@ def read_folder(directory: Path) -> list[ThesisRecording]:
     found = [read_recording(directory, index) for index in range(count)]
     farthest = max(row.distance for recording in found for row in recording.rows)
     if 0.0 < farthest < SHORT_M:
-        raise RecordingError(f"{directory}: no distance is above {farthest * _CM:.3g} cm: the lengths are not in cm")
+        raise RecordingError(
+            f"{directory}: no distance is above {farthest * _CM:.3g} cm: the lengths are not in cm; multiply lengths "
+            "in m by 100 (costs by 1e8)"
+        )
     return found
 
 
@@ -110,9 +113,10 @@ def read_recording(directory: Path, index: int) -> ThesisRecording:
             values = _numbers(line)
             if before:
                 last = float(before.partition(",")[0])
-                _expect(line != before, "the same line as the one before: rows were repeated")
+                _expect(line != before, "the same line as the one before: rows were repeated, take one away")
                 _expect(
-                    values[0] >= last, f"its time is {last - values[0]:.6g} s before the line before: rows are shuffled"
+                    values[0] >= last,
+                    f"its time is {last - values[0]:.6g} s before the line before: rows are shuffled, sort by time",
                 )
             before = line
             if start is None:
@@ -124,8 +128,11 @@ def read_recording(directory: Path, index: int) -> ThesisRecording:
             flag = values[7]
             _expect(flag in (0, 1), f"column 8 is {flag:g}, expected the flag 0 or 1")
             if flag == 0:
-                _expect(len(values) == 12, "a new state without cost, distance and own place (12 columns)")
-                _expect(values[9] >= 0, f"a distance of {values[9]:g} cm")
+                _expect(
+                    len(values) == 12,
+                    "a new state without cost, distance and own place: expected 12 columns where column 8 is 0",
+                )
+                _expect(values[9] >= 0, f"a distance of {values[9]:g} cm, expected 0 or more in column 10")
                 far = max(abs(value) for value in (*values[1:3], *values[9:12]))
                 _expect(far <= FARTHEST_CM, f"a length of {far:g} cm: expected at most {FARTHEST_CM:g}")
                 rows.append(ThesisRow(values[9] / _CM, values[10] / _CM, values[11] / _CM))
@@ -134,7 +141,10 @@ def read_recording(directory: Path, index: int) -> ThesisRecording:
         except ValueError as error:
             raise RecordingError(f"{path}:{number}: {error}") from None
     if not rows:
-        raise RecordingError(f"{path}:{len(lines) + 1}: the file ends before the first measurement")
+        raise RecordingError(
+            f"{path}:{len(lines) + 1}: the file ends before the first measurement: expected a first line of 7 columns, "
+            "then rows of 12 (8 in line 2)"
+        )
     return ThesisRecording(path, tuple(rows), tuple(times), tuple(estimates))
 
 
