@@ -228,6 +228,21 @@ def test_a_bracket_of_the_strip_zooms_the_charts_by_hand_and_by_keys(waiting: An
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("width", [320, 390])
+def test_a_phone_has_brackets_film_and_picture(browser: Any, waits: Path, width: int) -> None:
+    with shown(browser, waits, viewport={"width": width, "height": 740}, has_touch=True, is_mobile=True) as page:
+        seek(page, 8)
+        for name in ("charts show from, s", "charts show up to, s"):
+            expect(page.get_by_role("slider", name=name)).to_be_visible(timeout=PATIENCE_MS)
+        for selector in ("#track .edge", "#keep button", "#speed select", "#play"):
+            assert page.evaluate(INSIDE, selector), selector
+        expect(page.get_by_role("button", name="Film")).to_be_visible()
+        first, last = page.evaluate("swarmView.bracket.range")
+        page.get_by_role("slider", name="charts show from, s").press("ArrowRight")
+        assert page.evaluate("swarmView.bracket.range[0]") == pytest.approx(first + 0.01 * (last - first))
+
+
+@pytest.mark.slow
 def test_a_picture_of_what_is_shown_is_made_by_the_server(waiting: Any) -> None:
     with waiting.expect_download(timeout=2 * PATIENCE_MS) as download:
         waiting.get_by_role("button", name="Picture").click()
