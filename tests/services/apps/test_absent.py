@@ -78,7 +78,7 @@ def test_a_step_that_hangs_is_named_and_the_others_go_on(make_rig: MakeRig) -> N
     full(rig)
     app = rig.directory / "lazy.py"
     app.write_text(
-        "import threading\nfrom services.apps import lockstep_driver\nfrom swarm import SyncApp\n"
+        "import threading\nfrom services.apps.host import lockstep_driver\nfrom swarm import SyncApp\n"
         "class Lazy(SyncApp):\n    value: float\n    def step(self, neighbours):\n"
         "        if self.robot.name == 'r1' and self.k == 7:\n"
         "            lockstep_driver.HANG = 0.5\n"
