@@ -16,7 +16,7 @@ from bench import radio_fit
 from bench.apps import RECORDINGS
 from bench.radio_patterns import Bundled, Original
 from bench.rows import Row, number
-from sim.slots.parameters import Parameters
+from sim.slots.parameters import THESIS, Parameters
 from sim.virtual.run import simulate
 from swarm.core.graph import Graph
 
@@ -105,7 +105,7 @@ def _edges(name: str) -> list[tuple[str, str]]:
 
 def _original(name: str, iterations: int, seed: int) -> float:
     poll, lock = radio_fit.MARCH
-    run = Original(_edges(name), Parameters(), seed, poll=poll, lock=lock)
+    run = Original(_edges(name), THESIS, seed, poll=poll, lock=lock)
     while min(map(len, run.times.values())) < iterations:
         run.time.run(run.time.now + 10.0)
     return run.iteration()

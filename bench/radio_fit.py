@@ -10,7 +10,7 @@ from typing import NamedTuple
 from bench.radio_patterns import Edges, Original, pace, round_trips
 from bench.rows import Row
 from sim.slots.calls import Calls
-from sim.slots.parameters import Parameters
+from sim.slots.parameters import THESIS
 from sim.slots.radio import RadioLink, SlotRadio
 from sim.virtual.events import EventQueue
 from swarm.core.graph import Graph
@@ -63,7 +63,7 @@ def rows(data: Path, iterations: int, pings: int, seeds: int) -> Iterator[Row]:
     """The recordings of a folder; each value of the model is beside what was recorded, in ms."""
     for size in SIZES:
         recorded = statistics.fmean(float(line[0]) for line in _lines(data / f"latency/RTT{size}.csv"))
-        model = statistics.fmean(round_trips(size, Parameters(), pings, lock=LOCK))
+        model = statistics.fmean(round_trips(size, THESIS, pings, lock=LOCK))
         yield Row(f"round trip, {size} B, recorded", 1e3 * model, "ms", 1e3 * recorded, None)
     for run in RUNS:
         sleeps = 2.0 * run.delay
@@ -104,7 +104,7 @@ def _starts(folder: Path) -> tuple[list[float], float]:
 
 def _iteration(run: Recorded, iterations: int, seed: int) -> float:
     poll, lock = run.program
-    original = Original(run.links(), Parameters(), seed, poll=poll, lock=lock, delay=run.delay)
+    original = Original(run.links(), THESIS, seed, poll=poll, lock=lock, delay=run.delay)
     while min(map(len, original.times.values())) < iterations:
         original.time.run(original.time.now + 10.0)
     return original.iteration()
@@ -113,7 +113,7 @@ def _iteration(run: Recorded, iterations: int, seed: int) -> float:
 def _start(run: Recorded, begun: Sequence[float], seed: int) -> float:
     """s from the last robot's start until all have sent."""
     time = EventQueue()
-    radio = SlotRadio(time, sorted(run.order), Parameters(), seed)
+    radio = SlotRadio(time, sorted(run.order), THESIS, seed)
     calls = Calls(time, radio)
     links = run.links()
     up: set[tuple[str, str]] = set()

@@ -59,7 +59,7 @@ def main() -> None:
     with Service("mesh", direct=True) as this:
         local = local_by_file(this.config, this.robot)
         ground = ground_of(this.config)
-        start = InitialLinks(ground, local.dials, topology_file.load(state_dir(), ground))
+        start = InitialLinks(ground, local.dials, topology_file.load(state_dir(), ground), local.pages)
         network = Network(this.config, local, this.runtime)
         runtime = LockedRuntime(this.bus, this.counters, this.log)
         sockets = Sockets(runtime, network.listeners, network.dial)

@@ -98,8 +98,9 @@ def local_of(
     *,
     insecure: bool,
     keys: Mapping[int, bytes],
+    bluetooth: bool = False,
 ) -> Local:
-    """Return what the links of a robot have in common, by its configuration."""
+    """Return what the links of a robot have in common, by its configuration; `bluetooth` as in `calls_of`."""
     settings = config.mesh
     return Local(
         robot=robot,
@@ -113,6 +114,7 @@ def local_of(
         dead=settings.dead,
         handshake=settings.handshake,
         patience=settings.patience,
+        pages=is_bluetooth(config, bluetooth=bluetooth),
         keys=keys,
     )
 

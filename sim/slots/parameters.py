@@ -54,10 +54,12 @@ class Parameters:
     """Frames that a controller holds for all its links together (BCM4343x)."""
     supervision: float = 20.0
     """Silence after which a link is lost (Core specification, vol 2 part B, 3.1), unless the caller sets another."""
-    scan: float = 1.28
-    """Between two page scans (Linux: 0x0800 slots); 0.16 with `FastConnectable`."""
-    scan_window: float = 0.01125
-    """How long one takes (Linux: 0x0012 slots)."""
+    scan: float = 0.32
+    """Between two page scans: 0x0200 slots, as provisioning sets them; `THESIS` has Linux' own. `FastConnectable`
+    has 0.16, which takes twice as much time from the links."""
+    scan_window: float = 0.0225
+    """How long one takes: interlaced, so two of 0x0012 slots follow one another (Core specification, vol 2 part B,
+    8.3.1)."""
     scan_paging: float = 0.5
     """Share of its own scans that a paging robot keeps. Fitted."""
     page_weight: float = 3.0
@@ -92,3 +94,6 @@ class Parameters:
 
 
 MAX_LOSS = 0.9
+
+THESIS = Parameters(scan=1.28, scan_window=0.01125)
+"""The thesis' robots: page scans as Linux sets them where nobody asks for others (0x0800 and 0x0012 slots)."""

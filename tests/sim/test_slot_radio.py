@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim.slots.calls import ABSENT, BUSY, FULL, Calls
-from sim.slots.parameters import EDR2, FRAME, MAX_PERIPHERALS, OVERHEAD, SLOT, Parameters
+from sim.slots.parameters import EDR2, FRAME, MAX_PERIPHERALS, OVERHEAD, SLOT, THESIS, Parameters
 from sim.slots.radio import SlotRadio
 from sim.virtual.events import EventQueue
 from swarm.errors import ConfigError
 
-EXACT = Parameters(loss=0.0, host=0.0, uart=1e30)
+EXACT = replace(THESIS, loss=0.0, host=0.0, uart=1e30)
 """Nothing is drawn, and hosts take no time."""
 
 
@@ -169,7 +169,7 @@ def test_a_call_takes_a_page_scan_of_the_called_one_and_the_set_up():
     assert at < 1.28 + 0.01 + 13 * (44 * SLOT) + 0.1
 
 
-def test_a_fast_connectable_robot_is_met_sooner():
+def test_a_robot_that_scans_more_often_is_met_sooner():
     swarm = Made(["a", "b"], replace(EXACT, scan=0.16))
     swarm.call("a", "b")
     swarm.run(10.0)

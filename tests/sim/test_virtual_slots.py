@@ -3,7 +3,8 @@
 import pytest
 
 from sim.scenario.options import parse
-from sim.virtual.run import simulate
+from sim.scenario.build import build
+from sim.virtual.run import PLACE, VirtualRun, simulate
 from swarm.errors import ConfigError
 
 CONSENSUS = ("consensus", "--robots", "3", "--topology", "line", "--set", "r2.value=4", "--iterations", "60")
@@ -35,6 +36,26 @@ def test_a_robot_that_comes_late_is_called_and_waited_for_over_the_slot_radio():
     report, _ = simulate(*CONSENSUS, "--radio", "slots", "--off", "r2@start,7s")
     assert report["problems"] == []
     assert report["iterations"] == 60
+
+
+def test_a_robot_that_was_absent_for_long_knocks_and_is_called_back():
+    more = ("--radio", "slots", "--links", "star", "--absent", "drop", "--drop-after", "3", "--off", "r2@start,80s")
+    options = parse([*CONSENSUS[:5], "--virtual", "--seconds", "110", *more])
+    run = VirtualRun(options, build(options, PLACE))
+    moments = []
+    advanced = run.advanced
+
+    def note(source, line):
+        if source.robot == "r2":
+            moments.append(run.world.time.now)
+        advanced(source, line)
+
+    run.advanced = note
+    assert run.go().problems == ()
+    # Nobody has called it since its third page, and would not before 100 s had passed. The first moment is its start.
+    assert 80 < moments[1] < 105
+    links = run.world.robots["r0"].mesh.links().links
+    assert {link.peer: link.state for link in links} == {"r1": "up", "r2": "up"}
 
 
 @pytest.mark.parametrize(

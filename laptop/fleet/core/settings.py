@@ -6,6 +6,10 @@ from laptop.fleet.core.wish import Change, DesiredRobot, Facts, Verdict, change,
 CONFIG_TXT = ("/boot/firmware/config.txt", "/boot/config.txt")
 CMDLINE = ("/boot/firmware/cmdline.txt", "/boot/cmdline.txt")
 BLUETOOTH_CONF = "/etc/bluetooth/main.conf"
+PAGE_SCAN = {"PageScanType": "1", "PageScanInterval": "512", "PageScanWindow": "18"}
+"""Page scans of 2 x 11.25 ms each 0.32 s, in slots, in place of 11.25 ms each 1.28 s: a call is heard four times as
+soon. `FastConnectable` has them each 0.16 s, which adds 5 to 8 ms to an iteration of six robots on the slot radio."""
+
 MODULES = "/etc/modules-load.d/swarm.conf"
 LIMITS = "/etc/security/limits.d/60-swarm.conf"
 NETWORK_CONF = "/etc/NetworkManager/conf.d/60-swarm.conf"
@@ -77,7 +81,7 @@ def i2c(facts: Facts, wish: DesiredRobot) -> Verdict:
 
 
 def bluetooth(facts: Facts, wish: DesiredRobot) -> Verdict:
-    """bluetoothd on boot, the adapter powered, the radio not blocked."""
+    """bluetoothd on boot, the adapter powered, the radio not blocked, and calls heard soon."""
     if not wish.bluetooth:
         return ok("no Bluetooth links")
     if "bluetooth!" in facts["blocked"]:
@@ -85,6 +89,8 @@ def bluetooth(facts: Facts, wish: DesiredRobot) -> Verdict:
     changes: list[Change] = []
     text = facts["files"].get(BLUETOOTH_CONF) or ""
     wanted = texts.with_setting(text, "Policy", "AutoEnable", "true")
+    for key, value in PAGE_SCAN.items():
+        wanted = texts.with_setting(wanted, "BR", key, value)
     if wanted != text:
         changes += [
             {"do": "write", "path": BLUETOOTH_CONF, "text": wanted, "mode": "0644"},
@@ -94,7 +100,7 @@ def bluetooth(facts: Facts, wish: DesiredRobot) -> Verdict:
         changes.append({"do": "run", "words": ["rfkill", "unblock", "bluetooth"]})
     if facts["units"]["bluetooth.service"].get("UnitFileState") != "enabled":
         changes.append({"do": "run", "words": ["systemctl", "enable", "--now", "bluetooth.service"]})
-    what = "bluetoothd on boot, adapter powered"
+    what = "bluetoothd on boot, adapter powered, calls heard within 0.32 s"
     return change(what, *changes) if changes else ok(what)
 
 

@@ -19,7 +19,7 @@ from services.mesh.core.events import (
     SessionEvent,
 )
 from services.mesh.core.link import neighbour
-from services.mesh.core.link.calls import REFUSED, Caller, Callers, Local
+from services.mesh.core.link.calls import KNOCK, REFUSED, Caller, Callers, Local
 from services.mesh.core.link.clock import ClockSync
 from services.mesh.core.link.neighbour import Holds, Link, Prober
 from services.mesh.core.link.outbox import name_of
@@ -54,6 +54,7 @@ class Connections:
         """`admit(peer, overlay, key)` says whether a peer may use a channel. `serve()` is called whenever the overlays
         may have something to do, `set_peers(names)` with the neighbours when they are others than before."""
         assert overlays.linking is not None
+        self._linking = overlays.linking
         self._local = local
         self._random = random
         self._overlays = overlays
@@ -75,6 +76,12 @@ class Connections:
         self._callers = Callers()
         self._half_open: dict[Session, Caller] = {}
         self._ready: list[Session] = []
+        self._calls: dict[str, float] = {}
+        """Robots that we are calling, and since when we have called nobody else before them."""
+        self._look_at = 0.0 if local.pages else _NEVER
+        """When to look next whether this robot is alone."""
+        self._alone = False
+        self._knocks = 0
 
     # -- what transports and operators say -------------------------------------------------------------------
 
@@ -85,6 +92,14 @@ class Connections:
             self._counters[counter] += 1
             self._actions.log_once(problem, text)
             return None
+        robot = caller.robot or ""
+        link = self.links.get(robot)
+        if self._local.pages and self._local.dials.get(robot) and (link is None or link.session is None):
+            if link is not None and link.dialler is not None:  # it knocks
+                link.dialler.hurry(now)
+            else:
+                self._linking.knocked(robot, now)
+            return None
         session = self.open(None, now, caller.robot)
         self._half_open[session] = caller
         return session
@@ -92,6 +107,7 @@ class Connections:
     def open(self, peer: str | None, now: float, expected: str | None = None) -> Session:
         """Begin a handshake; `peer` is whom we called, `expected` the robot that a caller's address belongs to."""
         local, link = self._local, self.links.get(peer or "")
+        self._called(peer or "", now)
         doubled = 0 if link is None else min(link.unanswered, 16)
         patience = min(local.handshake * 2.0**doubled, max(local.patience, local.handshake))
         session = self._session(self._nonce(), now, dialled=peer, expected=expected, patience=patience)
@@ -101,8 +117,11 @@ class Connections:
 
     def dial_failed(self, peer: str, reason: str, now: float) -> None:
         """The connection that we asked for could not be made."""
+        page = self._called(peer, now)
         if (link := self.links.get(peer)) is not None:
-            link.failed(reason, now)
+            # A neighbour that others reach is no absent one: what waits for this link waits for each call.
+            absent = self._local.pages and not self._linking.is_reachable(peer)
+            link.failed(reason, now, page if absent else 0.0)
             self._actions.add(LinksChanged())
         self._overlays.dial_failed(peer, reason, now)
         self._serve()
@@ -148,8 +167,11 @@ class Connections:
             self._digest(session, now)
         for link in tuple(self.links.values()):
             if link.session is None and link.dialler is not None and link.dialler.take(now):
-                link.attempt = True
-                self._actions.add(Dial(link.peer), LinksChanged())
+                self._call(link, now)
+                self._actions.add(LinksChanged())
+        if now >= self._look_at:
+            self._look_at = now + KNOCK * (1.0 + self._random())
+            self._knock(now)
 
     def look_at_links(self, now: float) -> None:
         """End young links with the second robot of a name, and tell the overlays the round trips of the others."""
@@ -201,8 +223,7 @@ class Connections:
         """Have a link with a neighbour from now on, or only try to call it once."""
         link = self.links.setdefault(peer, Link(peer))
         if once:
-            link.attempt = True
-            self._actions.add(Dial(peer))
+            self._call(link, self._overlays.now)
             return
         link.keep(self._random if self._local.dials.get(peer) else None)
         self._links_changed()
@@ -229,7 +250,7 @@ class Connections:
     def next_deadline(self) -> float:
         """When a session or a dialler has something to do."""
         # After each packet of an overlay, so without lists, generators and calls for each link.
-        earliest = _NEVER
+        earliest = self._look_at
         for session in self._sessions:
             if session.deadline < earliest:
                 earliest = session.deadline
@@ -243,6 +264,31 @@ class Connections:
         return earliest
 
     # -- inside ----------------------------------------------------------------------------------------------
+
+    def _call(self, link: Link, now: float) -> None:
+        link.attempt = True
+        self._calls[link.peer] = now
+        self._actions.add(Dial(link.peer))
+
+    def _called(self, peer: str, now: float) -> float:
+        """A call is over. Return for how long the radio was busy with it: calls wait for one another."""
+        began = self._calls.pop(peer, now)
+        for other in self._calls:
+            self._calls[other] = now
+        return now - began
+
+    def _knock(self, now: float) -> None:
+        """A robot without any link for a while calls one of those that should call it."""
+        before, self._alone = self._alone, not any(link.session or link.attempt for link in self.links.values())
+        anybody = self._linking.carried
+        callers = [
+            name
+            for name, dials in self._local.dials.items()
+            if not dials and (anybody or ((link := self.links.get(name)) is not None and link.lasting))
+        ]
+        if before and self._alone and callers:
+            self.connect(callers[self._knocks % len(callers)], once=True)
+            self._knocks += 1
 
     def _links_changed(self) -> None:
         self._set_peers(link.peer for link in self.links.values() if link.lasting or link.session is not None)

@@ -5,6 +5,7 @@ import random
 from collections import deque
 from typing import Any, Protocol
 
+from services.mesh.core.link.calls import UNKNOWN, Caller
 from services.mesh.core.link.session import BULK_WRITE, Session
 from services.mesh.core.radio_model import AirModel, DelayLine
 from services.mesh.mesh import CLOSED, Mesh
@@ -145,9 +146,9 @@ class Station:
         self._ends[end.session] = end
         self._mesh.carry_out()
 
-    def accepted(self, end: Any) -> None:
+    def accepted(self, end: Any, caller: Caller = UNKNOWN) -> None:
         """Somebody has called."""
-        end.session = self._mesh.accepted()
+        end.session = self._mesh.accepted(caller)
         if end.session is None:
             self._air.close(end)
         else:

@@ -23,6 +23,7 @@ class Common:
     def __init__(self, config: Config, *, bluetooth: bool = False) -> None:
         """`bluetooth`: links are of such a radio, on which it matters who calls."""
         self.config = config
+        self.bluetooth = bluetooth
         self._calls = calls_of(config, bluetooth=bluetooth)
         self.robots = {robot.name: robot for robot in config.robots}
         self.names = frozenset(self.robots)
@@ -66,8 +67,17 @@ class VirtualMesh(Mesh):
         self._station = Station(robot, time, air)
         super().__init__(
             common.config,
-            local_of(common.config, robot, common.names, dials, numbers.getrandbits(64), insecure=True, keys={}),
-            InitialLinks(common.ground, dials),
+            local_of(
+                common.config,
+                robot,
+                common.names,
+                dials,
+                numbers.getrandbits(64),
+                insecure=True,
+                keys={},
+                bluetooth=common.bluetooth,
+            ),
+            InitialLinks(common.ground, dials, pages=common.bluetooth),
             Chance(numbers.random, partial(numbers.randbytes, NONCE_SIZE)),
             incarnation,
             surroundings,

@@ -1,5 +1,6 @@
 """The air of `--radio slots`: `sim.virtual.radio.air` over the slots of a Bluetooth radio (`sim.slots`)."""
 
+from services.mesh.core.link.calls import Caller
 from services.mesh.core.link.session import Session
 from services.mesh.links.rfcomm import DIAL_TIMEOUT
 from services.mesh.mesh import CLOSED
@@ -97,7 +98,7 @@ class SlotAir:
         near.other, far.other = far, near
         link.lost = lambda: self._lost(near, far)
         caller.dialled(peer, near)
-        called.accepted(far)
+        called.accepted(far, Caller(caller.robot, caller.robot))
 
     def _lost(self, *ends: SlotEnd) -> None:
         for end in ends:

@@ -40,7 +40,8 @@ FILES = {
         "", ["[all]", "dtparam=i2c_arm=on", "dtparam=i2c_arm_baudrate=100000", "core_freq=400", "core_freq_min=400"]
     ),
     "/boot/firmware/cmdline.txt": "root=x cgroup_enable=memory isolcpus=3\n",
-    "/etc/bluetooth/main.conf": "[Policy]\nAutoEnable = true\n",
+    "/etc/bluetooth/main.conf": "[Policy]\nAutoEnable = true\n"
+    "[BR]\nPageScanType = 1\nPageScanInterval = 512\nPageScanWindow = 18\n",
     MODULES: "i2c-dev\n", LIMITS: LIMITS_TEXT, NETWORK_CONF: NETWORK_TEXT,
     "/etc/hosts": "127.0.0.1\tlocalhost\n127.0.1.1\tr0\n", "/etc/hostname": "r0\n", CLOUD: None,
 }  # fmt: skip

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mesh_world import ACCIDENTS, World
 
-from services.mesh.core.link.calls import FIRST_DELAY, LONGEST_DELAY, MAX_HALF_OPEN, Dialler, dials
+from services.mesh.core.link.calls import EAGER, FIRST_DELAY, LONGEST_DELAY, MAX_HALF_OPEN, SHARE, Dialler, dials
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.frames import Hello
 from swarm.config.types import MeshConfig, RobotConfig
@@ -340,6 +340,23 @@ def test_the_back_off_doubles_with_jitter_up_to_its_limit(draws: list[float]) ->
         assert not dialler.take(deadline - 1e-6)
         assert dialler.take(deadline)
         now = deadline
+
+
+@given(st.floats(0.0, 1.0, exclude_max=True), st.floats(0.01, 20.0))
+def test_pages_of_an_absent_robot_keep_to_their_share_until_it_knocks(draw: float, page: float) -> None:
+    dialler, now, spent = Dialler(lambda: draw), 0.0, 0.0
+    for attempt in range(20):
+        deadline = dialler.next_deadline()
+        assert deadline is not None
+        began = max(now, deadline)
+        if attempt >= EAGER:
+            assert page <= SHARE * (began - now + page) * 1.000001
+        assert dialler.take(began)
+        now = began + page
+        spent += page
+        dialler.ended(now, page)
+    dialler.hurry(now)
+    assert dialler.take(now + FIRST_DELAY)
 
 
 def test_only_a_link_that_lasted_resets_the_back_off() -> None:

@@ -1,6 +1,8 @@
 """Who calls whom to make a link, when, who may call this robot, and who may be at the other end of a connection.
 
-`Dialler` says when a neighbour is to be dialled, which `dials` gives to one of the two ends.
+`Dialler` says when a neighbour is to be dialled, which `dials` gives to one of the two ends. A Bluetooth page keeps the
+caller's radio from its links, so a robot that does not answer is called rarely. When it is back and nobody calls it, it
+knocks: it calls those who should call it, and they call back at once (`Connections`).
 
 `Search` looks for robots by calling those that we would dial and have no link with. Those out of the swarm's reach
 (`far`) are called again and again, with a growing pause; those in the swarm whom we have not reached ourselves
@@ -30,8 +32,21 @@ FIRST_DELAY = 0.2
 """s until the second attempt."""
 
 LONGEST_DELAY = 5.0
-"""s between attempts at most: a robot that returns is met again within this time, and there is no last
-attempt."""
+"""s between attempts at most, where calls keep no radio busy: a robot that returns is met again within this time, and
+there is no last attempt."""
+
+EAGER = 3
+"""Calls of a robot in vain after which calls keep to `SHARE`."""
+
+SHARE = 0.05
+"""Share of its time that the robot which is to call spends on calls of one that does not answer: on Bluetooth a page of
+5 s takes the caller's radio from everybody else."""
+
+OTHERS_SHARE = 0.02
+"""The same of all others together."""
+
+KNOCK = 4.0
+"""s between two looks of a robot whether it has any link; up to twice that, so that robots do not look together."""
 
 JITTER = 0.5
 """Each delay is spread by this fraction up and down, so that robots that lost each other together do not
@@ -92,14 +107,23 @@ class Dialler:
         self._up_since = now
         self._next = None
 
-    def ended(self, now: float) -> None:
-        """The attempt failed or its link is down: plan the next one."""
+    def ended(self, now: float, page: float = 0.0) -> None:
+        """The attempt failed or its link is down: plan the next one. `page`: s for which a call in vain kept the radio
+        from other links."""
         if self._up_since is not None and now - self._up_since >= GOOD_AFTER:
             self._failures = 0
         self._up_since = None
         delay = min(LONGEST_DELAY, FIRST_DELAY * 2.0 ** min(self._failures, 16))
         self._failures += 1
-        self._next = now + delay * (1.0 - JITTER + 2.0 * JITTER * self._random())
+        drawn = self._random()
+        rare = page * (1.0 / SHARE - 1.0) * (1.0 + JITTER * drawn) if self._failures >= EAGER else 0.0
+        self._next = now + max(delay * (1.0 - JITTER + 2.0 * JITTER * drawn), rare)
+
+    def hurry(self, now: float) -> None:
+        """The neighbour is there after all: dial it soon, unless that is under way."""
+        self._failures = 0
+        if self._next is not None:
+            self._next = min(self._next, now + FIRST_DELAY)
 
 
 MAX_HALF_OPEN = 16
@@ -186,13 +210,6 @@ FIRST_PAUSE = 0.5
 PAUSE = 1.0
 """s after the first call that failed; doubles with each further one."""
 
-EAGER = 3
-"""Calls of a target in vain after which calls keep to `SHARE`, where a robot is not the only one to call."""
-
-SHARE = 0.05
-"""Share of their time that all callers together spend on calls of a robot that does not answer: on Bluetooth a page of
-5 s takes the caller's radio from everybody else."""
-
 LONGEST_FAR, LONGEST_NEAR = 30.0, 300.0
 """s between two calls at most. Who is in the swarm lacks nothing if we do not hear it."""
 
@@ -211,11 +228,12 @@ class _Target:
 class Search:
     """The calls of one robot."""
 
-    def __init__(self, random: Callable[[], float], callers: int = 0) -> None:
+    def __init__(self, random: Callable[[], float], callers: int = 0, eager: int = EAGER) -> None:
         """`random` gives numbers from 0 up to 1; `callers`: how many robots may call one target, 0 where that does not
-        matter."""
+        matter; `eager`: calls of a target in vain after which they keep to `OTHERS_SHARE`."""
         self._random = random
         self._callers = callers
+        self._eager = eager
         self._targets: dict[str, _Target] = {}
         self._began = 0.0
         """When the call that is under way began."""
@@ -254,9 +272,14 @@ class Search:
             longest = LONGEST_FAR if target.far else LONGEST_NEAR
             pause = min(longest, PAUSE * 2.0 ** min(target.failures, 16))
             target.failures += 1
-            if self._callers and target.failures > EAGER:
-                pause = max(pause, took * self._callers / SHARE)
+            if self._callers and target.failures > self._eager:
+                pause = max(pause, took * self._callers / OTHERS_SHARE)
             target.next_at = now + pause * (1.0 - JITTER + 2.0 * JITTER * self._random())
+
+    def hurry(self, name: str, now: float) -> None:
+        """A robot has shown that it is there: if it is a target, call it now."""
+        if (target := self._targets.get(name)) is not None:
+            target.failures, target.next_at = 0, now
 
     def next_deadline(self) -> float:
         """When `take` has somebody."""
@@ -304,6 +327,9 @@ class Local:
     handshake: float = 8.0
     patience: float = 60.0
     """Of these times, s, `swarm.config.types.MeshConfig` tells what they mean."""
+    pages: bool = False
+    """Whether a call keeps the radio from other links, as a page of Bluetooth does; then callers are known by their
+    addresses, too."""
     keys: Mapping[int, bytes] = field(default_factory=dict, repr=False)
     """Pre-shared keys by id; the newest one has the highest id."""
 

@@ -99,12 +99,12 @@ class Link:
             if self.attempt or self.session is not None:
                 self.dialler.take(0.0)  # its first call is under way already
 
-    def failed(self, reason: str, now: float) -> None:
-        """A connection that we tried to make did not come about."""
+    def failed(self, reason: str, now: float, page: float = 0.0) -> None:
+        """A connection that we tried to make did not come about; `page` as of `Dialler.ended`."""
         self.attempt = False
         self.reason = reason
         if self.dialler is not None:
-            self.dialler.ended(now)
+            self.dialler.ended(now, page)
 
     def detach(self, session: Session, reason: str, now: float) -> None:
         """The connection in use is lost, or is given up."""

@@ -28,7 +28,7 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 from services.mesh.core.actions import Connect, Disconnect, LinkAction, LogLine, Neighbours, Transmit, Write
-from services.mesh.core.link.calls import Search
+from services.mesh.core.link.calls import EAGER, Search
 from services.mesh.core.routing.automatic_topology import AutomaticRule
 from services.mesh.core.routing.link_state import LinkStateMap
 from services.mesh.core.routing.physical_links import Succession
@@ -76,6 +76,8 @@ class InitialLinks(NamedTuple):
     """All robots that this one could be linked with, and whether it dials them."""
     saved: TopologyVersion | None = None
     """The value that was kept when it was running last."""
+    pages: bool = False
+    """As of `link.calls.Local`."""
 
 
 class Linking:
@@ -98,7 +100,8 @@ class Linking:
         self._map = map
         self._act = act
         self._counters = counters
-        self._search = Search(random, len(start.ground.names) if start.ground.carried else 0)
+        callers = len(start.ground.names) if start.ground.carried else 0
+        self._search = Search(random, callers, 0 if start.pages else EAGER)
         self._links: dict[str, None] = {}
         self._spare = SpareLinks(me, start.ground)
         self._reach: dict[str, bool] = {}
@@ -186,6 +189,14 @@ class Linking:
             self._note_reach(peer, False, now)
         elif now >= self._down.setdefault(peer, now) + DOUBT:
             self._note_reach(peer, False, now)
+
+    def is_reachable(self, peer: str) -> bool:
+        """Whether there is a way to a robot."""
+        return peer in self._map.routes()
+
+    def knocked(self, peer: str, now: float) -> None:
+        """A robot that we may call has shown that it is there."""
+        self._search.hurry(peer, now)
 
     def receive(self, peer: str, data: bytes, now: float) -> None:
         """A neighbour's value; raises `FrameError`."""
