@@ -3,7 +3,7 @@
 import pytest
 
 from sim.scenario.options import parse
-from sim.scenario.build import build
+from sim.scenario.scenario import build
 from sim.virtual.run import PLACE, VirtualRun, simulate
 from swarm.errors import ConfigError
 
@@ -40,7 +40,7 @@ def test_a_robot_that_comes_late_is_called_and_waited_for_over_the_slot_radio():
 
 def test_a_robot_that_was_absent_for_long_knocks_and_is_called_back():
     more = ("--radio", "slots", "--links", "star", "--absent", "drop", "--drop-after", "3", "--off", "r2@start,80s")
-    options = parse([*CONSENSUS[:5], "--virtual", "--seconds", "110", *more])
+    options = parse([*CONSENSUS[:5], "--virtual", "--seconds", "120", *more])
     run = VirtualRun(options, build(options, PLACE))
     moments = []
     advanced = run.advanced
@@ -53,7 +53,7 @@ def test_a_robot_that_was_absent_for_long_knocks_and_is_called_back():
     run.advanced = note
     assert run.go().problems == ()
     # Nobody has called it since its third page, and would not before 100 s had passed. The first moment is its start.
-    assert 80 < moments[1] < 105
+    assert 80 < moments[1] < 110
     links = run.world.robots["r0"].mesh.links().links
     assert {link.peer: link.state for link in links} == {"r1": "up", "r2": "up"}
 

@@ -45,8 +45,9 @@ SHARE = 0.05
 OTHERS_SHARE = 0.02
 """The same of all others together."""
 
-KNOCK = 4.0
-"""s between two looks of a robot whether it has any link; up to twice that, so that robots do not look together."""
+KNOCK = 12.0
+"""s between two looks of a robot whether it has any link; up to twice that, so that robots do not look together. A
+lost hub has a successor by then, whose radio a knock of 5 s would take."""
 
 JITTER = 0.5
 """Each delay is spread by this fraction up and down, so that robots that lost each other together do not
