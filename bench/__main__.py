@@ -28,6 +28,7 @@ AREAS = {
     "footprint": "proportional memory of one robot's processes",
     "memory": "growth of two robots' processes and of the simulation, MB an hour, after a warm-up (--seconds)",
     "i2c": "time on the I2C bus at 100 kHz: a control step, a whole tick, rates; UWB reports at other clocks",
+    "power": "watts of a robot by state and its autonomy, by our model, beside table 2.5 of the thesis",
     "dwm": "the UWB service: memory, and CPU time and allocations of an update",
     "teamwork": "apps that blink, stand and drive together: LED phases, stand-up, formation, crossings",
     "deploy": "a release to 8 robots beside one, and the second time; over real ssh servers",

@@ -138,7 +138,11 @@ def build(options: Options, run_dir: Path, app: loader.LoadedApp | None = None) 
 
     `app`: the one that `options.app` names, where it is there already."""
     recordings = read_folder(options.replay) if options.replay is not None else []
-    base = configuration.load(options.config) if options.config is not None else _default(options, len(recordings))
+    if options.config is not None:
+        # Simulated robots have links of their own, so a file that `swarm pair` has not completed yet does.
+        base = configuration.load(options.config, addressed=False)
+    else:
+        base = _default(options, len(recordings))
     if recordings and len(recordings) != len(base.robots):
         raise ConfigError(f"{options.replay} holds {len(recordings)} robots, the swarm has {len(base.robots)}")
     if app is None and options.app is not None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from swarm.config.find import LOOKED_IN
 from swarm.config.load import load
-from swarm.config.types import DEFAULT_RELAY, Config
+from swarm.config.types import DEFAULT_RELAY, GRAPH, Config
 from swarm.core.graph import Graph
 from swarm.onboard.arguments import add_json, show
 from swarm.process.terminal import columns
@@ -33,9 +33,19 @@ def run(args: argparse.Namespace) -> int:
 
         sys.stdout.write(EXAMPLE)
         return 0
-    config = load(args.file)
+    config = load(args.file, addressed=False)
     show(args, _summary(config), _text(config))
     return 0
+
+
+def _unaddressed(config: Config) -> list[str]:
+    """Return the robots whose Bluetooth addresses a swarm lacks: so a file begins, and `swarm pair` completes it."""
+    everywhere = config.auto or config.mesh.links != GRAPH
+    return [
+        each.name
+        for each in config.robots
+        if each.link is None and each.bluetooth is None and (everywhere or config.neighbours(each.name))
+    ]
 
 
 _AUTO = "links: robots find them themselves"
@@ -61,6 +71,7 @@ def _summary(config: Config) -> dict[str, object]:
         "target": config.dwm.target,
         "apps": sorted(config.apps),
         "authenticated": not config.mesh.insecure,
+        "unaddressed": _unaddressed(config),
     }
 
 
@@ -78,6 +89,7 @@ def _text(config: Config) -> list[str]:
         rows.append((robot.name, robot.board, link, " ".join(graph.neighbours(robot.name)) or "-"))
     own_rules = len(config.relay) - len(DEFAULT_RELAY)
     anchors = ", ".join(f"{a.address} ({a.x:g}, {a.y:g})" for a in config.anchors)
+    lacking = _unaddressed(config)
     return [
         f"{config.path}: fine; network {config.network}",
         *columns(rows),
@@ -85,4 +97,5 @@ def _text(config: Config) -> list[str]:
         f"relay: {len(DEFAULT_RELAY)} rules of the platform, {own_rules} of the file",
         f"anchors: {anchors or 'none'}; target {config.dwm.target or 'none'}",
         f"apps with parameters: {', '.join(sorted(config.apps)) or 'none'}",
+        *([f"no Bluetooth address yet: {' '.join(lacking)}; swarm pair writes them"] if lacking else []),
     ]

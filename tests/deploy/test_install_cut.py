@@ -129,7 +129,7 @@ class Robot:
         (systemd / "swarm-.service.d/10-common.conf").write_text(number)
         (folder / "pip").write_text("#!/bin/sh\nexec pip\n")
         (folder / "swarm").write_text(
-            '#!/bin/sh\nfor it; do :; done\n[ "$it" != --json ] || echo \'{"robots": {"r0": 1}}\'\n'
+            '#!/bin/sh\nfor it; do :; done\n[ "$it" != --json ] || echo \'{"robots": {"r0": 1}, "unaddressed": []}\'\n'
         )
         (folder / "python").write_text(f"#!/bin/sh\n# {'runs' if runs else 'broken'}\nexit 0\n")
         for each in ("pip", "swarm", "python"):

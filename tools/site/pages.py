@@ -24,6 +24,8 @@ WIDTH = "84"
 """Columns of the help texts."""
 ELSEWHERE = {"firmware/README.md": "reference/firmware.md"}
 """Pages of the site by the files outside of the docs from which they are made, as paths in the checkout."""
+_FENCE = re.compile(r"^```(\w+) (?:([\w./]+\.\w+)|.*)$", re.MULTILINE)
+"""A code block's language, and the name of a file or how tests run it, which Markdown's extension knows nothing of."""
 _LINK = re.compile(r"\]\((\.\./[^)#\s]+)(#[^)\s]*)?\)")
 
 
@@ -46,7 +48,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Let links to files beside the docs lead to the pages made of them."""
+    """Let links to files beside the docs lead to the pages made of them, and blocks show the names of their files."""
     folder = posixpath.dirname(f"docs/{page.file.src_uri}")
 
     def lead(match: re.Match[str]) -> str:
@@ -56,7 +58,10 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
             name = f"examples/{Path(target).stem}.md"
         return match[0] if name is None else f"]({posixpath.relpath(f'docs/{name}', folder)}{anchor})"
 
-    return _LINK.sub(lead, markdown)
+    def title(match: re.Match[str]) -> str:
+        return f"```{match[1]}" + (f' title="{match[2]}"' if match[2] else "")
+
+    return _LINK.sub(lead, _FENCE.sub(title, markdown))
 
 
 def commands_page() -> str:

@@ -26,7 +26,7 @@ from swarm.onboard.body.drive import one
 from swarm.onboard.body.keyboard import Keyboard
 from swarm.onboard.buses import buses
 from swarm.onboard.buses.ask import PATIENCE
-from swarm.onboard.commission.core.procedure import Action, Ask, Procedure, Say, SendCommand, Subject
+from swarm.onboard.commission.core.procedure import PASSED, Action, Ask, Procedure, Say, SendCommand, Subject
 from swarm.onboard.commission.core.steps import STEPS
 from swarm.process.simulations import CONFIG
 from swarm.process.terminal import write_lines
@@ -104,8 +104,11 @@ def finish(report: dict[str, Any], out: Path | None) -> None:
     except OSError as error:
         raise LocalError(f"{path}: {error.strerror}") from None
     lines = [f"{row['name']:<10} {row['verdict']}" for row in report["steps"]]
+    if report.get("ended"):
+        lines.append(str(report["ended"]))
     write_lines([*lines, f"{report['robot']}: {report['verdict']}; report: {path}"])
-    if any(row["name"] == "offset" and "range_offset_m" in row.get("figures", {}) for row in report["steps"]):
+    learned = [row for row in report["steps"] if row["name"] == "offset" and row["verdict"] == PASSED]
+    if any("range_offset_m" in row.get("figures", {}) for row in learned):
         write_lines(
             [f"its UWB offset into its calibration: swarm calibrate offset {path} --robots {report['robot']} --write"]
         )

@@ -56,6 +56,17 @@ def test_check_as_json(example, capsys):
     assert summary["anchors"] == ["D001", "D002", "D003"]
 
 
+def test_a_file_that_awaits_its_bluetooth_addresses_is_fine_and_says_so(tmp_path, capsys):
+    path = tmp_path / "swarm.toml"
+    robots = "".join(f'[[robots]]\nname = "{name}"\n' for name in ("r0", "r1"))
+    path.write_text(f'network = "lab"\n[topology]\nshape = "line"\n{robots}')
+    assert run("config", "check", str(path)) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "no Bluetooth address yet: r0 r1; swarm pair writes them"
+    assert run("config", "check", "--json", str(path)) == 0
+    assert json.loads(capsys.readouterr().out)["unaddressed"] == ["r0", "r1"]
+    assert run("sim", "consensus", "--virtual", "--iterations", "3", "--config", str(path)) == 0
+
+
 def test_check_takes_the_file_of_the_environment(example, capsys, monkeypatch):
     monkeypatch.setenv("SWARM_CONFIG", str(example))
     assert run("config", "check") == 0

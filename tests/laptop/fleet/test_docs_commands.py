@@ -1,7 +1,7 @@
 """The commands of the how-to pages about fleets and robots and the tutorial's robot step, as they stand there.
 
-What ssh servers in place of robots suffice for is run here, in the order of the pages. What needs a robot's system is
-named, with the test that runs it on one.
+What ssh servers in place of robots suffice for is run here, in the order of the pages: blocks with the label `ssh`, and
+what stands within sentences. What needs a robot's system is named, with the test that runs it on one.
 """
 
 import hashlib
@@ -20,21 +20,14 @@ from laptop.fleet.release import release
 from swarm.config import parse
 from swarm.config.example import EXAMPLE
 
+sys.path.append(str(Path(__file__).parents[2] / "docs"))
+import documented_path
+
 pytest_plugins = ["fleet_fixtures"]
 
 DOCS = Path(__file__).parents[3] / "docs"
-BUILD = (
-    "robots/build-a-robot.md",
-    "robots/first-power-on.md",
-    "robots/commission.md",
-)
-FLEET = (
-    "fleet/deploy.md",
-    "fleet/provision.md",
-    "fleet/pair.md",
-    "fleet/find-faults.md",
-    "fleet/install-by-hand.md",
-)
+INLINE = ("robots/build-a-robot.md", "robots/first-power-on.md", "robots/commission.md")
+"""Pages with commands within their sentences."""
 TUTORIAL = DOCS / "tutorials/own-algorithm.md"
 
 ELSEWHERE = {
@@ -45,8 +38,6 @@ ELSEWHERE = {
     "swarm dwm": "modules: tests/services/dwm/test_dwm_tool.py",
     "swarm calibrate": "a robot's module: tests/laptop/fleet/test_calibrations.py",
     "swarm flash": "avr-gcc: tests/laptop/fleet/test_flash_fleet.py",
-    "swarm deploy dist/balboa-swarm-ID.tar.gz": "ID is none: tests/laptop/fleet/test_fleet.py",
-    "deploy/release": "the network: tests/deploy/test_boot.py",
     "swarm commission": "a robot's body: tests/laptop/fleet/test_commission_ssh.py, tests/sim/test_action_effects.py",
     "swarm balance": "a robot's body: tests/laptop/fleet/test_balance_ssh.py",
     "swarm drive": "a keyboard: tests/laptop/fleet/test_drive_ssh.py",
@@ -58,13 +49,11 @@ ELSEWHERE = {
 
 def commands() -> list[str]:
     """Each command line of the pages, without its comment, in their order."""
-    build, deploy = ("\n".join((DOCS / "how-to" / page).read_text() for page in pages) for pages in (BUILD, FLEET))
+    inline = "\n".join((DOCS / "how-to" / page).read_text() for page in INLINE)
     tutorial = TUTORIAL.read_text()
-    blocks = "\n".join(re.findall(r"^```(?:sh)?\n(.*?)^```$", deploy, re.M | re.S))
-    step = tutorial[tutorial.index("Onto robots") :]
-    found = re.findall(r"`((?:swarm|deploy/release) [^`\n]+)`", build)
-    found += re.findall(r"^((?:swarm [a-z]|deploy/release).*)$", blocks, re.M)
-    found += re.findall(r"^    (swarm .*)$", step, re.M)
+    found = re.findall(r"`((?:swarm|deploy/release) [^`\n]+)`", inline)
+    found += [command for page in documented_path.PAGES for command in documented_path.commands(page, "ssh")]
+    found += re.findall(r"^    (swarm .*)$", tutorial[tutorial.index("Onto robots") :], re.M)
     return [line.partition("  #")[0].partition(" #")[0].strip() for line in found]
 
 

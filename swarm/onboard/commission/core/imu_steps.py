@@ -19,6 +19,7 @@ LYING = math.radians(110)
 ROLLED_M = 0.12
 """Half a turn of a wheel."""
 ROLL_S = 60.0
+DONE = "A or Enter when it is done."
 UP, AXLE, BACK = range(3)
 """Axes of the IMU: X up, Y to the left along the axle, Z backward."""
 
@@ -60,12 +61,14 @@ def imu(desk: Desk) -> Script:
 def _gyro(desk: Desk, zero: tuple[float, float, float]) -> Script:
     robot = desk.robot
     _listen(desk)
-    yield from desk.confirm("tip-forward", "Tip it slowly forward by a quarter turn, as if it fell on its face.")
+    yield from desk.confirm(
+        "tip-forward", f"Tip it slowly forward by a quarter turn, as if it fell on its face. {DONE}"
+    )
     tipped, by_gyro = _tilt_of(desk), robot.turned(AXLE, zero[AXLE])
     _listen(desk)
-    yield from desk.confirm("lift-upright", "Hold it upright again.")
+    yield from desk.confirm("lift-upright", f"Hold it upright again. {DONE}")
     _listen(desk)
-    yield from desk.confirm("turn-left", "Turn it slowly to the left by a quarter turn, upright.")
+    yield from desk.confirm("turn-left", f"Turn it slowly to the left by a quarter turn, upright. {DONE}")
     turned = robot.turned(UP, zero[UP])
     desk.figures |= {
         "tipped_deg": round(math.degrees(tipped), 1),
@@ -110,7 +113,7 @@ def encoders(desk: Desk) -> Script:
 
 def _sample(desk: Desk, what: str, text: str) -> Generator[None, None, ImuMean]:
     """Have the robot held so, and return what the IMU shows for a second."""
-    yield from desk.confirm(what, f"{text} A or Enter when it is done.")
+    yield from desk.confirm(what, f"{text} {DONE}")
     return (yield from _mean(desk))
 
 
@@ -124,8 +127,9 @@ def _find_zero(desk: Desk) -> Script:
             if any(each.about == "calibrate" and each.text == "done" for each in notices):
                 return
             yield from desk.wait(0.5)
+    why = "".join(f": {each.text}" for each in [*notices][-1:])
     raise StepError(
-        "the gyro's zero is not found", "leave it alone; after another IMU: swarm services restart balancer"
+        f"the gyro's zero is not found{why}", "leave it alone; after another IMU: swarm services restart balancer"
     )
 
 
