@@ -31,13 +31,6 @@ def test_places_have_an_upper_bound_alone():
     assert filters.inlying_places(ring + middle + [(9.0, 0.0)]) == ring + middle
 
 
-@given(st.integers(1, 30), VALUES)
-def test_the_moving_average_of_the_thesis_text(window, values):
-    for index, mean in enumerate(filters.moving_average(values, window)):
-        part = values[max(0, index + 1 - window) : index + 1]
-        assert mean == pytest.approx(sum(part) / len(part), abs=1e-9)
-
-
 def test_the_recursive_average_of_the_original_program():
     # in place: the second mean enters the third in place of the second value
     assert filters.recursive_average([1.0, 3.0, 5.0], 2) == [1.0, 2.0, 3.5]

@@ -61,11 +61,6 @@ def mean(values: Sequence[float]) -> float:
     return fsum(values) / len(values)
 
 
-def moving_average(values: Sequence[float], window: int) -> list[float]:
-    """The mean of the last `window` values at each of them, of as many as there are at the start (eq. 2.2)."""
-    return [mean(values[max(0, i + 1 - window) : i + 1]) for i in range(len(values))]
-
-
 def recursive_average(values: Sequence[float], window: int) -> list[float]:
     """What the original program does in place of eq. 2.2: it averages in place, so earlier **means** enter.
 
