@@ -27,6 +27,9 @@ GOAL = 1.15
 HUB = {"line 3": 0.025, "line 6": 0.05, "loop 6": 0.05, "thesis-d 6": 0.06, "full 6": 0.075}
 """s an iteration at most where links are what suits the radio."""
 
+START = 4.0
+"""s at most until six robots iterate where links are what suits the radio."""
+
 STAYS = (0.05, 0.2, 0.3)
 """s, besides that of the fit."""
 
@@ -65,7 +68,7 @@ def rows(sizes: Sizes = FULL) -> Iterator[Row]:
         hub = [_consensus(shape, robots, sizes.iterations, seed, "slots", links="auto") for seed in range(sizes.seeds)]
         yield Row(f"iteration, links = auto, {name}", 1e3 * _mean(hub, "seconds"), "ms", 1e3 * HUB[name], 1.0)
         start = statistics.median(number(run, "started_s") for run in hub)
-        yield Row(f"start, links = auto, {name}", start, "s", 1.0, None)
+        yield Row(f"start, links = auto, {name}", start, "s", START, 1.0)
         yield Row(f"messages an iteration, {name}", _mean(ours, "messages"), "", 2.0 * len(_edges(name)), None)
         yield Row(f"start, {name}", statistics.median(number(run, "started_s") for run in ours), "s", 1.0, None)
         for stay in sizes.stays:
