@@ -9,15 +9,7 @@ from collections.abc import Callable, Iterable
 from functools import partial
 
 from services.mesh.core.actions import Actions, Close, Dial, LinksChanged, Supervise, Transmit
-from services.mesh.core.events import (
-    HandshakeFailed,
-    LinkDown,
-    LinkRecovered,
-    LinkSuspect,
-    LinkUp,
-    Received,
-    SessionEvent,
-)
+from services.mesh.core.events import HandshakeFailed, LinkDown, LinkEvent, LinkRecovered, LinkSuspect, LinkUp, Received
 from services.mesh.core.link import neighbour
 from services.mesh.core.link.calls import KNOCK, REFUSED, Caller, Callers, Local
 from services.mesh.core.link.clock import ClockSync
@@ -326,7 +318,7 @@ class Connections:
         elif result is not None and session.is_up:
             session.send(event.priority, neighbour.pong_key(self._local.robot), result, latest=False)
 
-    def _on_event(self, session: Session, event: SessionEvent, now: float) -> None:
+    def _on_event(self, session: Session, event: LinkEvent, now: float) -> None:
         peer = session.peer
         match event:
             case LinkUp(name):

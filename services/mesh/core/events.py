@@ -57,4 +57,4 @@ class Received(NamedTuple):
     """The overlay of its channel, as in `frames`; what is not for `neighbours` goes to the overlays first."""
 
 
-SessionEvent = LinkUp | LinkSuspect | LinkRecovered | LinkDown | HandshakeFailed | Received
+LinkEvent = LinkUp | LinkSuspect | LinkRecovered | LinkDown | HandshakeFailed | Received

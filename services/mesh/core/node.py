@@ -22,7 +22,8 @@ from services.mesh.core.connections import Connections
 from services.mesh.core.events import Received
 from services.mesh.core.link.calls import REFUSED, UNKNOWN, Caller, Local
 from services.mesh.core.link.clock import ClockState
-from services.mesh.core.link.session import SENT, Session
+from services.mesh.core.link.outbox import SENT
+from services.mesh.core.link.session import Session
 from services.mesh.core.overlays import carried, flood, robot_overlays, unicast
 from services.mesh.core.overlays.robot_overlays import RobotOverlays
 from services.mesh.core.relay import KeyRelay, RelaySend

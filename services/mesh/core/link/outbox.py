@@ -20,6 +20,9 @@ from typing import NamedTuple
 from services.mesh.core.link.flow import MAX_INCOMPLETE_BYTES, SYNC_EXTRA
 from services.mesh.core.wire.frames import BULK, CONTROL, MAX_CHANNELS, MAX_PAYLOAD, NEIGHBOURS, SYNC
 
+SENT = ("sent_control", "sent_sync", "sent_bulk")
+"""Which counter counts the messages of a class that left."""
+
 
 def name_of(overlay: int, key: str) -> str:
     """What a channel is called on our side: the key, in front of it the overlay's digit unless it is `neighbours`.

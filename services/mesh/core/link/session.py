@@ -13,20 +13,12 @@ wire.
 from collections import Counter
 from collections.abc import Callable
 
-from services.mesh.core.events import (
-    HandshakeFailed,
-    LinkDown,
-    LinkRecovered,
-    LinkSuspect,
-    LinkUp,
-    Received,
-    SessionEvent,
-)
+from services.mesh.core.events import HandshakeFailed, LinkDown, LinkEvent, LinkRecovered, LinkSuspect, LinkUp, Received
 from services.mesh.core.link import calls, flow
 from services.mesh.core.link.calls import Local
 from services.mesh.core.link.clock import ClockSync, decode_claim, encode_claim
 from services.mesh.core.link.flow import Fragment, Reassembly, decode_fragment, encode_fragment
-from services.mesh.core.link.outbox import Channels, Outbox, OutgoingPart, QueuedMessage, overlay_of
+from services.mesh.core.link.outbox import SENT, Channels, Outbox, OutgoingPart, QueuedMessage, overlay_of
 from services.mesh.core.link.round_trips import Pulse, next_beat
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.auth import Keys, newest_common
@@ -43,9 +35,6 @@ BULK_WRITE = 1000
 for each."""
 
 _NEVER = float("inf")
-
-SENT = ("sent_control", "sent_sync", "sent_bulk")
-"""Which counter counts the messages of a class that left."""
 
 
 class Session:
@@ -93,7 +82,7 @@ class Session:
         self.received = 0
         self._incarnation: int | None = None
         self._decoder = frames.FrameDecoder()
-        self._events: list[SessionEvent] = []
+        self._events: list[LinkEvent] = []
         self.queue = Outbox(counters)
         """What waits to leave."""
         self.window = flow.SendWindow()
@@ -159,7 +148,7 @@ class Session:
             return True
         return self.queue.waiting > 0 and self.queue.leaves(self.window.free(0))
 
-    def events(self) -> list[SessionEvent]:
+    def events(self) -> list[LinkEvent]:
         """What happened since the last call."""
         events, self._events = self._events, []
         return events
