@@ -80,6 +80,9 @@ def pytest_configure(config: pytest.Config) -> None:
     """Before any test module is read."""
     global _thorough
     _thorough = config.option.markexpr == "slow"
+    # A shell that starts the tests in the background has Ctrl-C ignored, and so would every process that they start.
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def costly(count: int) -> Callable[[Any], Any]:
