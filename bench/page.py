@@ -6,6 +6,7 @@ import platform
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import wrap
 
 from bench.rows import Row
 from swarm.errors import SwarmError
@@ -16,7 +17,8 @@ HEAD = "| figure | value | unit | limit | ratio | goal | verdict |\n|---|---|---
 
 def table(area: str, rows: Sequence[Row], *, command: str, machine: str, date: str) -> str:
     """Return an area's part of the page, its marks included: where the figures come from, and a line for each row."""
-    lines = [f"Measured by `{command}` on {date}: {machine}.", "", HEAD, *map(_line, rows)]
+    where = wrap(f"Measured by `{command}` on {date}: {machine}.", 120, break_long_words=False)
+    lines = [*where, "", HEAD, *map(_line, rows)]
     return "\n".join([_begin(area), *lines, _end(area)])
 
 

@@ -51,6 +51,11 @@ def test_the_page_of_results_has_one_table_for_every_area(area):
     assert f"`./run bench {area}" in before
 
 
+def test_lines_of_prose_that_are_written_fit_the_page():
+    part = page.table("radio", [], command="./run bench radio", machine="a machine with a long name " * 5, date="d")
+    assert max(map(len, part.splitlines())) <= 120
+
+
 def test_a_table_that_is_written_takes_the_place_of_the_old_one_alone(monkeypatch, tmp_path, capsys):
     rows = [Row("a | b", 0.033, "s", 0.030, 1.15), Row("told", math.nan, "s", 0.03, None), Row("late", 2.0, "s", 1, 1)]
     monkeypatch.setattr(program, "measure", lambda area, **_: iter(rows))
