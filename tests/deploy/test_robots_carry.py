@@ -103,4 +103,8 @@ def test_files_of_the_user_take_no_place_of_our_modules(runtime: Path, words: tu
         check=False,
     )
     assert "file of the user" not in done.stdout + done.stderr
-    assert done.returncode == 0, done.stdout + done.stderr
+    if words[0] == "check":  # what an app would import on a robot is named
+        assert done.returncode == 1, done.stdout + done.stderr
+        assert f"{place / 'swarm.py'} has the name of a package of Balboa Swarm" in done.stdout
+    else:
+        assert done.returncode == 0, done.stdout + done.stderr
