@@ -27,7 +27,7 @@ export class Plot {
     const drawn = own.length > MANY ? [...bands(own), ...own.filter((each) => each.name === selected), ...lines.filter((each) => each.dash)] : lines;
     this.lines = drawn;
     const data = uPlot.join(drawn.map(({ points }) => columns(points, scale.factor, log)));
-    const shape = JSON.stringify([drawn.map(({ name, dash }) => [name, dash]), log, over, theme.version, selected, scale.unit, stepped]);
+    const shape = JSON.stringify([drawn.map((line) => [line.name, line.dash, few(line)]), log, over, theme.version, selected, scale.unit, stepped]);
     this.range = from;
     if (this.plot && shape === this.shape) {
       if (this.plot.width !== width || this.plot.height !== height) this.plot.setSize({ width, height });
@@ -49,7 +49,7 @@ export class Plot {
         { ...axis, size: 22, values: (_, ticks) => ticks.map((each, index) => `${+each.toPrecision(6)}${over === "t" && index === ticks.length - 1 ? " s" : ""}`) },
         { ...axis, size: 44, space: 34, values: (_, ticks) => ticks.map((each) => (each === null ? "" : log ? short(each) : String(+each.toPrecision(4)))) },
       ],
-      series: [{}, ...drawn.map((line) => ({ label: line.name, stroke: stroke(line, selected), width: line.name === selected || line.strong ? 2.4 : 1.5, dash: line.dash ? [5, 4] : undefined, spanGaps: true, paths: stepped ? uPlot.paths.stepped({ align: 1 }) : undefined, points: { show: line.points.length < 3 } }))],
+      series: [{}, ...drawn.map((line) => ({ label: line.name, stroke: stroke(line, selected), width: line.name === selected || line.strong ? 2.4 : 1.5, dash: line.dash ? [5, 4] : undefined, spanGaps: true, paths: stepped ? uPlot.paths.stepped({ align: 1 }) : undefined, points: { show: few(line) } }))],
       hooks: { draw: [(plot) => this.ends(plot)] },
     }, data, this.element);
   }
@@ -113,6 +113,9 @@ export class Plot {
     this.shape = "";
   }
 }
+
+// Whether a line has so few points that they are marked.
+const few = ({ points }) => points.length < 3;
 
 function stroke({ colour, dash, hidden, name }, selected) {
   return selected && selected !== name && !dash && !hidden ? `${colour}80` : colour;

@@ -228,6 +228,20 @@ def test_a_bracket_of_the_strip_zooms_the_charts_by_hand_and_by_keys(waiting: An
 
 
 @pytest.mark.slow
+def test_points_are_marked_only_while_they_are_few(waiting: Any) -> None:
+    expect(waiting.locator("#values .plot canvas")).to_be_visible(timeout=PATIENCE_MS)
+    marked = waiting.evaluate("""async () => {
+      const { Plot } = await import("/page/charts/plot.js"), plot = new Plot(document.querySelector("#values .plot"));
+      return [2, 50].map((count) => {
+        const points = Array.from({ length: count }, (_, at) => [at, at * at]);
+        plot.draw({ lines: [{ name: "r0", colour: "#2743b8", points }], scale: { unit: "", factor: 1 } });
+        return plot.plot.series[1].points.show(plot.plot, 1, 0, count - 1);
+      });
+    }""")
+    assert marked == [True, False]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [320, 390])
 def test_a_phone_has_brackets_film_and_picture(browser: Any, waits: Path, width: int) -> None:
     with shown(browser, waits, viewport={"width": width, "height": 740}, has_touch=True, is_mobile=True) as page:
