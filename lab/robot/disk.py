@@ -83,13 +83,46 @@ class Disk:
 def robots(image: Image, folder: Path, config: str, key: Path, firmware: Iterable[Path] = ()) -> Image:
     """The image of a swarm's robots, in that folder. `firmware`: balboa.elf, libbench.so and the libraries that the
     machine lacks for it; then the ATmega is the firmware in the AVR simulator."""
-    path = folder / "robots.ext4"
-    subprocess.run(["cp", "--sparse=always", str(image.disk), str(path)], check=True)
-    disk = Disk(path)
+    disk, made = _copy(image, folder)
     (folder / "swarm.toml").write_text(config)
     uids = {line.split(":")[0]: int(line.split(":")[2]) for line in disk.read("/etc/passwd").splitlines()}
     disk.file(folder / "swarm.toml", "/etc/swarm/swarm.toml")
     disk.file(key, "/etc/swarm/key", mode=KEY_MODE, uid=uids["swarm-mesh"])
+    _solder(disk)
+    if firmware := [*firmware]:
+        for source in firmware:
+            disk.file(source, f"{FIRMWARE}/{source.name}")
+        for name in SIMULATOR:
+            disk.file(Path(lab.__file__).parents[1] / name, f"{PLACE}/{name}")
+        (folder / "firmware.conf").write_text(WITH_FIRMWARE)
+        disk.file(folder / "firmware.conf", f"{UNITS}/lab-parts.service.d/firmware.conf")
+    disk.link(f"{UNITS}/multi-user.target.wants/swarm.target", f"{RELEASED}/swarm.target")
+    for unit in SERVICES:
+        place = UNITS if unit in OURS else RELEASED
+        disk.link(f"{UNITS}/swarm.target.wants/{unit}.service", f"{place}/{unit}.service")
+    disk.finish()
+    return made
+
+
+def provisioned(image: Image, folder: Path) -> Image:
+    """The image of robots as `swarm provision` leaves them before they are paired: all packages, no config, no key, no
+    service switched on. What is soldered on is there once the services are."""
+    disk, made = _copy(image, folder)
+    _solder(disk)
+    disk.link(f"{UNITS}/swarm.target.wants/lab-parts.service", f"{UNITS}/lab-parts.service")
+    disk.finish()
+    return made
+
+
+def _copy(image: Image, folder: Path) -> tuple[Disk, Image]:
+    """A disk like the image's in that folder, and the image of it."""
+    path = folder / "robots.ext4"
+    subprocess.run(["cp", "--sparse=always", str(image.disk), str(path)], check=True)
+    return Disk(path), dataclasses.replace(image, disk=path)
+
+
+def _solder(disk: Disk) -> None:
+    """The lab's parts in place of the soldered ones, and the units that serve them, switched off."""
     ours = Path(lab.__file__).parent
     for pattern in CARRIED:
         for source in ours.glob(pattern):
@@ -100,16 +133,3 @@ def robots(image: Image, folder: Path, config: str, key: Path, firmware: Iterabl
     for unit in OURS:
         disk.file(HERE / f"units/{unit}.service", f"{UNITS}/{unit}.service")
     disk.file(HERE / "units/balancer.conf", f"{UNITS}/swarm-balancer.service.d/90-lab.conf")
-    if firmware := [*firmware]:
-        for source in firmware:
-            disk.file(source, f"{FIRMWARE}/{source.name}")
-        for name in SIMULATOR:
-            disk.file(ours.parent / name, f"{PLACE}/{name}")
-        (folder / "firmware.conf").write_text(WITH_FIRMWARE)
-        disk.file(folder / "firmware.conf", f"{UNITS}/lab-parts.service.d/firmware.conf")
-    disk.link(f"{UNITS}/multi-user.target.wants/swarm.target", f"{RELEASED}/swarm.target")
-    for unit in SERVICES:
-        place = UNITS if unit in OURS else RELEASED
-        disk.link(f"{UNITS}/swarm.target.wants/{unit}.service", f"{place}/{unit}.service")
-    disk.finish()
-    return dataclasses.replace(image, disk=path)

@@ -3,6 +3,7 @@
 The label of a block in its fence says which test runs it as it stands:
 
     ```sh laptop       tests/docs/test_documented_path.py: needs no robot
+    ```sh lab          tests/lab/test_lab_day_one.py: three virtual machines as robots
     ```sh ssh          tests/laptop/fleet/test_docs_commands.py: ssh servers as robots
     ```sh rehearsal    tests/docs/test_calibration_rehearsal.py: a simulation
     ```sh shown="why it is not run: the test that runs such a command"
@@ -31,6 +32,7 @@ PAGES = (
 )
 LABELS = {
     "laptop": "tests/docs/test_documented_path.py",
+    "lab": "tests/lab/test_lab_day_one.py",
     "ssh": "tests/laptop/fleet/test_docs_commands.py",
     "rehearsal": "tests/docs/test_calibration_rehearsal.py",
 }
