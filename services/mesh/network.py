@@ -33,15 +33,15 @@ class Network:
     ) -> None:
         self._supervise = supervise
         robots = {name: config.robot(name) for name in local.dials}
-        self._addresses = {
-            peer: link_address.of_robot(robots[peer]) for peer, we_dial in local.dials.items() if we_dial
-        }
+        called = {peer: link_address.of_robot(robots[peer]) for peer, we_dial in local.dials.items() if we_dial}
         callers = [peer for peer, we_dial in local.dials.items() if not we_dial]
         me = config.robot(local.robot)
-        own = link_address.of_robot(me) if callers else None
+        # One that only calls listens, too, where a robot without any link knocks at those that should call it.
+        own = link_address.of_robot(me) if callers or local.pages else None
         listen = config.mesh.listen
-        near = [link_address.of_robot(robots[peer]) for peer in callers if has_address(robots[peer])]
-        hosts = {address.host for address in near if isinstance(address, link_address.Tcp)}
+        near = {peer: link_address.of_robot(robots[peer]) for peer in callers if has_address(robots[peer])}
+        hosts = {address.host for address in near.values() if isinstance(address, link_address.Tcp)}
+        self._addresses = {**called, **near}
         # Whom the configuration links with us must be able to call; others may become neighbours one day.
         first = local.dials if config.auto else config.neighbours(local.robot)
         needed = [peer for peer in callers if peer in first]
@@ -52,8 +52,8 @@ class Network:
                     f'so say where it listens, for example "0.0.0.0:{own.port}"'
                 )
             own = None
-        kinds = {type(each) for each in (own, *self._addresses.values())}
-        required = {type(self._addresses[peer]) for peer in first if peer in self._addresses}
+        kinds = {type(each) for each in (own, *called.values())}
+        required = {type(called[peer]) for peer in first if peer in called}
         if needed and own is not None:
             required.add(type(own))
         self._open_bluetooth = open_bluetooth
@@ -81,7 +81,9 @@ class Network:
 
     def dial(self, peer: str) -> Pipe:
         """Connect to a neighbour; raises OSError."""
-        address = self._addresses[peer]
+        address = self._addresses.get(peer)
+        if address is None:
+            raise ConnectionError(f"the configuration has no address of {peer}")
         if isinstance(address, link_address.Tcp):
             return tcp.dial(address)
         if isinstance(address, link_address.Rfcomm):

@@ -26,6 +26,9 @@ class RfcommAir:
         self.page_timeout = 0.0
         self.listening: dict[tuple[str, int], str] = {}
         self.calling: list[str] = []
+        """Adapters whose connection was not accepted yet."""
+        self.in_vain: list[str] = []
+        """Adapters that were called and did not answer."""
         self.pairs: set[tuple[str, str]] = set()
         self.sockets: list[RfcommSocket] = []
         self.lock = threading.Lock()
@@ -73,6 +76,7 @@ class RfcommSocket(socket.socket):
         peer = address[0]
         if peer not in self.air.adapters or peer in self.air.out_of_range:
             time.sleep(self.air.page_timeout)
+            self.air.in_vain.append(peer)
             raise fault(errno.EHOSTDOWN)
         if (self.adapter, peer) in self.air.pairs:
             raise fault(errno.EBUSY)

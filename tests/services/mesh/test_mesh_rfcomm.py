@@ -19,6 +19,8 @@ import pytest
 from conftest import wait_until
 from rfcomm_air import RfcommAir
 
+from services.mesh.core import connections
+from services.mesh.core.link import calls
 from services.mesh.core.link.calls import UNKNOWN, Caller, Local, dials
 from services.mesh.core.routing.topology import Ground
 from services.mesh.core.routing.wanted_links import InitialLinks
@@ -237,7 +239,7 @@ insecure = true
 THREE = CONFIG.replace("[topology]", f'[[robots]]\nname = "r2"\nbluetooth = "{C}"\n[topology]')
 
 
-def local(me: str, text: str = CONFIG) -> Local:
+def local(me: str, text: str = CONFIG, *, pages: bool = False) -> Local:
     config = parse(text, Path("swarm.toml"))
     return Local(
         me,
@@ -246,14 +248,15 @@ def local(me: str, text: str = CONFIG) -> Local:
         insecure=True,
         dials={peer: dials(config.robot(me), config.robot(peer)) for peer in config.neighbours(me)},
         robots=frozenset(config.names),
+        pages=pages,
     )
 
 
 class Mesh:
     """A whole mesh of one robot over the stand-in."""
 
-    def __init__(self, name: str, air: RfcommAir, directory: Path, text: str = CONFIG) -> None:
-        config, own = parse(text, Path("swarm.toml")), local(name, text)
+    def __init__(self, name: str, air: RfcommAir, directory: Path, text: str = CONFIG, *, pages: bool = False) -> None:
+        config, own = parse(text, Path("swarm.toml")), local(name, text, pages=pages)
         self.limits: list[tuple[str, str, float]] = []
         """Own and other address, time-out of the mesh: whose silence was to be limited."""
         self.network = Network(
@@ -311,6 +314,25 @@ def test_meshes_meet_over_rfcomm_part_and_meet_again(air: RfcommAir, runtime: Pa
     # For each link, by who has dialled.
     wait_until(lambda: near.limits == [(A, B, 3.0)] * 2)
     assert far.limits == []
+    near.stop()
+    far.stop()
+
+
+def test_a_robot_that_is_back_knocks_at_one_that_only_calls(
+    air: RfcommAir, runtime: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without the knock r0 would call again in hours."""
+    monkeypatch.setattr(calls, "SHARE", 1e-7)
+    monkeypatch.setattr(connections, "KNOCK", 0.05)
+    air.page_timeout = 0.05
+    air.out_of_range.add(B)
+    near = Mesh("r0", air, runtime, pages=True)
+    wait_until(lambda: air.in_vain.count(B) == calls.EAGER)
+    air.out_of_range.clear()
+    far = Mesh("r1", air, runtime, pages=True)
+    wait_until(lambda: near.state[0] == far.state[0] == "up")
+    wait_until(lambda: len(near.limits) == 1)
+    assert far.limits == []  # r0 has called: the roles are those wanted
     near.stop()
     far.stop()
 
