@@ -23,7 +23,7 @@ from services.balancer.bridge import link
 from services.balancer.core.devices import balboa, imu, uwb
 from services.balancer.core.flashing import intel_hex
 from services.dwm.core.calibration import calibration_file
-from services.dwm.core.module import calls, shell, tlv
+from services.dwm.core.module import calls, tlv
 from services.dwm.core.module.exchange import ModuleExchange
 from services.dwm.core.module.tlv import LOC_GET, AnchorRange, Location, Position
 from services.mesh import link_address
@@ -92,7 +92,6 @@ def _messages(rng: random.Random) -> Made:
 _PLACE = Position(6.97, 5.17, -1.77, 53)
 _RANGES = (AnchorRange("022E", 3.38, 100, Position(7.94, 8.03, 0.0, 100)),) * 2
 _ANSWER = tlv.encode_location(Location(_PLACE, _RANGES))
-_LINES = [f"{line(Location(_PLACE, _RANGES))}\r\n".encode() for line in (shell.les, shell.lec)]
 
 
 def _tlv(rng: random.Random) -> Made:
@@ -107,21 +106,6 @@ def _tlv(rng: random.Random) -> Made:
     okay = tlv.encode_refusal(tlv.OK)
     others = (tlv.encode_part(calls.CONFIG, b"\x5a\x04"), tlv.encode_part(calls.NODE_ID, bytes(range(8))))
     return [_ANSWER, *(okay + other for other in others)], feed
-
-
-def _shell(rng: random.Random) -> Made:
-    """Lines of the UWB module's shell mode, in pieces."""
-    reader = shell.ShellReader()
-
-    def feed(data: bytes) -> None:
-        reader.receive(data)
-        try:
-            while reader.next() is not None:
-                pass
-        finally:
-            reader._lines.clear()
-
-    return [*_LINES, b"[000541.880 INF] uwb0: panid=xFD5C addr=xDECA9AABC0A2591A\r\n", b"dwm> "], feed
 
 
 def _block(data: bytes) -> None:
@@ -313,7 +297,6 @@ TARGETS = (
     Target("UWB module: requests", ("services/dwm/core/module/calls.py",),
            simple([b"\x0c\x00", b"\x02\x00"], calls.call_of),
            (FrameError,)),
-    Target("UWB module: shell", ("services/dwm/core/module/shell.py",), _shell, (FrameError,)),
     Target("ATmega: UWB block", ("services/balancer/core/devices/uwb.py", "services/balancer/core/devices/balboa.py"),
            simple(_REGISTERS, _block), (RemoteError,)),
     Target("ATmega and IMU: registers",

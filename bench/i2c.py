@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from bench.rows import Row
+from bench.timed_robot import TimedRobot
 from services.balancer import realtime
 from services.balancer.balancer import Balancer
 from services.balancer.core.control.body import body_model
@@ -25,7 +26,6 @@ from services.balancer.slack_tasks import SlackTasks
 from sim.core.balboa import BalboaBody
 from sim.core.devices import SimulatedRobot, draw_errors
 from sim.devices.i2c import SimulatedBus
-from sim.virtual.robot.i2c_robot import TimedRobot
 from swarm import clock
 from swarm.config.types import Body
 from swarm.messages import MeasureI2C, ModuleRequest

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from statistics import fmean
 
 from bench.rows import Row
+from bench.timed_robot import TimedRobot
 from services.balancer.core.control.body import body_model
 from services.balancer.core.control.lqr import PERIOD_S
 from services.balancer.core.devices.battery import CAPACITY_WH, USABLE, BatteryGuard
 from services.balancer.core.devices.battery import FULL as FULL_V
-from sim.virtual.robot.i2c_robot import TimedRobot
 from swarm.config.types import Body
 
 BATTERY_V = 7.54

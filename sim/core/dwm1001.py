@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from services.dwm.core.module import calls, shell
+from services.dwm.core.module import calls
 from services.dwm.core.module.calls import UWB_ACTIVE, Settings, UpdateRate, Version
 from services.dwm.core.module.tlv import (
     LOC_GET,
@@ -48,6 +48,9 @@ STILL_AFTER = 2.0
 
 ENTER_WITHIN = 1.0
 """s between the two carriage returns that enter the shell."""
+
+MAX_LINE = 1024
+"""Bytes that its shell takes without an end of line."""
 
 UNKNOWN_CALL, BAD_PARAMETER = 1, 3
 
@@ -103,8 +106,6 @@ class Dwm1001:
         self._request_by = 0.0
         self._returns: list[float] = []
         self._line = bytearray()
-        self._last_command = ""
-        self._stream: Callable[[Location], str] | None = None
         self._out: deque[tuple[float, bytes]] = deque()
 
     @property
@@ -137,8 +138,6 @@ class Dwm1001:
                 self._measured = now
             if now >= self._joined_at:
                 self._location, self._located = self._measure(), True
-                if self._stream is not None:
-                    self._say(self._stream(self._seen()) + "\r\n", now)
 
     def receive(self, data: bytes, now: float) -> None:
         """Bytes from the line."""
@@ -174,7 +173,7 @@ class Dwm1001:
             self._returns = [at for at in self._returns if now - at <= ENTER_WITHIN] + [now] * len(request)
             if len(self._returns) >= 2:
                 self._returns.clear()
-                self.in_shell, self._last_command = True, ""
+                self.in_shell = True
                 self._say(BANNER, now)
                 return
         self._answer(encode_refusal(UNKNOWN_CALL), now)
@@ -232,7 +231,7 @@ class Dwm1001:
         self.settings = self.flash.settings
         self._location, self._located = Location(NOWHERE, ()), False
         self._measured = self._joined_at
-        self._stream, self.in_shell = None, False
+        self.in_shell = False
         self._request.clear()
 
     def _answer(self, data: bytes, now: float) -> None:
@@ -253,48 +252,14 @@ class Dwm1001:
             if byte == ord("\r"):
                 text, self._line = self._line.decode("ascii", "replace").strip(), bytearray()
                 self._say("\r\n", now)
-                self._run(text or self._last_command, now)
-                if not self.in_shell:
+                if text == "quit":
+                    self.in_shell = False
                     return
-                self._say("dwm> ", now)
-            elif len(self._line) < shell.MAX_LINE:
+                self._say("unknown command\r\ndwm> " if text else "dwm> ", now)
+            elif len(self._line) < MAX_LINE:
                 self._line.append(byte)
                 if 0x20 <= byte < 0x7F:
                     self._say(chr(byte), now)
-
-    def _run(self, text: str, now: float) -> None:
-        self._last_command = text
-        word, *rest = text.split() or [""]
-        streams = {"les": shell.les, "lec": shell.lec, "lep": lambda location: shell.lep(location.position)}
-        if word in streams and not rest:
-            on = self._stream is None
-            self._stream = streams[word] if on else None
-        elif word == "quit":
-            self.in_shell, self._stream = False, None
-        elif word == "si":
-            self._say(self._state(now), now)
-        elif word == "aurs" and len(rest) == 2 and all(part.isdecimal() for part in rest):
-            rate = UpdateRate(int(rest[0]), int(rest[1]))
-            valid = all(1 <= period <= calls.SLOWEST for period in (rate.moving, rate.still))
-            if valid:
-                self.flash.rate = rate
-            self._say(f"aurs: {'ok' if valid else 'error'}\r\n", now)
-        elif word:
-            self._say("unknown command\r\n", now)
-
-    def _state(self, now: float) -> str:
-        settings, rate = self.settings, self.flash.rate
-        mode = f"{'an' if settings.anchor else 'tn'}{'i' if settings.initiator else ''} (act,twr,np,le)"
-        lines = (
-            f"sys: fw2 fw_ver=x01030001 cfg_ver=x{VERSION.config:08X}",
-            f"uwb0: panid=xDECA addr=x{self.identity:016X}",
-            f"mode: {mode}",
-            f"uwbmac: {'connected' if now >= self._joined_at else 'disconnected'}",
-            f"cfg: sync=0 fwup={settings.update:d} ble={settings.bluetooth:d} leds={settings.leds:d} "
-            f"le={settings.engine:d} lp={settings.low_power:d} stat_det={settings.stationary:d} (sens=1) mode=0 "
-            f"upd_rate_norm={rate.moving} upd_rate_stat={rate.still} label=DW{self.address}",
-        )
-        return "".join(f"[{now % 1e6:010.3f} INF] {line}\r\n" for line in lines)
 
     def _say(self, text: str, now: float) -> None:
         self._leave(text.encode("ascii"), now)

@@ -33,11 +33,6 @@ class Track:
         """Time of the first place, s."""
         return self._times[0]
 
-    @property
-    def end(self) -> float:
-        """Time of the last place, s."""
-        return self._times[-1]
-
     def add(self, t: float, place: Point) -> None:
         """Take a place, unless the one before it is too young."""
         if self._times and t < self._times[-1] + self._every - 1e-3:

@@ -47,12 +47,6 @@ def solve(matrix: Sequence[Sequence[float]], right: Sequence[float], singular: f
     return x
 
 
-def inverse(matrix: Sequence[Sequence[float]]) -> Matrix:
-    """The inverse of a symmetric positive definite matrix; raises `SingularError`."""
-    size = len(matrix)
-    return [solve(matrix, [float(i == j) for j in range(size)]) for i in range(size)]
-
-
 def least_squares(
     rows: Sequence[Sequence[float]], right: Sequence[float], weights: Sequence[float] | None = None
 ) -> Vector:

@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bench.timed_robot import TimedRobot
 from services.balancer.core.control.body import body_model
 from services.balancer.core.devices import balboa, imu
 from sim.core.balboa import BalboaBody
 from sim.core.devices import NO_ERRORS, SimulatedRobot
 from sim.devices.i2c import SimulatedBus
-from sim.virtual.robot.i2c_robot import TimedRobot
 from swarm.config.types import Body
 
 

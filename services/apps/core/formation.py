@@ -41,12 +41,3 @@ def error(here: Point, mine: Point, others: Iterable[tuple[Point, Point]]) -> Po
         y += place[1] - place_in_shape[1] - here[1] + mine[1]
         n += 1
     return x / n, y / n
-
-
-def misfit(places: Iterable[tuple[Point, Point]]) -> float:
-    """Root mean square distance of robots from their places in the shape, m, wherever the shape is; `places`: where
-    each is, and its offset."""
-    origins = [(p[0] - d[0], p[1] - d[1]) for p, d in places]
-    x = math.fsum(o[0] for o in origins) / len(origins)
-    y = math.fsum(o[1] for o in origins) / len(origins)
-    return math.sqrt(math.fsum((o[0] - x) ** 2 + (o[1] - y) ** 2 for o in origins) / len(origins))

@@ -79,10 +79,6 @@ class RunLinks(NamedTuple):
     kept: bool
     """Whether they are those of an earlier process of the run."""
 
-    def neighbours(self, robot: str) -> tuple[str, ...]:
-        """Of one robot, sorted."""
-        return self.config.neighbours(robot)
-
 
 @frozen
 class _Kept:

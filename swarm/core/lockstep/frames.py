@@ -91,14 +91,6 @@ def encode_want(k: int) -> bytes:
     return _HEAD.pack(WANT, k)
 
 
-def head(data: bytes) -> tuple[int, int]:
-    """Kind and iteration of a frame of any app; kind 0 where it is too short to be one."""
-    if len(data) < _HEAD.size:
-        return 0, 0
-    kind, k = _HEAD.unpack_from(data)
-    return kind, k
-
-
 def decode_frame(data: bytes, size: int) -> Step | Want:
     """Unpack a frame whose states are of `size` bytes; `FrameError` says what is wrong with it."""
     if len(data) < _HEAD.size:

@@ -51,11 +51,6 @@ class KeyVelocity:
         self._gear = FIRST_GEAR
 
     @property
-    def moving(self) -> bool:
-        """Whether a velocity other than standstill was commanded last."""
-        return bool(self._key)
-
-    @property
     def deadline(self) -> float | None:
         """When `handle_timer` is due; None while nothing is commanded."""
         return self._until if self._key else None

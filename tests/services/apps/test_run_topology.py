@@ -97,7 +97,7 @@ def test_the_epoch_tells_links_apart() -> None:
     assert line.epoch == CONFIGURED
     assert len({line.epoch, star.epoch, other.epoch}) == 3
     assert topology.of_edges(config, STAR[::-1]).epoch == star.epoch
-    assert star.neighbours("r2") == ("r0", "r1")
+    assert star.config.neighbours("r2") == ("r0", "r1")
 
 
 def test_what_is_kept_belongs_to_one_run(runtime) -> None:

@@ -9,21 +9,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.balancer.core.control import lqr
-from services.balancer.core.control.body import bare_body_model, body_model
+from services.balancer.core.control.body import body_model
 from services.balancer.core.control.estimation.estimator import SPEED_TIME_S
 from sim.core.balboa import STEP_S, BalboaBody
 from swarm.config.types import Body
 from swarm.errors import LocalError
 
+BARE = Body(payload=0.0, payload_height=0.0)
+"""The robot as sold, without Pi and UWB module: what published figures refer to."""
+
 
 def test_open_loop_poles_of_the_bare_robot() -> None:
     """The open-loop model agrees with the time constant that Pololu found by experiment (140 ms)."""
-    a, _ = lqr.linear_model(bare_body_model(Body()))
+    a, _ = lqr.linear_model(body_model("zero2w", BARE))
     assert sorted(np.linalg.eigvals(np.array(a)).real) == pytest.approx([-55.6, -5.22, 0.0, 7.23], abs=0.1)
 
 
 def test_the_payload_lifts_the_centre_of_mass() -> None:
-    bare, zero, four = bare_body_model(Body()), CONFIGURED, body_model("pi4", Body())
+    bare, zero, four = body_model("zero2w", BARE), CONFIGURED, body_model("pi4", Body())
     assert zero.lever - bare.lever == pytest.approx(0.0065, abs=0.0015)
     assert bare.mass < zero.mass < four.mass
     assert bare.lever < zero.lever < four.lever

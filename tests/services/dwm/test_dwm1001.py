@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from services.dwm.core.module import calls, shell
 from services.dwm.core.module.calls import Settings, UpdateRate
-from services.dwm.core.module.shell import ShellInfo, ShellReader
 from services.dwm.core.module.tlv import LOC_GET, AnchorRange, Location, Position, TlvDecoder, encode_location
 from sim.core.dwm1001 import (
     BYTE,
@@ -222,36 +221,12 @@ def test_text_in_generic_mode_is_answered_by_a_refusal():
     assert Line().send(b"lec\r") == bytes.fromhex("400101")
 
 
-def test_lines_of_the_shell_come_at_the_update_rate_until_switched_off():
-    known = Position(7.94, 8.03, 0.0, 100)
-    seen = Location(Position(6.97, 5.17, -1.77, 53), (AnchorRange("022E", 3.38, 100, known),))
-    line, reader = Line(measure=lambda: seen), ShellReader()
+def test_the_shell_takes_requests_for_typing_and_is_left_by_quit():
+    line = Line()
     line.enter()
-    for command, expected in ((b"lec\r", seen), (b"les\r", seen), (b"lep\r", seen.position)):
-        reader.receive(line.send(command, 1.05))
-        found = list(iter(reader.next, None))
-        assert 9 <= len(found) <= 11
-        assert found == [expected] * len(found)
-        line.send(b"\r")  # an empty line is the last command once more
-        assert line.run(1.0) == b""
-
-
-def test_the_shells_own_commands():
-    line, reader = Line(), ShellReader()
-    line.enter()
-    reader.receive(line.send(b"si\r"))
-    found = []
-    while (one := reader.next()) is not None:
-        found.append(one)
-    assert all(isinstance(one, ShellInfo) for one in found)
-    entries = {name: value for one in found for name, value in one.entries.items()}
-    assert entries["addr"] == "xDECA9AABC0A2DE01"
-    assert entries["upd_rate_stat"] == "1"
-    assert b"aurs: ok" in line.send(b"aurs 1 5\r")
-    assert b"aurs: error" in line.send(b"aurs 0 5\r")
     assert b"unknown command" in line.send(LOC_GET.request * 3 + b"\r")
     line.send(shell.LEAVE)
-    assert line.ask(calls.UPD_RATE_GET) == UpdateRate(1, 5)
+    assert line.ask(calls.UPD_RATE_GET) == UpdateRate(1, 1)
 
 
 def test_in_shell_mode_there_is_no_binary_traffic():

@@ -9,10 +9,9 @@ import random
 import pytest
 from dwm_frames import LOCATION
 
-from services.dwm.core.module import calls, shell
+from services.dwm.core.module import calls
 from services.dwm.core.module.calls import Settings, UpdateRate
 from services.dwm.core.module.exchange import ModuleExchange
-from services.dwm.core.module.shell import ShellReader
 from services.dwm.core.module.tlv import (
     LOC_GET,
     OK,
@@ -40,13 +39,6 @@ ANSWERS = [
     (calls.NODE_ID_GET, OKAY + encode_part(calls.NODE_ID, bytes(range(8)))),
     (calls.STATUS_GET, OKAY + encode_part(calls.STATUS, b"\x03\x00")),
     (calls.RESET, OKAY),
-]
-SHELL_LOCATION = Location(Position(6.97, 5.17, -1.77, 53), LOCATION.ranges[:0])
-LINES = [
-    shell.les(LOCATION),
-    shell.lec(LOCATION),
-    shell.lep(LOCATION.position),
-    "[000541.880 INF] uwb0: panid=xFD5C addr=xDECA9AABC0A2591A",
 ]
 
 
@@ -107,26 +99,6 @@ def test_exchanges(count):
             trouble = exchange.expire()
             assert trouble.kind in ("silent", "garbled", "shell", "layout")
             assert trouble.reason
-
-
-@pytest.mark.parametrize("count", [runs(SHORT), runs(LONG)])
-def test_shell_lines(count):
-    generator = random.Random(3)
-    good = f"{shell.lep(SHELL_LOCATION.position)}\r\n".encode()
-    reader = ShellReader()
-    for _ in range(count):
-        line = LINES[generator.randrange(len(LINES))]
-        reader.receive(mutated(line.encode(), generator) + b"\r\n" + good)
-        last = None
-        while True:
-            try:
-                one = reader.next()
-            except FrameError:
-                continue
-            if one is None:
-                break
-            last = one
-        assert last == SHELL_LOCATION.position
 
 
 @pytest.mark.parametrize("count", [runs(SHORT), runs(LONG)])

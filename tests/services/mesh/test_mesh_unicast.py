@@ -497,7 +497,7 @@ def test_refresh_and_age() -> None:
     run(each, 0.1, 601.0)
     assert 10 <= len(published) <= 12
     assert aged == ["r1"]
-    assert each.incarnation("r1") == 0
+    assert each.advertised("r1") is None
 
 
 def test_wrong_requests_to_send_are_answered() -> None:

@@ -53,7 +53,7 @@ def test_no_command_outlives_the_last_key_by_more_than_the_first_press_holds(pre
             assert velocity is not None
             assert (velocity.speed != 0.0, velocity.turn_rate != 0.0) == tuple(map(bool, DIRECTIONS[key]))
         else:
-            assert not driver.moving
+            assert driver.deadline is None
         assert until <= max(pressed + FIRST_S, now + REPEAT_S)
     if driver.deadline is not None:
         assert driver.deadline <= now + FIRST_S

@@ -58,15 +58,6 @@ def body_model(board: str, body: Body, *, battery: float = 7.4) -> BodyModel:
     lever = (_BARE_MASS * _BARE_LEVER + payload * body.payload_height) / mass
     # Steiner: the two parts lie apart on the body's long axis.
     inertia = _BARE_INERTIA + _BARE_MASS * payload / mass * (body.payload_height - _BARE_LEVER) ** 2
-    return _assembled(mass, lever, inertia, body, battery)
-
-
-def bare_body_model(body: Body, *, battery: float = 7.4) -> BodyModel:
-    """The robot as sold, without Pi and UWB module: what published figures refer to."""
-    return _assembled(_BARE_MASS, _BARE_LEVER, _BARE_INERTIA, body, battery)
-
-
-def _assembled(mass: float, lever: float, inertia: float, body: Body, battery: float) -> BodyModel:
     gearing = body.gear_ratio / STOCK_GEAR_RATIO
     return BodyModel(
         mass=mass,

@@ -72,7 +72,6 @@ MOTOR_TOP = 400
 """Timer 1's top: a command of 400 is a duty of 1."""
 MOTOR_TIMEOUT_S = 0.2
 """The firmware stops the motors this long after the last motor write."""
-COUNTS_PER_MOTOR_TURN = 12
 STOPPED_BY_WATCHDOG = 0x01
 
 RESET_CAUSES = {

@@ -96,7 +96,7 @@ class Ekf:
             *[noise.start_bias] * len(anchors),
         )  # fmt: skip
         self.covariance = [[deviation**2 if i == j else 0.0 for j in range(size)] for i, deviation in enumerate(start)]
-        self._rejected = [0] * len(anchors)
+        self.rejected = [0] * len(anchors)
 
     def copy(self) -> "Ekf":
         """The same filter, to go its own way from here."""
@@ -104,13 +104,8 @@ class Ekf:
         twin._anchors, twin._height, twin._noise = self._anchors, self._height, self._noise
         twin.state = list(self.state)
         twin.covariance = [list(row) for row in self.covariance]
-        twin._rejected = list(self._rejected)
+        twin.rejected = list(self.rejected)
         return twin
-
-    @property
-    def rejected(self) -> Sequence[int]:
-        """Rejections in a row, by anchor."""
-        return self._rejected
 
     def predict(self, distance: float, turn: float, dt: float) -> None:
         """Move: `distance` rolled forward (m) and `turn` made (rad, counter-clockwise) in the last `dt` s."""
@@ -185,10 +180,10 @@ class Ekf:
         curved = 0.5 * across / distance
         variance = gain[X] * hx + gain[Y] * hy + gain[HEADING] * hh + gain[at] + self._noise.range**2 + curved * curved
         error = measured - distance - state[at]
-        if error * error > GATE * variance and self._rejected[anchor] < PATIENCE:
-            self._rejected[anchor] += 1
+        if error * error > GATE * variance and self.rejected[anchor] < PATIENCE:
+            self.rejected[anchor] += 1
             return Innovation(anchor, error, variance, False)
-        self._rejected[anchor] = 0
+        self.rejected[anchor] = 0
         share = error / variance
         for i, value in enumerate(gain):
             state[i] += value * share

@@ -337,11 +337,6 @@ class LinkStateMap:
         known = self._known.get(name)
         return known.advertisement if known is not None and name != self._me else None
 
-    def incarnation(self, name: str) -> int:
-        """The incarnation of a robot's LSA; 0 = none is known."""
-        known = self._known.get(name)
-        return known.incarnation if known is not None else 0
-
     def topology(self, name: str) -> int:
         """Which topology holds at a robot, as far as it is known."""
         if name == self._me:

@@ -20,7 +20,7 @@ from typing import NamedTuple
 from services.mesh.core.routing.physical_links import physical
 from services.mesh.core.wire.packets import TOPOLOGY, PacketReader, packed
 from swarm.config.types import GRAPH, MAX_RFCOMM_LINKS
-from swarm.core.graph import SHAPES, Edge, Graph
+from swarm.core.graph import Edge, Graph
 from swarm.errors import FrameError, LocalError
 
 MAX_TWINS = 16
@@ -198,11 +198,6 @@ def _check(graph: Graph) -> None:
     for name in graph.names:
         if graph.degree(name) > MAX_LINKS:
             raise LocalError(f"{name} would have {graph.degree(name)} links, a robot has at most {MAX_LINKS}")
-
-
-def shapes() -> str:
-    """What can be set, for messages."""
-    return ", ".join((*SHAPES, AUTO))
 
 
 # -- which links there are ------------------------------------------------------------------------------------

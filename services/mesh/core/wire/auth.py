@@ -16,9 +16,6 @@ from collections.abc import Collection
 
 from services.mesh.core.wire.frames import MAC_SIZE, TAG_SIZE, seal
 
-SECRET_SIZE = 32
-"""Bytes of a pre-shared key."""
-
 _KEY_SIZE = 32
 _SUITE = b"balboa-swarm mesh, HKDF-SHA256 HMAC-SHA256 BLAKE2b-64"
 _INFO = struct.Struct("<BI")
