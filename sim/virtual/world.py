@@ -10,6 +10,7 @@ from typing import NamedTuple
 from services.apps import loader
 from services.apps.equipment.equipment import equip
 from services.apps.equipment.measurements import Measurements, Replayed, source_of
+from services.apps.equipment.recorded_values import RecordedValues
 from services.apps.equipment.speaker import Sink, let_speak
 from services.apps.event_runner import EventRunner
 from services.apps.host import topology
@@ -138,6 +139,8 @@ class VirtualWorld:
         self._mesh = mesh
         self.records: dict[tuple[str, str], Callable[[str, float, Value], None]] = {}
         """By robot and app, what `robot.record` calls, where the run is recorded."""
+        self.watched = False
+        """Whether somebody looks at the run: then values that apps record go on the bus, too, as on a robot."""
         self.hearers: dict[tuple[str, str], list[Sink]] = {}
         """By robot and app, who gets what it prints and logs."""
         self._body = body
@@ -261,7 +264,8 @@ class VirtualWorld:
         # Tickets of requests: others in each run, and after each start.
         tickets = f"{run & 0xFFFFFFFFFFFF:012x}" + (f"-{there.starts}" if there.starts > 1 else "")
         overlays = equip(instance.robot, bus, logging.getLogger(robot), partial(getattr, there.time, "now"), tickets)
-        instance.robot.recording = self.records.get((robot, app.name))
+        keep = self.records.get((robot, app.name))
+        instance.robot.recording = RecordedValues(bus, robot, app.name, keep) if self.watched else keep
         let_speak(instance.robot, bus, None, *self.hearers.get((robot, app.name), ()))
         if metrics_of(type(instance)):
             instance.robot.truth = self.truth(robot, app.name)

@@ -70,6 +70,13 @@ def test_it_shows_what_a_simulation_in_real_time_shows() -> None:
         assert live.now() == pytest.approx(outcomes[0].seconds + outcomes[0].started_s + LAST_S, abs=0.1)
 
 
+def test_it_shows_what_apps_record_as_they_run() -> None:
+    with watched("formation", "--robots", "3", "--seconds", "3") as (live, _, _, thread):
+        thread.start()
+        thread.join()
+        assert newest(live, "r1", "app/formation/record/off")["values"]["value"] > 0  # type: ignore[index]
+
+
 def test_the_values_of_an_app_are_those_of_an_unwatched_run() -> None:
     words = ("consensus", "--robots", "3", "--iterations", "40")
     options = arguments.parse([*words, "--virtual"])

@@ -19,7 +19,7 @@ from swarm.messages.keys import parse
 TOPICS = (
     "sim/truth", "sim/target", "sim/leds", "balancer/state", "balancer/fault", "mesh/links", "mesh/clock",
     "mesh/stopped", "mesh/topology", "app/*/state", "app/*/progress", "app/*/*/state", "app/*/*/progress",
-    "app/*/parameters", "app/*/out/*",
+    "app/*/parameters", "app/*/out/*", "app/*/record/*",
 )  # fmt: skip
 """Of a robot, below its name. The filters of `dwm` cost more than all else, and the true pose is there."""
 
@@ -66,6 +66,7 @@ class VirtualFeed:
         self._told_at = self._measured_at = -math.inf
         self._anchor = self._measured = (0.0, 0.0)
         """A virtual and a real time that belong together."""
+        world.watched = True
         for name, robot in world.robots.items():
             self._join(name, VirtualBus(robot.router), crowd=len(config.names) >= CROWD)
         self._begin_again()
