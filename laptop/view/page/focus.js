@@ -75,7 +75,9 @@ export class Focus {
     const rest = numbers("result").sort(([a], [b]) => PLACE.test(a) - PLACE.test(b));
     for (const [name] of rest) if (!labels.has(name)) add(plain(`${app}/state`, ["result", name]), name, this.unit(name));
     for (const [name] of numbers("state")) if (!(name in result)) add(plain(`${app}/state`, ["state", name]), name, this.unit(name));
-    return [...found.values()];
+    // What an event app records are its marks; what it comes to is its result.
+    const all = [...found.values()], marks = ({ sources: [{ topic }] }) => kept && topic.startsWith(`${parent}/record/`);
+    return [...all.filter((each) => !marks(each)), ...all.filter(marks)];
   }
 
   // Of a value that an app names as its target does: metres of a distance. Others have none that is known.

@@ -1,5 +1,7 @@
 // Numbers as people read them.
 
+export const SIGMAS = 2.45; // deviations that hold 95 % in a plane; twice the deviation holds 86 %
+
 export const short = (value) => (typeof value !== "number" || !Number.isFinite(value) ? "-" : Math.abs(value) >= 1e5 || (value !== 0 && Math.abs(value) < 1e-3) ? value.toExponential(1) : String(+value.toPrecision(3)));
 
 // Metres below one are read as centimetres.

@@ -35,6 +35,9 @@ export const apart = (name, topic, path, reference) => ({
   },
 });
 
+// Whether zero is what is wanted: then the largest counts, of all else how far robots are apart.
+export const isDistance = ({ positive, unit }) => Boolean(positive) || unit === "m";
+
 export class Series {
   constructor(store, ask) {
     this.store = store;

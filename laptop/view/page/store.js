@@ -168,6 +168,17 @@ export class Store {
     return { x: mix("x"), y: mix("y"), heading, tilt: mix("tilt") };
   }
 
+  // Whether nothing of a robot is there.
+  gone(name) {
+    const services = Object.values(this.services[name] ?? {});
+    return (services.length > 0 && services.every((there) => !there)) || this.get(name, "view/reach")?.by === null;
+  }
+
+  // Whether its balancer has given up.
+  failed(name) {
+    return this.get(name, "balancer/state")?.mode === "fault";
+  }
+
   // State of a link as both ends see it: the worse of the two.
   link(a, b) {
     const name = `${a} ${b}`;

@@ -114,9 +114,9 @@ export class Lanes {
         return;
       }
       c.fillText(rate ? `${rate.toFixed(1)}/s` : "-", width - 56, y);
-      const lateness = period && rate ? 1000 * (1 / rate - period) : null;
+      const lateness = period && rate ? Math.round(1000 * (1 / rate - period)) : null;
       c.fillStyle = theme.colour(late.has(name) ? "--warn" : "--muted");
-      if (lateness !== null) c.fillText(`${lateness >= 0 ? "+" : "−"}${Math.abs(lateness).toFixed(0)} ms`, width - 12, y);
+      if (lateness !== null) c.fillText(`${lateness > 0 ? "+" : lateness < 0 ? "−" : ""}${Math.abs(lateness)} ms`, width - 12, y);
     });
     c.textAlign = "center";
     c.font = `11px ${FONT}`;

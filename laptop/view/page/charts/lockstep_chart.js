@@ -111,8 +111,7 @@ export class LockstepChart {
   }
 
   why(name, peer) {
-    const services = Object.values(this.store.services[peer] ?? {});
-    if (services.length && services.every((there) => !there)) return " (gone)";
+    if (this.store.gone(peer)) return " (gone)";
     const state = this.store.link(name, peer)?.state ?? "up";
     return state === "up" ? "" : ` (link ${state})`;
   }

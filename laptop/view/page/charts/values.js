@@ -1,11 +1,12 @@
 // Panels with charts of series: the app's own values, and how wrong robots are about their place.
 
-import { median, scaled, short, write } from "../numbers.js";
-import { held, plain } from "../series.js";
-import { sizeOf } from "../theme.js";
+import { median, scaled, short, SIGMAS, write } from "../numbers.js";
+import { held, isDistance, plain } from "../series.js";
+import { sizeOf, theme } from "../theme.js";
 import { Plot } from "./plot.js";
 
 const REDRAW_MS = 400;
+const STEPS = 120; // of the line of what robots claim
 const SIX = 6; // lines of a run beside that are drawn each; of more their median
 
 // One chart with its title, its figures and its switches.
@@ -34,7 +35,8 @@ export class Chart {
   }
 
   // `value`: a series with its label; null where there is none, `why` says so.
-  draw(value, selected, why, hero) {
+  // `claims`: lines that stand beside the robots'.
+  draw(value, selected, why, hero, claims = () => []) {
     for (const button of this.panel.querySelectorAll("[data-log]")) press(button, (button.dataset.log === "log") === this.log);
     for (const button of this.panel.querySelectorAll("[data-over]")) press(button, button.dataset.over === this.over);
     const entry = value && this.series.want(value), robots = entry ? this.series.robots(entry) : [];
@@ -50,19 +52,26 @@ export class Chart {
     const counts = robots.every((name) => typeof this.series.points(entry, name).at(-1)[2] === "number");
     for (const button of this.panel.querySelectorAll("[data-over]")) button.disabled = !counts;
     const recording = this.store.swarm?.recording, at = recording || this.store.looking ? this.store.t : null;
-    const off = this.log && !value.positive && value.unit !== "m"; // what is no distance is drawn as one
+    const off = this.log && !isDistance(value); // what is no distance is drawn as one
     const newest = new Map(robots.map((name) => [name, (at === null ? this.series.points(entry, name).at(-1) : held(this.series.points(entry, name), at))?.[1]]).filter(([, each]) => each !== undefined));
     const said = hero(newest), scale = scaled(value.unit ?? "", Math.max(...[...newest.values()].map(Math.abs), 0));
     write(this.hero, said.value === null ? "-" : short(said.value * scale.factor));
     write(this.note, ` ${scale.unit} ${said.text(scale)}`);
-    write(this.unit, `${scale.unit ? `${scale.unit}, ` : ""}${off ? "distance from the mean, " : ""}${counts && this.over === "k" ? "over iterations" : "over time"}`);
+    write(this.unit, `${scale.unit ? `${scale.unit}${value.truth ? " against truth" : ""}, ` : ""}${off ? "distance from the mean, " : ""}${counts && this.over === "k" ? "over iterations" : "over time"}`);
     if (!this.table.hidden) this.rows(entry, robots, newest, scale);
     const over = counts ? this.over : "t", shape = `${entry.version} ${value.held || recording ? this.store.zoom : ""} ${at} ${this.log} ${over} ${selected} ${sizeOf(this.body)}`;
     if (!this.seen || (shape === this.drawn && this.version === document.documentElement.dataset.theme)) return;
     [this.drawn, this.version] = [shape, document.documentElement.dataset.theme];
     const shift = over === "k" && at !== null ? held(this.series.points(entry, robots[0]), at)?.[2] ?? null : at;
-    const lines = this.lines(entry, robots, counts && this.over === "k" ? 2 : 0, value, off);
-    this.plot.draw({ lines, scale, log: this.log, over, at: shift, selected, from: over === "t" ? this.store.zoom : null, stepped: value.held });
+    const lines = [...this.lines(entry, robots, counts && this.over === "k" ? 2 : 0, value, off), ...claims()];
+    const from = over === "t" ? this.store.zoom : recording ? this.counted(entry, robots, this.store.zoom) : null;
+    this.plot.draw({ lines, scale, log: this.log, over, at: shift, selected, from, stepped: value.held });
+  }
+
+  // The iterations that robots did between two times.
+  counted(entry, robots, [from, to]) {
+    const ks = robots.map((name) => this.series.points(entry, name)).flatMap((points) => [held(points, from) ?? points[0], held(points, to) ?? points[0]]).map(([, , k]) => k);
+    return [Math.min(...ks), Math.max(...ks, Math.min(...ks) + 1)];
   }
 
   // On a logarithmic axis what ends on zero: distances as they are, all else as the distance from the mean of all.
@@ -177,7 +186,7 @@ export class Values {
     this.chart.draw(shown, selected, why, (newest) => {
       const [name, value] = worst(newest), values = [...newest.values()];
       const spread = Math.max(...values) - Math.min(...values);
-      if (shown.positive || shown.unit === "m") return { value, text: ({ factor }) => `worst, ${name} · median ${short(median(values) * factor)}` };
+      if (isDistance(shown)) return { value, text: ({ factor }) => `worst, ${name} · median ${short(median(values) * factor)}` };
       return { value: spread, text: ({ factor }) => `spread · mean ${short((values.reduce((sum, each) => sum + each, 0) / values.length) * factor)}` };
     });
   }
@@ -186,7 +195,7 @@ export class Values {
 export class PlaceErrors {
   constructor(panel, store, series, focus) {
     this.chart = new Chart(panel, store, series);
-    this.focus = focus;
+    [this.focus, this.series] = [focus, series];
     this.drawn = -Infinity;
   }
 
@@ -197,7 +206,22 @@ export class PlaceErrors {
     const why = this.focus.store.swarm?.kind === "virtual" ? "No estimates: virtual time is watched without the robots' filters" : "No estimates of places: no dwm service tells one";
     this.chart.draw(value, selected, why, (newest) => {
       const [name, most] = worst(newest);
-      return { value: median([...newest.values()]), text: ({ factor }) => `median · worst ${short(most * factor)}, ${name}${value.truth ? " · against truth" : " · as they claim: no truth"}` };
-    });
+      return { value: median([...newest.values()]), text: ({ factor }) => `median · worst ${short(most * factor)}, ${name}${value.truth ? " · dashed: their own 95 %" : " · as they claim: no truth"}` };
+    }, () => (value.truth ? this.claims() : []));
+  }
+
+  // What robots say themselves that their errors are within, the middle one of them.
+  claims() {
+    const series = this.series, entry = series.want(plain("dwm/pose", ["deviation_x"])), all = series.robots(entry).map((name) => series.points(entry, name));
+    if (!all.length) return [];
+    const first = Math.min(...all.map((points) => points[0][0])), last = Math.max(...all.map((points) => points.at(-1)[0])), points = [];
+    for (let step = 0; step <= STEPS; step += 1) {
+      const t = first + ((last - first) * step) / STEPS, known = all.map((each) => held(each, t)?.[1]).filter((each) => each !== undefined);
+      points.push([t, SIGMAS * median(known)]);
+    }
+    // What they said before they knew their places would make all else small.
+    const errors = series.want(this.focus.error()), most = Math.max(...series.robots(errors).flatMap((name) => series.points(errors, name).map(([, y]) => y)));
+    const highest = Math.max(most, 1.2 * median(points.map(([, y]) => y)));
+    return [{ name: "95 %", colour: theme.colour("--edge"), points: points.filter(([, y]) => y <= highest), dash: true }];
   }
 }

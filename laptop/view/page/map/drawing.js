@@ -1,5 +1,6 @@
 // How things on the map look: links, robots, ellipses. A pen has the canvas, the pixels of a metre and the theme.
 
+import { SIGMAS } from "../numbers.js";
 import { FONT, theme } from "../theme.js";
 
 const BODY = 0.055; // half a Balboa's width, m
@@ -7,7 +8,6 @@ const HEIGHT = 0.1; // of its upper end above the axle, m
 const HEAD = 38; // px of the panel's title, where no number of the grid stands
 const RIM = 1.75; // times half a robot's width
 const LEDS = { red: "#ff3b30", yellow: "#ffcc00", green: "#34c759" };
-const SIGMAS = 2.45; // of 95 % in a plane; twice the deviation holds 86 %
 const STATES = { up: "--link", slow: "--warnmark", suspect: "--warn", connecting: "--warn", down: "--bad" };
 
 const widths = new Map();
@@ -103,6 +103,19 @@ export class Pen {
     if (far < 2 * rim + 2 * this.ratio) return null;
     const [x, y] = [((bx - ax) * rim) / far, ((by - ay) * rim) / far];
     return [[ax + x, ay + y], [bx - x, by - y]];
+  }
+
+  // Within rims there is only what is below links: none of another pair goes through a robot.
+  free(places, below) {
+    const { c } = this, rim = rimSize(this.scale, this.ratio);
+    c.fillStyle = below;
+    c.beginPath();
+    for (const { x, y } of places) {
+      const [px, py] = this.at(x, y);
+      c.moveTo(px + rim, py);
+      c.arc(px, py, rim, 0, 7);
+    }
+    c.fill();
   }
 
   // Grey where all is well, coloured by state and quality where not, thicker with traffic; broken and crossed where nothing

@@ -1,5 +1,6 @@
 // Where names stand on the map: around each robot there are eight places; of those the one that costs least, by what it would
-// cover: other names, robots, links, the map's edges. A name moves only when another place has been better for a while.
+// cover: other names, robots, links, the map's edges. A name moves when another place has been better for a while, and at once where
+// it would cover another name.
 
 const STAY_MS = 500;
 const JUMP = 4; // times a robot's rim: what has gone so far since the last look is not the same picture
@@ -32,7 +33,8 @@ export class Labels {
     for (const item of items) {
       const costs = PLACES.map((place, index) => this.cost(box(item, place), item, items, links, put, width, height) + 0.01 * index);
       const best = costs.indexOf(Math.min(...costs)), known = this.chosen.get(item.name);
-      if (!known || Math.hypot(item.x - known.x, item.y - known.y) > JUMP * item.r) this.chosen.set(item.name, { place: best, other: null, since: now });
+      const covers = known && costs[known.place] >= COST.name && costs[best] < COST.name; // it cannot be read until it moves
+      if (!known || covers || Math.hypot(item.x - known.x, item.y - known.y) > JUMP * item.r) this.chosen.set(item.name, { place: best, other: null, since: now });
       else if (best === known.place || costs[best] > BETTER * costs[known.place]) known.other = null;
       else if (known.other === null || now < known.since) [known.other, known.since] = [best, now];
       else if (now >= known.since + STAY_MS) [known.place, known.other] = [best, null];

@@ -202,7 +202,7 @@ export class SwarmMap {
     for (const [x, y] of Object.values(store.besidePlaces ?? {})) marks.push(x, y);
     for (const name of store.names) {
       const { red, yellow, green } = this.leds(name);
-      marks.push(red, yellow, green, this.gone(name), this.failed(name), this.waiting.has(name), this.worth(name));
+      marks.push(red, yellow, green, store.gone(name), store.failed(name), this.waiting.has(name), this.worth(name));
     }
     for (const [a, b] of store.edges) {
       const link = store.link(a, b);
@@ -222,7 +222,10 @@ export class SwarmMap {
     }
     this.context.drawImage(this.below, 0, 0);
     if (crowd) pen.crowd(links);
-    else for (const link of links) if (link.ends) pen.link(link.ends, link);
+    else {
+      for (const link of links) if (link.ends) pen.link(link.ends, link);
+      pen.free(places.values(), (this.belowPattern ??= this.context.createPattern(this.below, "no-repeat")));
+    }
     for (const { ends, edges } of links) {
       edges.forEach((edge, index) => {
         const flash = store.flashes.get(edge), share = flash ? (now - flash.at) / FLASH_MS : 2;
@@ -246,15 +249,15 @@ export class SwarmMap {
       if (from) pen.goal(pen.at(wish.x, wish.y), pen.at(from.x, from.y), { next: true, ink: true });
     }
     for (const [name, { x, y, heading, tilt }] of places) {
-      pen.robot({ at: pen.at(x, y), heading, tilt: tilt ?? 0, colour: store.colour(name), leds: this.leds(name), gone: this.gone(name), fault: this.failed(name), waits: this.waiting.has(name), selected: name === this.selected });
+      pen.robot({ at: pen.at(x, y), heading, tilt: tilt ?? 0, colour: store.colour(name), leds: this.leds(name), gone: store.gone(name), fault: store.failed(name), waits: this.waiting.has(name), selected: name === this.selected });
     }
     this.name(pen, places, links, named, now);
   }
 
   // Names: the selected one first, then who is in trouble, then in order; of a crowd where there is room.
   name(pen, places, links, named, now) {
-    const { width, height } = this.canvas, ratio = this.ratio, rim = rimSize(pen.scale, ratio);
-    const rank = (name) => (name === this.selected ? 0 : this.failed(name) || this.waiting.has(name) ? 1 : 2);
+    const { width, height } = this.canvas, store = this.store, ratio = this.ratio, rim = rimSize(pen.scale, ratio);
+    const rank = (name) => (name === this.selected ? 0 : store.failed(name) || this.waiting.has(name) ? 1 : 2);
     const items = [...places].filter(([name]) => named || rank(name) === 0).map(([name, { x, y }]) => {
       const value = this.worth(name), [px, py] = pen.at(x, y);
       return { name, value, x: px, y: py, r: rim, width: pen.wide(name, pen.bold) + (value ? 4 * ratio + pen.wide(value, pen.plain) : 0), height: 13 * ratio };
@@ -265,7 +268,7 @@ export class SwarmMap {
       items.push({ name: `at ${name}`, text: name, x: px, y: py, r: 9 * ratio, width: pen.wide(name, pen.plain), height: 12 * ratio });
     }
     this.boxes = this.labels.place(items, links.flatMap(({ ends }) => (ends ? [ends] : [])), width, height, now);
-    for (const { name, value, text } of items) pen.label(this.boxes.get(name), text ? "" : name, text ?? value, { faint: !text && this.gone(name) });
+    for (const { name, value, text } of items) pen.label(this.boxes.get(name), text ? "" : name, text ?? value, { faint: !text && store.gone(name) });
   }
 
   leds(name) {
@@ -276,17 +279,6 @@ export class SwarmMap {
   known(name) {
     const pose = this.store.get(name, "dwm/pose");
     return typeof pose?.deviation_x === "number" && Math.abs(pose.x) < FAR && Math.abs(pose.y) < FAR ? pose : null;
-  }
-
-  // Whether its balancer has given up.
-  failed(name) {
-    return this.store.get(name, "balancer/state")?.mode === "fault";
-  }
-
-  // Whether nothing of a robot is there.
-  gone(name) {
-    const services = Object.values(this.store.services[name] ?? {});
-    return (services.length > 0 && services.every((there) => !there)) || this.store.get(name, "view/reach")?.by === null;
   }
 
   // How far robots are apart, in pixels, were they spread evenly.
@@ -301,6 +293,7 @@ export class SwarmMap {
     const marks = [view.x, view.y, view.scale, width, height, theme.version, store.swarm, store.trailed, target?.x, target?.y, this.layers.trails];
     if (same(marks, this.belowMarks)) return this.belows;
     this.belowMarks = marks;
+    this.belowPattern = null;
     this.belows = (this.belows ?? 0) + 1;
     if (this.below.width !== width || this.below.height !== height) [this.below.width, this.below.height] = [width, height];
     const c = (this.belowContext ??= this.below.getContext("2d", { alpha: false })), pen = new Pen(c, ratio, view, width, height);

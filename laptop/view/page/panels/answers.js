@@ -1,8 +1,8 @@
 // The five questions, answered in words: is everyone alive, does it converge, who holds us up, how wrong are places, what
 // happened. An answer is a button to the panel that explains it.
 
-import { ago, median, scaled, short, write } from "../numbers.js";
-import { held } from "../series.js";
+import { ago, median, scaled, short, SIGMAS, write } from "../numbers.js";
+import { held, isDistance } from "../series.js";
 
 const BACK_S = 8; // what converging is judged by
 const SAMPLES = 24;
@@ -10,7 +10,6 @@ const JUDGE_MS = 400; // what is made of many numbers
 const STILL = 0.02; // 1/s: slower than that it stands
 const SETTLED = 0.01; // of the largest spread
 const LOW_S = 45 * 60;
-const SIGMAS = 2.45; // of 95 % in a plane
 
 export class Answers {
   constructor(section, { store, series, focus, values, lockstepChart, lanes }) {
@@ -48,7 +47,7 @@ export class Answers {
 
   alive() {
     const store = this.store, names = store.names;
-    const dead = names.filter((name) => gone(store, name)), failed = names.filter((name) => store.get(name, "balancer/state")?.mode === "fault");
+    const dead = names.filter((name) => store.gone(name)), failed = names.filter((name) => store.failed(name));
     const silent = names.filter((name) => !store.robots.has(name) && !dead.includes(name));
     const left = names.map((name) => [store.get(name, "balancer/state")?.battery_left, name]).filter(([each]) => typeof each === "number").sort(([a], [b]) => a - b)[0];
     const stopped = names.filter((name) => store.get(name, "mesh/stopped")?.stopped);
@@ -67,7 +66,7 @@ export class Answers {
     if (!robots.length) return { value: "No values yet", note: value.label };
     const t = store.swarm?.recording || store.looking ? store.t : Math.max(...robots.map((name) => this.series.points(entry, name).at(-1)[0]));
     const points = robots.map((name) => this.series.points(entry, name));
-    const positive = value.positive || value.unit === "m";
+    const positive = isDistance(value);
     const spread = (at) => {
       const ys = points.map((each) => held(each, at)?.[1]).filter((each) => each !== undefined);
       return ys.length ? Math.max(...ys) - (positive ? 0 : Math.min(...ys)) : NaN;
@@ -134,11 +133,6 @@ export class Answers {
     const trouble = [errors ? `${errors} error${errors > 1 ? "s" : ""}` : "", warnings ? `${warnings} warning${warnings > 1 ? "s" : ""}` : ""].filter(Boolean).join(", ");
     return { value: `${last.robot} ${last.text}`, note: [`${ago(Math.max(0, this.store.t - last.t))} ago`, trouble].filter(Boolean).join(" · "), kind: last.level === "error" ? "bad" : last.level === "warning" ? "warn" : "" };
   }
-}
-
-export function gone(store, name) {
-  const services = Object.values(store.services[name] ?? {});
-  return (services.length > 0 && services.every((there) => !there)) || store.get(name, "view/reach")?.by === null;
 }
 
 const some = (names) => (names.length > 4 ? `${names.slice(0, 4).join(" ")} and ${names.length - 4} more` : names.join(" "));

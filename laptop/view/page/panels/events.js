@@ -18,7 +18,7 @@ export class Events {
   draw(events) {
     for (const event of events.filter((each) => each.number > this.last)) {
       const line = document.createElement("li"), time = document.createElement("time"), mark = document.createElement("i"), what = document.createElement("span"), who = document.createElement("b");
-      time.textContent = event.t.toFixed(1);
+      time.textContent = Math.max(0, event.t).toFixed(1);
       line.className = { warning: "warn", error: "bad" }[event.level] ?? "";
       mark.textContent = { warning: "▲", error: "◆" }[event.level] ?? "·";
       mark.ariaLabel = event.level;

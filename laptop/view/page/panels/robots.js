@@ -2,7 +2,6 @@
 
 import { scaled, short } from "../numbers.js";
 import { held } from "../series.js";
-import { gone } from "./answers.js";
 
 const SPARK_MS = 400;
 const LOW_S = 45 * 60;
@@ -84,7 +83,7 @@ export class Robots {
     }
     if (own && now > this.sparked + SPARK_MS && names.length <= 30) {
       this.sparked = now;
-      for (const [name, row] of this.rows) this.spark(row, this.series.points(own, name), this.store.colour(name), at);
+      for (const [name, row] of this.rows) this.spark(row, this.series.points(own, name), this.store.colour(name), at, value.held);
     }
   }
 
@@ -121,16 +120,18 @@ export class Robots {
 
   // Its own value over the last time, without numbers. A path of the page: each canvas would cost something in every frame
   // in which the map moves.
-  spark(row, points, colour, at) {
+  spark(row, points, colour, at, stepped) {
     const shown = points.filter(([t]) => t <= at);
-    if (shown.length < 2) return;
-    const ys = shown.map(([, y]) => y), low = Math.min(...ys), high = Math.max(...ys), [first, last] = [points[0][0], points.at(-1)[0]];
+    if (!shown.length || (shown.length < 2 && !stepped)) return;
+    const ys = shown.map(([, y]) => y), low = Math.min(...ys), high = Math.max(...ys), end = this.store.zoom[1];
+    const [first, last] = [points[0][0], stepped ? Math.max(points.at(-1)[0], end) : points.at(-1)[0]];
     const step = Math.max(1, Math.floor(shown.length / 80)), places = [];
+    const x = (t) => (((t - first) / (last - first || 1)) * WIDE).toFixed(1);
     for (let index = 0; index < shown.length; index += step) {
-      const [t, y] = shown[index];
-      places.push(`${(((t - first) / (last - first || 1)) * WIDE).toFixed(1)} ${(HIGH - 1 - ((y - low) / (high - low || 1)) * (HIGH - 2)).toFixed(1)}`);
+      const [t, y] = shown[index], up = (HIGH - 1 - ((y - low) / (high - low || 1)) * (HIGH - 2)).toFixed(1);
+      places.push(stepped && index ? `H${x(t)}V${up}` : `${x(t)} ${up}`);
     }
-    const line = `M${places.join("L")}`;
+    const line = stepped ? `M${places.join("")}H${x(Math.min(at, last))}` : `M${places.join("L")}`;
     if (line === row.line && colour === row.colour) return;
     [row.line, row.colour] = [line, colour];
     row.path.setAttribute("d", line);
@@ -161,7 +162,7 @@ export class Robots {
     const services = this.store.services[name] ?? {}, names = Object.keys(services).sort(), reach = this.store.get(name, "view/reach");
     if (reach && !reach.by) return [`out of reach: ${reach.why}`, "bad text"];
     const away = names.filter((each) => !services[each]);
-    if (gone(this.store, name)) return ["gone", "bad"];
+    if (this.store.gone(name)) return ["gone", "bad"];
     if (away.length) return [`gone: ${away.join(" ")}`, "bad"];
     const degraded = names.filter((each) => this.store.get(name, `${each}/status`)?.state === "degraded");
     if (degraded.length) return [`degraded: ${degraded.join(" ")}`, "warn"];

@@ -1,7 +1,7 @@
 // The strip of time below everything: what happened when, the worst value as a hill, and where one is in it.
 
 import { clock, write } from "../numbers.js";
-import { held } from "../series.js";
+import { held, isDistance } from "../series.js";
 import { FONT, sharp, sizeOf, theme } from "../theme.js";
 
 const WINDOW = 120; // s of a running swarm
@@ -112,7 +112,7 @@ export class Strip {
     const value = this.values.first, entry = value && this.series.want(value), robots = entry ? this.series.robots(entry) : [];
     if (!robots.length || robots.length > 60) return null;
     const all = robots.map((name) => this.series.points(entry, name)), points = [];
-    const positive = value.positive || value.unit === "m";
+    const positive = isDistance(value);
     for (let step = 0; step <= STEPS; step += 1) {
       const t = first + ((last - first) * step) / STEPS, ys = all.map((each) => held(each, t)?.[1]).filter((each) => each !== undefined);
       if (ys.length) points.push([t, Math.max(...ys) - (positive ? 0 : Math.min(...ys))]);

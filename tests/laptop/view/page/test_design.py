@@ -129,15 +129,14 @@ def test_names_of_robots_20_cm_apart_do_not_meet_and_links_end_at_rims(waiting: 
         f"r{n}": {"sim/truth": {"t": 8.0, "x": 0.2 * (n % 3), "y": 0.2 * (n // 3), "heading": 0.0, "tilt": 0.0}}
         for n in range(6)
     }
-    links = {"mesh/links": {"t": 8.0, "links": [{"peer": "r1", "state": "down"}, {"peer": "r4", "state": "down"}]}}
+    links = {"mesh/links": {"t": 8.0, "links": [{"peer": f"r{n}", "state": "down"} for n in range(6)]}}
     for robot in robots.values():
         robot.update(links)
     waiting.evaluate(
-        "(robots) => {const was = swarmView.store.swarm; swarmView.store.clear(); swarmView.store.become({...was,"
-        " robots: Object.keys(robots), kind: 'simulation',"
-        " edges: [['r0', 'r1'], ['r1', 'r2'], ['r0', 'r4'], ['r3', 'r4'], ['r4', 'r5'], ['r1', 'r5']]});"
+        "([robots, edges]) => {const was = swarmView.store.swarm; swarmView.store.clear();"
+        " swarmView.store.become({...was, robots: Object.keys(robots), kind: 'simulation', edges});"
         " swarmView.store.take({t: 8, live: true, robots}, performance.now() - 1000); swarmView.map.box = null}",
-        robots,
+        [robots, list(itertools.combinations(robots, 2))],
     )
     waiting.evaluate("swarmView.map.draw(performance.now())")
     boxes = waiting.evaluate("[...swarmView.map.boxes].filter(([name]) => name.length === 2).map(([, box]) => box)")
@@ -145,6 +144,19 @@ def test_names_of_robots_20_cm_apart_do_not_meet_and_links_end_at_rims(waiting: 
     for a, b in itertools.combinations(boxes, 2):
         assert a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] or b[3] <= a[1]
     assert waiting.evaluate(LINKS_IN_RIMS) == 0
+
+
+@pytest.mark.slow
+def test_a_name_that_would_cover_another_one_moves_at_once(waiting: Any) -> None:
+    overlaps = waiting.evaluate("""async () => {
+      const { Labels } = await import("/page/map/labels.js"), labels = new Labels();
+      const item = (name, x, y) => ({ name, x, y, r: 10, width: 60, height: 13 });
+      return [140, 130, 120, 110].map((y, look) => {
+        const [a, b] = labels.place([item("a", 100, 100), item("b", 130, y)], [], 800, 400, 1e3 + 250 * look).values();
+        return a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
+      });
+    }""")
+    assert overlaps == [False] * 4
 
 
 @pytest.mark.slow
@@ -223,6 +235,9 @@ def test_a_bracket_of_the_strip_zooms_the_charts_by_hand_and_by_keys(waiting: An
     end.press("ArrowLeft")
     assert waiting.evaluate("swarmView.bracket.range") == pytest.approx([half, last - 0.01 * (last - first)])
     assert waiting.evaluate("swarmView.store.t") == 8
+    waiting.locator("#values [data-over=k]").click()
+    until(waiting, f"({least}) > 40")  # iterations of the second half
+    waiting.locator("#values [data-over=t]").click()
     begin.dblclick()
     assert waiting.evaluate("swarmView.bracket.range") == [first, last]
 
