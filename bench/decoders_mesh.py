@@ -7,8 +7,7 @@ from collections.abc import Callable, Sequence
 from bench.decoders_run import Target
 from services.mesh.core.bulk import pieces
 from services.mesh.core.bulk.pieces import MessageId, Packet
-from services.mesh.core.events import Received
-from services.mesh.core.link import neighbour
+from services.mesh.core.link import Received, neighbour
 from services.mesh.core.link.calls import Local
 from services.mesh.core.link.clock import ClockClaim, encode_claim
 from services.mesh.core.link.flow import Fragment, Reassembly, decode_fragment, encode_ack, encode_fragment

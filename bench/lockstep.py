@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from bench import lockstep_model, talking_sim
 from bench.rows import Row, number
 from bench.simulation import SWARM_SIM, Simulation, simulate
-from services.mesh.core.radio_model import AirModel
+from services.mesh.links.radio_model import AirModel
 from swarm.bus.zenoh_bus import Bus
 from swarm.core.graph import Graph
 from swarm.recording import trajectory

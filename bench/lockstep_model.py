@@ -1,7 +1,7 @@
 """Lockstep as a discrete-event model: robots that compute in no time, over links that only take theirs.
 
 The limit of what lockstep can do on links with jitter and cuts: a robot is at k + 1 when the last of its neighbours'
-x(k) is there. The links are the simulator's own (`services.mesh.core.radio_model`): same distribution, same order. A
+x(k) is there. The links are the simulator's own (`services.mesh.links.radio_model`): same distribution, same order. A
 cut holds what arrives during it until it ends, as the simulated radio does. Pure: seeded, no clock, no IO.
 """
 
@@ -10,8 +10,8 @@ import random
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from services.mesh.core.radio_model import AirModel, DelayLine
 from services.mesh.core.routing.topology import Weight, routes
+from services.mesh.links.radio_model import AirModel, DelayLine
 from swarm.core.graph import Graph
 
 Way = tuple[str, str]

@@ -16,7 +16,7 @@ from bench.lockstep import JITTER_GOAL, JITTER_S, LATENCY_S, NAMES, TOPOLOGIES
 from bench.lockstep_model import Outage
 from bench.rows import Row
 from bench.simulation import SWARM_SIM, Simulation
-from services.mesh.core.radio_model import AirModel
+from services.mesh.links.radio_model import AirModel
 from sim.virtual.run import simulate as virtual
 from swarm.core.graph import Graph
 from swarm.core.lockstep.links import SILENT_AFTER, SILENT_AFTER_RTTS

@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any, NamedTuple, TypeVar
 
 from services.mesh.core.actions import Close, Dial, LinksChanged, LogLine, Supervise, Write
-from services.mesh.core.events import Received
+from services.mesh.core.link import Received
 from services.mesh.core.link.calls import UNKNOWN, Caller, Local, can_link, dials
 from services.mesh.core.link.clock import ClockState
 from services.mesh.core.link.session import Session

@@ -5,7 +5,7 @@ from typing import Any
 
 from services.apps import loader
 from services.apps.host.event_host import EventHost
-from services.mesh.core.radio_model import AirModel
+from services.mesh.links.radio_model import AirModel
 from sim.core import actions
 from sim.scenario.options import PRESS_S, SETTLED
 from sim.virtual.world import Launch, MakeRunner, VirtualWorld

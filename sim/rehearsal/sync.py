@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from services.apps import loader
 from services.apps.equipment.equipment import equip
 from services.apps.runner import Runner
-from services.mesh.core.radio_model import AirModel
+from services.mesh.links.radio_model import AirModel
 from sim.rehearsal.clock import CommonClock
 from sim.rehearsal.messages import RehearsalOverlays
 from sim.rehearsal.scene import measurement

@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable
 from typing import NamedTuple
 
-from services.mesh.core.radio_model import MAX_LOSS
+from services.mesh.links.radio_model import MAX_LOSS
 from sim.slots.parameters import Parameters
 from swarm.app import settings
 from swarm.app.settings import Setting

@@ -15,7 +15,7 @@ from services.apps import loader
 from services.apps.equipment.speaker import prints_heard
 from services.apps.host.event_host import EventHost
 from services.apps.host.observer import Observer, Source, StepRecord
-from services.mesh.core.radio_model import AirModel
+from services.mesh.links.radio_model import AirModel
 from sim import scene
 from sim.core import actions
 from sim.core.scene_record import SceneRecord

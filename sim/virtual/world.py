@@ -20,9 +20,9 @@ from services.apps.host.observer import Observer
 from services.apps.host.topology import RunPlace
 from services.apps.runner import Runner, metrics_of
 from services.dwm.replay import row_of
-from services.mesh.core.radio_model import AirModel
 from services.mesh.core.routing.link_state import AdvertisedLinks
 from services.mesh.core.routing.topology import Advertisement
+from services.mesh.links.radio_model import AirModel
 from sim.core.actions import SimulationAction
 from sim.core.scene_record import SceneRecord
 from sim.scenario.options import DELAY, FROM_START, SETTLED

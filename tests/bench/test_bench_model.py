@@ -4,7 +4,7 @@ import pytest
 
 from bench import lockstep_model
 from bench.lockstep_model import Outage
-from services.mesh.core.radio_model import AirModel
+from services.mesh.links.radio_model import AirModel
 from swarm.core.graph import Graph
 
 NAMES = tuple(f"r{index}" for index in range(6))

@@ -15,7 +15,7 @@ MOST_FILES = 18
 MOST_FUNCTIONS = 49
 """Of `swarm` and `services`: what stands for Zenoh, radio and threads under virtual time is not on the way of a
 robot's value."""
-STAND_IN = "services/mesh/core/radio_model.py"
+STAND_IN = "services/mesh/links/radio_model.py"
 """The radio of links that are simulated."""
 HOLDERS = ("Compute", "Send", "Save", "Advanced", "Received", "QueuedMessage")
 """Classes that carry the value from one function to the next."""

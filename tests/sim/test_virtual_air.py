@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.mesh.core.radio_model import FLOOR, AirModel
+from services.mesh.links.radio_model import FLOOR, AirModel
 from sim.virtual.events import EventQueue
 from sim.virtual.radio.air import SOCKET, Air
 

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from services.mesh.core.radio_model import AirModel
+from services.mesh.links.radio_model import AirModel
 from sim.core.actions import BodyPlace, Lay, Press, Push
 from sim.scenario.options import parse
 from sim.scenario.scenario import build

@@ -5,14 +5,14 @@ bus and the time, and carry out its `actions`. It joins the `relay` rules, the `
 
     node          one robot: rules, connections and overlays joined; carries out what the overlays ask for
     connections   its sessions, and the links that they make
+    calling       its own calls and knocks, and the calls of others until their handshake is over
     overlays/     flood, unicast, stop, what apps ask for
     bulk/         messages that are larger than a packet, and numbered messages
     routing/      who is there, which links there are and are to be, the ways over them
     link/         one connection: calls, handshake, heartbeats, queues, flow, clock
     wire/         bytes of frames and packets, authentication
-    actions, events   what a core asks of its shell, and what has happened
+    actions       what a core asks of its shell
     relay         which keys leave to whom, and which may come in
-    radio_model   delays, rates and losses of simulated links; for simulations alone
 
 Imports run downwards in this order; `pyproject.toml` holds it.
 """

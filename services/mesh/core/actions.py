@@ -1,12 +1,12 @@
 """What the mesh's cores ask for: the first four actions of the node, the others of its shell.
 
-A node also hands `events.Received` on among its actions: a message to be published on the own bus.
+A node also hands `link.Received` on among its actions: a message to be published on the own bus.
 """
 
 from collections.abc import Callable
 from typing import NamedTuple
 
-from services.mesh.core.events import Received
+from services.mesh.core.link import Received
 from services.mesh.core.link.session import Session
 from swarm.frozen import frozen
 

@@ -8,10 +8,19 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from functools import partial
 
-from services.mesh.core.actions import Actions, Close, Dial, LinksChanged, Supervise, Transmit
-from services.mesh.core.events import HandshakeFailed, LinkDown, LinkEvent, LinkRecovered, LinkSuspect, LinkUp, Received
-from services.mesh.core.link import neighbour
-from services.mesh.core.link.calls import KNOCK, REFUSED, Caller, Callers, Local
+from services.mesh.core.actions import Actions, Close, LinksChanged, Supervise, Transmit
+from services.mesh.core.calling import Calling
+from services.mesh.core.link import (
+    HandshakeFailed,
+    LinkDown,
+    LinkEvent,
+    LinkRecovered,
+    LinkSuspect,
+    LinkUp,
+    Received,
+    neighbour,
+)
+from services.mesh.core.link.calls import REFUSED, Caller, Local
 from services.mesh.core.link.clock import ClockSync
 from services.mesh.core.link.neighbour import Holds, Link, Prober
 from services.mesh.core.link.outbox import name_of
@@ -23,8 +32,6 @@ from swarm.messages import Echo, EchoRequest, HoldLink, LinkState
 
 SUPERVISED = 1.25
 """Factor by which a link's end of patience must have changed until its transport is told again."""
-
-_NEVER = float("inf")
 
 
 class Connections:
@@ -65,43 +72,28 @@ class Connections:
             is_held=self._holds.holds, clash=self._clash,
         )  # fmt: skip
         self._sessions: list[Session] = []
-        self._callers = Callers()
-        self._half_open: dict[Session, Caller] = {}
         self._ready: list[Session] = []
-        self._calls: dict[str, float] = {}
-        """Robots that we are calling, and since when we have called nobody else before them."""
-        self._look_at = 0.0 if local.pages else _NEVER
-        """When to look next whether this robot is alone."""
-        self._alone = False
-        self._knocks = 0
+        self._calling = Calling(local, overlays.linking, self.links, actions, random)
 
     # -- what transports and operators say -------------------------------------------------------------------
 
     def accepted(self, caller: Caller, now: float) -> Session | None:
         """Somebody connected; None = no handshake with this one, close it."""
-        if (refusal := self._callers.refusal(caller, self._half_open.values(), now)) is not None:
+        if (refusal := self._calling.refusal(caller, now)) is not None:
             counter, problem, text = refusal
             self._counters[counter] += 1
             self._actions.log_once(problem, text)
             return None
-        robot = caller.robot or ""
-        link = self.links.get(robot)
-        if self._local.pages and self._local.dials.get(robot) and (link is None or link.session is None):
-            if link is not None and link.dialler is not None:  # it knocks
-                link.dialler.hurry(now)
-            else:
-                self._linking.knocked(robot, now)
+        if self._calling.is_knock(caller.robot or "", now):
             return None
         session = self.open(None, now, caller.robot)
-        self._half_open[session] = caller
+        self._calling.begun(session, caller)
         return session
 
     def open(self, peer: str | None, now: float, expected: str | None = None) -> Session:
         """Begin a handshake; `peer` is whom we called, `expected` the robot that a caller's address belongs to."""
-        local, link = self._local, self.links.get(peer or "")
-        self._called(peer or "", now)
-        doubled = 0 if link is None else min(link.unanswered, 16)
-        patience = min(local.handshake * 2.0**doubled, max(local.patience, local.handshake))
+        self._calling.called(peer or "", now)
+        patience = self._calling.patience(peer or "")
         session = self._session(self._nonce(), now, dialled=peer, expected=expected, patience=patience)
         self._sessions.append(session)
         self._ready.append(session)
@@ -109,7 +101,7 @@ class Connections:
 
     def dial_failed(self, peer: str, reason: str, now: float) -> None:
         """The connection that we asked for could not be made."""
-        page = self._called(peer, now)
+        page = self._calling.called(peer, now)
         if (link := self.links.get(peer)) is not None:
             # A neighbour that others reach is no absent one: what waits for this link waits for each call.
             absent = self._local.pages and not self._linking.is_reachable(peer)
@@ -157,13 +149,9 @@ class Connections:
         for session in tuple(self._sessions):
             session.handle_timer(now)
             self._digest(session, now)
-        for link in tuple(self.links.values()):
-            if link.session is None and link.dialler is not None and link.dialler.take(now):
-                self._call(link, now)
-                self._actions.add(LinksChanged())
-        if now >= self._look_at:
-            self._look_at = now + KNOCK * (1.0 + self._random())
-            self._knock(now)
+        self._calling.handle_timer(now)
+        if (peer := self._calling.to_knock_at(now)) is not None:
+            self.connect(peer, once=True)
 
     def look_at_links(self, now: float) -> None:
         """End young links with the second robot of a name, and tell the overlays the round trips of the others."""
@@ -215,7 +203,7 @@ class Connections:
         """Have a link with a neighbour from now on, or only try to call it once."""
         link = self.links.setdefault(peer, Link(peer))
         if once:
-            self._call(link, self._overlays.now)
+            self._calling.call(link, self._overlays.now)
             return
         link.keep(self._random if self._local.dials.get(peer) else None)
         self._links_changed()
@@ -242,45 +230,13 @@ class Connections:
     def next_deadline(self) -> float:
         """When a session or a dialler has something to do."""
         # After each packet of an overlay, so without lists, generators and calls for each link.
-        earliest = self._look_at
+        earliest = self._calling.next_deadline()
         for session in self._sessions:
             if session.deadline < earliest:
                 earliest = session.deadline
-        for link in self.links.values():
-            if (
-                link.session is None
-                and link.dialler is not None
-                and (deadline := link.dialler.next_deadline()) is not None
-            ):
-                earliest = min(earliest, deadline)
         return earliest
 
     # -- inside ----------------------------------------------------------------------------------------------
-
-    def _call(self, link: Link, now: float) -> None:
-        link.attempt = True
-        self._calls[link.peer] = now
-        self._actions.add(Dial(link.peer))
-
-    def _called(self, peer: str, now: float) -> float:
-        """A call is over. Return for how long the radio was busy with it: calls wait for one another."""
-        began = self._calls.pop(peer, now)
-        for other in self._calls:
-            self._calls[other] = now
-        return now - began
-
-    def _knock(self, now: float) -> None:
-        """A robot without any link for a while calls one of those that should call it."""
-        before, self._alone = self._alone, not any(link.session or link.attempt for link in self.links.values())
-        anybody = self._linking.carried
-        callers = [
-            name
-            for name, dials in self._local.dials.items()
-            if not dials and (anybody or ((link := self.links.get(name)) is not None and link.lasting))
-        ]
-        if before and self._alone and callers:
-            self.connect(callers[self._knocks % len(callers)], once=True)
-            self._knocks += 1
 
     def _links_changed(self) -> None:
         self._set_peers(link.peer for link in self.links.values() if link.lasting or link.session is not None)
@@ -322,8 +278,7 @@ class Connections:
         peer = session.peer
         match event:
             case LinkUp(name):
-                if (caller := self._half_open.pop(session, None)) is not None:
-                    self._callers.confirmed(caller)
+                self._calling.confirmed(session)
                 if clash := self._clash(name, session.process, now):
                     # Another one has made its link while this one's handshake was under way.
                     self._on_failed(session, clash, frames.CLASH, None, now)
@@ -395,17 +350,14 @@ class Connections:
             self._overlays.clashes.seen(self._local.robot, self._local.process, text, now)
 
     def _on_failed(self, session: Session, reason: str, code: int | None, said: int | None, now: float) -> None:
-        caller, address = session.dialled or "a caller", ""
-        if (known := self._half_open.pop(session, None)) is not None:
-            caller, address = known.robot or caller, f" address={known.source}" if known.source else ""
-            if code is not None:
-                self._callers.refused(known, now)
+        caller, source = self._calling.failed(session, now, refused=code is not None)
         if code is not None:
             if session.peer in self.links:
                 self.links[session.peer].refused += 1
             # One line for all strangers: who calls from many addresses must not fill the log. A clash of names has its
             # own, once it is sure.
             if code != frames.CLASH:
+                address = f" address={source}" if source else ""
                 self._actions.log_once(f"{caller} {code}", f"connection refused peer={caller}{address} reason={reason}")
         elif session.peer is not None and said in REFUSED:
             # Who calls may have told its name and then why it wants no link after all.

@@ -19,7 +19,7 @@ from services.mesh.core.actions import (
     Write,
 )
 from services.mesh.core.connections import Connections
-from services.mesh.core.events import Received
+from services.mesh.core.link import Received
 from services.mesh.core.link.calls import REFUSED, UNKNOWN, Caller, Local
 from services.mesh.core.link.clock import ClockState
 from services.mesh.core.link.outbox import SENT

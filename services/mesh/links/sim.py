@@ -17,8 +17,8 @@ import struct
 import threading
 from pathlib import Path
 
-from services.mesh.core.radio_model import AirModel, DelayLine
 from services.mesh.links.pipe import Pipe, describe
+from services.mesh.links.radio_model import AirModel, DelayLine
 from swarm import clock
 from swarm.errors import LocalError, PayloadError
 from swarm.messages.codec import unpack

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 from services.mesh.core.link.calls import UNKNOWN, Caller
 from services.mesh.core.link.session import BULK_WRITE, Session
-from services.mesh.core.radio_model import AirModel, DelayLine
+from services.mesh.links.radio_model import AirModel, DelayLine
 from services.mesh.mesh import CLOSED, Mesh
 from sim.virtual.events import EventQueue, Time
 

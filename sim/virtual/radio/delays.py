@@ -12,9 +12,9 @@ one a link's latency later at the earliest, so it makes no difference in which o
 from collections.abc import Mapping, Sequence
 from functools import partial
 
-from services.mesh.core.radio_model import AirModel, DelayLine
 from services.mesh.core.relay import KeyRelay
 from services.mesh.core.wire.frames import NEIGHBOURS
+from services.mesh.links.radio_model import AirModel, DelayLine
 from sim.virtual.bus import VirtualBus
 from sim.virtual.events import EventQueue
 from sim.virtual.radio.air import line_of

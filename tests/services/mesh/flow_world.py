@@ -6,11 +6,11 @@ from collections import Counter
 
 from timed_world import TimedWorld
 
-from services.mesh.core.events import Received
+from services.mesh.core.link import Received
 from services.mesh.core.link.calls import Local
 from services.mesh.core.link.clock import ClockSync
 from services.mesh.core.link.session import Session
-from services.mesh.core.radio_model import AirModel, DelayLine
+from services.mesh.links.radio_model import AirModel, DelayLine
 
 
 class Side:

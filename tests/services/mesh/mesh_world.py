@@ -11,15 +11,15 @@ from hypothesis import strategies as st
 from timed_world import TimedWorld, Timer
 
 from services.mesh.core.actions import Close, Dial, LogLine, Write
-from services.mesh.core.events import Received
+from services.mesh.core.link import Received
 from services.mesh.core.link.calls import UNKNOWN, Caller, Local, dials
 from services.mesh.core.link.session import Session
 from services.mesh.core.node import MeshNode
 from services.mesh.core.overlays.robot_overlays import RobotOverlays
-from services.mesh.core.radio_model import AirModel, DelayLine
 from services.mesh.core.relay import KeyRelay
 from services.mesh.core.routing.topology import Ground, TopologyVersion
 from services.mesh.core.routing.wanted_links import InitialLinks
+from services.mesh.links.radio_model import AirModel, DelayLine
 from swarm.config.types import DEFAULT_RELAY, RelayRule, RobotConfig
 from swarm.messages import LinkState
 

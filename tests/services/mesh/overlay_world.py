@@ -10,7 +10,7 @@ from functools import partial
 from timed_world import TimedWorld
 
 from services.mesh.core.actions import LinkAction, Transmit
-from services.mesh.core.events import Received
+from services.mesh.core.link import Received
 from services.mesh.core.overlays.robot_overlays import RobotOverlays
 from services.mesh.core.routing.wanted_links import InitialLinks
 from swarm.messages import Flooded, FloodRequest, Passed, SendRequest, Sent

@@ -11,8 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.mesh.core.events import LinkUp, Received
-from services.mesh.core.link import flow
+from services.mesh.core.link import LinkUp, Received, flow
 from services.mesh.core.link.calls import Local
 from services.mesh.core.link.clock import ClockClaim, ClockSync, encode_claim
 from services.mesh.core.link.session import Session

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from mesh_world import World
 
 from services.mesh.core.link.outbox import LIMITS, Channels, Outbox
-from services.mesh.core.radio_model import AGAIN, FLOOR, PACKET, AirModel, DelayLine
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.frames import BULK, CONTROL, SYNC, FrameDecoder
+from services.mesh.links.radio_model import AGAIN, FLOOR, PACKET, AirModel, DelayLine
 from swarm.config.types import RelayRule
 from swarm.errors import ConfigError
 

@@ -19,7 +19,7 @@ import pytest
 from conftest import wait_until
 from rfcomm_air import RfcommAir
 
-from services.mesh.core import connections
+from services.mesh.core import calling
 from services.mesh.core.link import calls
 from services.mesh.core.link.calls import UNKNOWN, Caller, Local, dials
 from services.mesh.core.routing.topology import Ground
@@ -323,7 +323,7 @@ def test_a_robot_that_is_back_knocks_at_one_that_only_calls(
 ) -> None:
     """Without the knock r0 would call again in hours."""
     monkeypatch.setattr(calls, "SHARE", 1e-7)
-    monkeypatch.setattr(connections, "KNOCK", 0.05)
+    monkeypatch.setattr(calling, "KNOCK", 0.05)
     air.page_timeout = 0.05
     air.out_of_range.add(B)
     near = Mesh("r0", air, runtime, pages=True)

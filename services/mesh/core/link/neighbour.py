@@ -14,7 +14,7 @@ import struct
 from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
-from services.mesh.core.events import Received
+from services.mesh.core.link import Received
 from services.mesh.core.link.calls import Dialler
 from services.mesh.core.link.session import CONNECTING, DOWN, Session
 from services.mesh.core.wire.frames import BULK, MAX_MESSAGE, MAX_PAYLOAD, SYNC

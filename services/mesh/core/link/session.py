@@ -13,8 +13,17 @@ wire.
 from collections import Counter
 from collections.abc import Callable
 
-from services.mesh.core.events import HandshakeFailed, LinkDown, LinkEvent, LinkRecovered, LinkSuspect, LinkUp, Received
-from services.mesh.core.link import calls, flow
+from services.mesh.core.link import (
+    HandshakeFailed,
+    LinkDown,
+    LinkEvent,
+    LinkRecovered,
+    LinkSuspect,
+    LinkUp,
+    Received,
+    calls,
+    flow,
+)
 from services.mesh.core.link.calls import Local
 from services.mesh.core.link.clock import ClockSync, decode_claim, encode_claim
 from services.mesh.core.link.flow import Fragment, Reassembly, decode_fragment, encode_fragment

@@ -10,7 +10,7 @@ from functools import lru_cache
 
 from services.mesh.core.actions import LinkAction, Transmit
 from services.mesh.core.bulk import exchange, transfers
-from services.mesh.core.events import Received
+from services.mesh.core.link import Received
 from services.mesh.core.overlays import carried, flood, flood_store, large_messages, unicast
 from services.mesh.core.overlays.admission import Admission
 from services.mesh.core.overlays.carried import CARRY, Carrier

@@ -1,0 +1,126 @@
+"""Calls: those that this robot makes, and those of others from their arrival until the handshake is over.
+
+A robot that has no link for a while knocks: it calls one of those that should call it. Who calls on a radio hears a
+knock as a reason to call back at once, and makes no second connection of it.
+"""
+
+from collections.abc import Callable, Mapping
+
+from services.mesh.core.actions import Actions, Dial, LinksChanged
+from services.mesh.core.link.calls import KNOCK, Caller, Callers, Local
+from services.mesh.core.link.neighbour import Link
+from services.mesh.core.link.session import Session
+from services.mesh.core.routing.wanted_links import Linking
+
+_NEVER = float("inf")
+
+
+class Calling:
+    """The calls of one robot."""
+
+    def __init__(
+        self, local: Local, linking: Linking, links: Mapping[str, Link], actions: Actions, random: Callable[[], float]
+    ) -> None:
+        """`links` are those of this robot, as they change; `random` gives numbers from 0 up to 1."""
+        self._local = local
+        self._linking = linking
+        self._links = links
+        self._actions = actions
+        self._random = random
+        self._callers = Callers()
+        self._half_open: dict[Session, Caller] = {}
+        self._calls: dict[str, float] = {}
+        """Robots that we are calling, and since when we have called nobody else before them."""
+        self._look_at = 0.0 if local.pages else _NEVER
+        """When to look next whether this robot is alone."""
+        self._alone = False
+        self._knocks = 0
+
+    # -- own calls -------------------------------------------------------------------------------------------
+
+    def call(self, link: Link, now: float) -> None:
+        """Call a neighbour."""
+        link.attempt = True
+        self._calls[link.peer] = now
+        self._actions.add(Dial(link.peer))
+
+    def called(self, peer: str, now: float) -> float:
+        """A call is over. Return for how long the radio was busy with it: calls wait for one another."""
+        began = self._calls.pop(peer, now)
+        for other in self._calls:
+            self._calls[other] = now
+        return now - began
+
+    def handle_timer(self, now: float) -> None:
+        """Call the neighbours whose time has come."""
+        for link in tuple(self._links.values()):
+            if link.session is None and link.dialler is not None and link.dialler.take(now):
+                self.call(link, now)
+                self._actions.add(LinksChanged())
+
+    def next_deadline(self) -> float:
+        """When `handle_timer` or `to_knock_at` has something to do."""
+        earliest = self._look_at
+        for link in self._links.values():
+            if link.session is None and link.dialler is not None:
+                deadline = link.dialler.next_deadline()
+                if deadline is not None and deadline < earliest:
+                    earliest = deadline
+        return earliest
+
+    def patience(self, peer: str) -> float:
+        """How long a handshake may take with a neighbour that this robot has called, s: longer after calls in vain."""
+        link, least = self._links.get(peer), self._local.handshake
+        doubled = 0 if link is None else min(link.unanswered, 16)
+        return min(least * 2.0**doubled, max(self._local.patience, least))
+
+    def to_knock_at(self, now: float) -> str | None:
+        """Return the robot at which to knock now; None while this one has a link, or need not look yet."""
+        if now < self._look_at:
+            return None
+        self._look_at = now + KNOCK * (1.0 + self._random())
+        before, self._alone = self._alone, not any(link.session or link.attempt for link in self._links.values())
+        anybody = self._linking.carried
+        callers = [
+            name
+            for name, dials in self._local.dials.items()
+            if not dials and (anybody or ((link := self._links.get(name)) is not None and link.lasting))
+        ]
+        if not (before and self._alone and callers):
+            return None
+        self._knocks += 1
+        return callers[(self._knocks - 1) % len(callers)]
+
+    # -- calls of others -------------------------------------------------------------------------------------
+
+    def refusal(self, caller: Caller, now: float) -> tuple[str, str, str] | None:
+        """Why a caller may not begin its handshake: counter, problem and text; None where it may."""
+        return self._callers.refusal(caller, self._half_open.values(), now)
+
+    def is_knock(self, robot: str, now: float) -> bool:
+        """Whether a call is a knock of a robot that this one calls; then it is called soon."""
+        link = self._links.get(robot)
+        if not self._local.pages or not self._local.dials.get(robot) or (link is not None and link.session is not None):
+            return False
+        if link is not None and link.dialler is not None:
+            link.dialler.hurry(now)
+        else:
+            self._linking.knocked(robot, now)
+        return True
+
+    def begun(self, session: Session, caller: Caller) -> None:
+        """The handshake with a caller begins."""
+        self._half_open[session] = caller
+
+    def confirmed(self, session: Session) -> None:
+        """A handshake has succeeded."""
+        if (caller := self._half_open.pop(session, None)) is not None:
+            self._callers.confirmed(caller)
+
+    def failed(self, session: Session, now: float, *, refused: bool) -> tuple[str, str]:
+        """A handshake has failed. Return whom it was with, and a caller's address; `refused`: by this robot."""
+        caller = self._half_open.pop(session, None)
+        if caller is not None and refused:
+            self._callers.refused(caller, now)
+        robot, source = (None, "") if caller is None else (caller.robot, caller.source)
+        return robot or session.dialled or "a caller", source
