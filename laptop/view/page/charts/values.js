@@ -57,15 +57,21 @@ export class Chart {
     const said = hero(newest), scale = scaled(value.unit ?? "", Math.max(...[...newest.values()].map(Math.abs), 0));
     write(this.hero, said.value === null ? "-" : short(said.value * scale.factor));
     write(this.note, ` ${scale.unit} ${said.text(scale)}`);
-    write(this.unit, `${scale.unit ? `${scale.unit}${value.truth ? " against truth" : ""}, ` : ""}${off ? "distance from the mean, " : ""}${counts && this.over === "k" ? "over iterations" : "over time"}`);
+    write(this.unit, [`${scale.unit}${value.truth ? " against truth" : ""}`, off && "distance from the mean", value.truth || (counts && this.over === "k" ? "over iterations" : "over time")].filter((each) => each && each !== true).join(", "));
     if (!this.table.hidden) this.rows(entry, robots, newest, scale);
     const over = counts ? this.over : "t", shape = `${entry.version} ${value.held || recording ? this.store.zoom : ""} ${at} ${this.log} ${over} ${selected} ${sizeOf(this.body)}`;
     if (!this.seen || (shape === this.drawn && this.version === document.documentElement.dataset.theme)) return;
     [this.drawn, this.version] = [shape, document.documentElement.dataset.theme];
     const shift = over === "k" && at !== null ? held(this.series.points(entry, robots[0]), at)?.[2] ?? null : at;
     const lines = [...this.lines(entry, robots, counts && this.over === "k" ? 2 : 0, value, off), ...claims()];
-    const from = over === "t" ? this.store.zoom : recording ? this.counted(entry, robots, this.store.zoom) : null;
+    const from = over === "t" ? this.store.zoom : recording && this.zoomed ? this.counted(entry, robots, this.store.zoom) : null;
     this.plot.draw({ lines, scale, log: this.log, over, at: shift, selected, from, stepped: value.held });
+  }
+
+  // Whether charts show a part of the recording; all of it may be shorter than the run beside.
+  get zoomed() {
+    const { first, last } = this.store.swarm.recording, [from, to] = this.store.zoom;
+    return from > first || to < last;
   }
 
   // The iterations that robots did between two times.
@@ -76,13 +82,14 @@ export class Chart {
 
   // On a logarithmic axis what ends on zero: distances as they are, all else as the distance from the mean of all.
   lines(entry, robots, x, value, off) {
-    const mean = off ? means(this.series, entry, robots) : null;
-    const of = (points) => points.map((point) => [point[x], off ? Math.abs(point[1] - mean(point[0])) : point[1]]);
+    const from = (mean) => (points) => points.map((point) => [point[x], off ? Math.abs(point[1] - mean(point[0])) : point[1]]);
+    const of = from(off && means(this.series, entry, robots));
     const now = this.store.zoom?.[1] ?? this.store.t; // until something is told a held value is what it was
     const until = (points) => (value.held && x === 0 && points.at(-1)[0] < now ? [...points, [now, points.at(-1)[1]]] : points);
     const lines = robots.map((name) => ({ name, colour: this.store.colour(name), points: of(until(this.series.points(entry, name))) }));
     const beside = this.series.beside ? this.series.robots(entry, "beside") : [];
-    for (const name of beside.slice(0, SIX)) lines.push({ name: `B ${name}`, colour: this.store.colour(name), dash: true, points: this.series.points(entry, name, "beside").map((point) => [point[x], point[1]]) });
+    const its = from(off && means(this.series, entry, beside, "beside"));
+    for (const name of beside.slice(0, SIX)) lines.push({ name: `B ${name}`, colour: this.store.colour(name), dash: true, points: its(this.series.points(entry, name, "beside")) });
     return lines;
   }
 
@@ -103,8 +110,8 @@ export class Chart {
 }
 
 // What the mean of all robots is at a time.
-function means(series, entry, robots) {
-  const all = robots.map((name) => series.points(entry, name));
+function means(series, entry, robots, run) {
+  const all = robots.map((name) => series.points(entry, name, run));
   return (t) => {
     const known = all.map((points) => held(points, t)?.[1]).filter((each) => each !== undefined);
     return known.reduce((sum, each) => sum + each, 0) / (known.length || 1);
@@ -202,12 +209,12 @@ export class PlaceErrors {
   draw(now, selected) {
     if (now < this.drawn + REDRAW_MS) return;
     this.drawn = now;
-    const value = this.focus.error();
+    const value = this.focus.error(), claimed = value?.truth && !this.series.beside; // the lines of a run beside are dashed, too
     const why = this.focus.store.swarm?.kind === "virtual" ? "No estimates: virtual time is watched without the robots' filters" : "No estimates of places: no dwm service tells one";
     this.chart.draw(value, selected, why, (newest) => {
       const [name, most] = worst(newest);
-      return { value: median([...newest.values()]), text: ({ factor }) => `median · worst ${short(most * factor)}, ${name}${value.truth ? " · dashed: their own 95 %" : " · as they claim: no truth"}` };
-    }, () => (value.truth ? this.claims() : []));
+      return { value: median([...newest.values()]), text: ({ factor }) => `median · worst ${short(most * factor)}, ${name}${claimed ? " · dashed: own 95 %" : value.truth ? "" : " · as they claim: no truth"}` };
+    }, () => (claimed ? this.claims() : []));
   }
 
   // What robots say themselves that their errors are within, the middle one of them.

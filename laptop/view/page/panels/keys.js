@@ -22,7 +22,7 @@ export class Keys {
   draw() {
     if (!this.robot) return;
     const list = this.section.querySelector("dl");
-    for (const topic of [...(this.store.robots.get(this.robot)?.keys() ?? [])].sort()) {
+    for (const topic of sorted(this.store.robots.get(this.robot)?.keys() ?? [])) {
       const value = this.store.get(this.robot, topic), text = JSON.stringify(value);
       let row = this.rows.get(topic);
       if (!row) {
@@ -30,7 +30,7 @@ export class Keys {
         name.textContent = topic;
         row = { name, data, text: null, shape: null, fields: [] };
         this.rows.set(topic, row);
-        const after = [...this.rows.keys()].sort()[[...this.rows.keys()].sort().indexOf(topic) - 1];
+        const topics = sorted(this.rows.keys()), after = topics[topics.indexOf(topic) - 1];
         if (after) this.rows.get(after).data.after(name, data);
         else list.prepend(name, data);
       }
@@ -61,6 +61,12 @@ export class Keys {
       if (row.fields[index].textContent !== text) row.fields[index].textContent = text;
     });
   }
+}
+
+// By name, but for parameters: many lines that seldom change come last.
+function sorted(topics) {
+  const last = (topic) => topic.endsWith("/parameters");
+  return [...topics].sort((a, b) => last(a) - last(b) || (a < b ? -1 : 1));
 }
 
 // Fields and fields of fields, as [path, value].

@@ -1,6 +1,7 @@
 """The design's acceptance checks, in a real browser: what is in sight without a click, and on which screens."""
 
 import itertools
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -173,6 +174,19 @@ def test_a_run_beside_is_at_the_same_instant_and_its_differences_are_told(
         page.get_by_role("button", name="show waits").click()
         until(page, "swarmView.store.swarm.recording.name === 'waits'")
         expect(page.locator("#lockstep")).to_be_visible(timeout=PATIENCE_MS)
+
+
+@pytest.mark.slow
+def test_both_of_two_runs_are_distances_from_their_means_on_a_logarithmic_axis(browser: Any, waits: Path) -> None:
+    shutil.copytree(waits, waits.parent / "twin")
+    lines = "swarmView.values.chart.plot.plot?.data"
+    with shown(browser, waits, viewport=DESK) as page:
+        seek(page, 4)
+        page.keyboard.press("r")
+        page.get_by_role("button", name="put twin beside").click(timeout=PATIENCE_MS)
+        page.locator("#values [data-log=log]").click()
+        until(page, f"{lines}.length === 13 && {lines}[1][0] < 3")  # from the mean, which is 2.6, not from zero
+        assert page.evaluate(f"JSON.stringify({lines}.slice(1, 7)) === JSON.stringify({lines}.slice(7))")
 
 
 @pytest.mark.slow
