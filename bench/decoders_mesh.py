@@ -179,11 +179,11 @@ def _stranger(rng: random.Random) -> Made:
         session = node.accepted(now)
         assert session is not None
         session.data_to_send(now, 4096)
-        node.receive(session, data, now)
+        node.connections.receive(session, data, now)
         assert not session.is_up
-        node.transport_down(session, "over", now)
-        node.actions()
-        node.ready()
+        node.connections.transport_down(session, "over", now)
+        node.actions.take()
+        node.connections.ready()
 
     return golden, feed
 
@@ -217,7 +217,7 @@ class _Member:
         assert self._session is not None
         assert self._own is not None
         assert self._own._auth is not None
-        self._node.receive(self._session, self._own._auth.seal([frame], b""), now)
+        self._node.connections.receive(self._session, self._own._auth.seal([frame], b""), now)
 
     def _connect(self, now: float) -> None:
         node, local = self._node, _local("r0", {"r1": True})
@@ -227,7 +227,7 @@ class _Member:
         session = node.accepted(now)
         assert session is not None
         for _ in range(3):
-            node.receive(session, own.data_to_send(now, 4096), now)
+            node.connections.receive(session, own.data_to_send(now, 4096), now)
             own.receive(session.data_to_send(now, 4096), now)
         assert session.is_up
         self._session, self._own = session, own
@@ -258,9 +258,9 @@ def _member(rng: random.Random) -> Made:
         if rng.random() < 0.05:
             now += rng.random() * 0.3
             node.handle_timer(now)
-        for session in node.ready():
+        for session in node.connections.ready():
             session.data_to_send(now, 4096)
-        node.actions()
+        node.actions.take()
 
     return (*FRAMES, *(frames.encode_data(BULK, 1, packet) for packet in PACKETS if len(packet) < 2000)), feed
 

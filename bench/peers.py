@@ -23,7 +23,7 @@ from swarm import clock
 from swarm.app.sync_app import SyncApp
 from swarm.bus.protocol import BusLike
 from swarm.config import Config, load
-from swarm.core.lockstep.actions import Compute, Send, address_of
+from swarm.core.lockstep.actions import Compute, Send, address_of, key_of
 from swarm.core.lockstep.frames import Channel
 from swarm.core.lockstep.lockstep import Lockstep
 from swarm.errors import FrameError
@@ -106,7 +106,7 @@ class Peer:
                     own, private = self._app.step(action.k, action.own, action.values, None)
                     self._lockstep.computed(own, private, clock.now())
                 elif isinstance(action, Send):
-                    self._relay(None, action.key(self._key), action.data)
+                    self._relay(None, key_of(self._key, action.to, around=action.around), action.data)
 
 
 def main() -> None:

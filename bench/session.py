@@ -85,7 +85,7 @@ def _header() -> int:
     one, _ = _connect(KEYS)
     size = 0
     for _ in range(2):  # the first one brings its BIND along
-        one.send(frames.SYNC, KEY.format("r0"), LOCKSTEP + bytes(16), latest=False)
+        one.queue.push(frames.SYNC, KEY.format("r0"), LOCKSTEP + bytes(16), latest=False)
         size = len(one.data_to_send(0.0, 4096)) - 16
     return size
 
@@ -96,7 +96,7 @@ def _hop(keys: dict[int, bytes], calls: int) -> float:
     key, payload = KEY.format("r0"), LOCKSTEP + bytes(16)
 
     def hop() -> None:
-        one.send(frames.SYNC, key, payload, latest=False)
+        one.queue.push(frames.SYNC, key, payload, latest=False)
         other.receive(one.data_to_send(0.0, 4096), 0.0)
         assert other.events()
         if answer := other.data_to_send(0.0, 4096):  # an acknowledgement now and then, or the window fills

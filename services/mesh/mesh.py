@@ -225,29 +225,29 @@ class Mesh:
     def ping(self, request: EchoRequest) -> None:
         """Measure a link; the answers are published."""
         if self.running:
-            self._node.ping(request, self._surroundings.now)
+            self._node.connections.ping(request, self._surroundings.now)
             self.carry_out()
 
     def hold(self, request: HoldLink) -> None:
         """Have no link with a neighbour for a while."""
         if self.running:
-            self._node.hold(request, self._surroundings.now)
+            self._node.connections.hold(request, self._surroundings.now)
             self.carry_out()
 
     def clock(self) -> ClockState:
         """Return the mesh clock."""
-        return self._node.clock(self._surroundings.now)
+        return self._node.connections.clock.state(self._surroundings.now)
 
     def links(self) -> Links:
         """Return all links as they are, and the names that two robots have."""
         now = self._surroundings.now
-        return Links(now, self._node.links(), self._node.clashes(now))
+        return Links(now, self._node.connections.states(), self._node.overlays.clashes.named(now))
 
     def stop(self) -> None:
         """Say goodbye to the neighbours and end all connections."""
         self._node.leave(self._surroundings.now)
         self.carry_out()
-        self._node.close(self._surroundings.now)
+        self._node.connections.close(self._surroundings.now)
         self.carry_out()
         self.running = False
 
@@ -264,18 +264,18 @@ class Mesh:
 
     def dial_failed(self, peer: str, reason: str) -> None:
         """The connection asked for could not be made."""
-        self._node.dial_failed(peer, reason, self._surroundings.now)
+        self._node.connections.dial_failed(peer, reason, self._surroundings.now)
         self.carry_out()
 
     def received(self, arrivals: Iterable[tuple[Session, bytes | str]]) -> None:
         """Take what has arrived together: bytes, or the reason for which a connection has ended."""
-        node, now = self._node, self._surroundings.now
+        connections, now = self._node.connections, self._surroundings.now
         for session, data in arrivals:
             if type(data) is bytes:
-                node.receive(session, data, now)
+                connections.receive(session, data, now)
             else:
                 assert type(data) is str
-                node.transport_down(session, data, now)
+                connections.transport_down(session, data, now)
         self.carry_out()
 
     def due(self) -> None:
@@ -288,9 +288,9 @@ class Mesh:
     def carry_out(self) -> None:
         """Send what is to be sent, and do what the node asks for."""
         node, transport = self._node, self._transport
-        for session in node.ready():
+        for session in node.connections.ready():
             transport.flush(session)
-        if actions := node.actions():
+        if actions := node.actions.take():
             outside = self._surroundings.outside
             for action in actions:
                 kind = type(action)
@@ -335,7 +335,7 @@ class Mesh:
             if bus.wanted(self._links_key):
                 bus.publish(self._links_key, self._look(lambda node, now: self.links()))
             if bus.wanted(self._clock_key):
-                bus.publish(self._clock_key, self._look(lambda node, now: Clock(*node.clock(now))))
+                bus.publish(self._clock_key, self._look(lambda node, now: Clock(*node.connections.clock.state(now))))
 
     # -- inside --------------------------------------------------------------------------------------------------
 

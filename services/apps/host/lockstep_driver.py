@@ -16,7 +16,7 @@ from services.apps.runner import Runner
 from swarm.core.asynchronous import HANG
 from swarm.core.epochs.actions import EpochRequest, SaveEpochs, SendToNeighbours, SwitchEpoch
 from swarm.core.epochs.notes import LOST, Epoch
-from swarm.core.lockstep.actions import Advanced, Compute, Fault, Finished, Save, Send, Waiting
+from swarm.core.lockstep.actions import Advanced, Compute, Fault, Finished, Save, Send, Waiting, key_of
 from swarm.core.lockstep.frames import Channel, Snapshot
 from swarm.errors import SwarmError
 from swarm.messages import AppEpoch, AppProgress, AppState, Measurement
@@ -257,7 +257,8 @@ class LockstepDriver:
                 if self._channel is not run.channel:
                     self._channel = run.channel
                     self._sync = f"{self._prefix}/{self._channel.text}"
-                self._bus.publish(action.key(self._sync), action.data, urgent=True)
+                sync = key_of(self._sync, action.to, around=action.around)
+                self._bus.publish(sync, action.data, urgent=True)
             elif type(action) is Advanced:
                 self._advanced(action)
             elif type(action) is Compute:

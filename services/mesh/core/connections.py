@@ -187,7 +187,7 @@ class Connections:
             self._counters["no_link"] += 1
             link.dropped += 1
             return
-        session.send(priority, key, payload, latest=latest)
+        session.queue.push(priority, key, payload, latest=latest)
         self._ready.append(session)
 
     def transmit(self, packet: Transmit) -> bool:
@@ -197,7 +197,9 @@ class Connections:
         if session is None or not session.is_up:
             return True
         self._ready.append(session)
-        return session.send(packet.priority, name_of(packet.overlay, packet.key), packet.payload, latest=packet.latest)
+        return session.queue.push(
+            packet.priority, name_of(packet.overlay, packet.key), packet.payload, latest=packet.latest
+        )
 
     def connect(self, peer: str, *, once: bool) -> None:
         """Have a link with a neighbour from now on, or only try to call it once."""
@@ -272,7 +274,7 @@ class Connections:
         if isinstance(result, Echo):
             self._actions.add(self.prober.told(result))
         elif result is not None and session.is_up:
-            session.send(event.priority, neighbour.pong_key(self._local.robot), result, latest=False)
+            session.queue.push(event.priority, neighbour.pong_key(self._local.robot), result, latest=False)
 
     def _on_event(self, session: Session, event: LinkEvent, now: float) -> None:
         peer = session.peer

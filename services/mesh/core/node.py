@@ -1,15 +1,14 @@
 """The mesh of one robot: its links, what it relays over them, and what it tells about them.
 
 A node joins the robot's bus (`KeyRelay`), the overlays (`RobotOverlays`) and the connections (`Connections`). The
-shell moves bytes between sessions and transports, carries out `actions()`, and calls `handle_timer` at
-`next_deadline()`.
+shell moves bytes between sessions and transports, tells `connections` what comes in, carries out `actions`, and calls
+`handle_timer` at `next_deadline()`.
 """
 
 from collections import Counter
 from collections.abc import Callable, Iterable
 
 from services.mesh.core.actions import (
-    Action,
     Actions,
     Connect,
     Disconnect,
@@ -21,14 +20,12 @@ from services.mesh.core.actions import (
 from services.mesh.core.connections import Connections
 from services.mesh.core.link import Received
 from services.mesh.core.link.calls import REFUSED, UNKNOWN, Caller, Local
-from services.mesh.core.link.clock import ClockState
 from services.mesh.core.link.outbox import SENT
 from services.mesh.core.link.session import Session
 from services.mesh.core.overlays import carried, flood, robot_overlays, unicast
 from services.mesh.core.overlays.robot_overlays import RobotOverlays
 from services.mesh.core.relay import KeyRelay, RelaySend
 from services.mesh.core.wire import frames
-from swarm.messages import EchoRequest, HoldLink, LinkState
 
 COUNTERS = (*REFUSED.values(), *SENT, *robot_overlays.COUNTERS, "byes", "half_open", "inbound_refused", "incomplete",
             "no_link", "overflowed", "pushed_back", "replaced", "too_large", "transport_lost")  # fmt: skip
@@ -66,9 +63,9 @@ class MeshNode:
         """Whether neighbours are reached over links of others, too: then the topology says who they are."""
         self._counters = counters
         counters.update(dict.fromkeys(COUNTERS, 0))
-        self._actions = Actions()
+        self.actions = Actions()
         self.connections = Connections(
-            local, overlays, self._actions,
+            local, overlays, self.actions,
             admit=self._admit, serve=self._serve_overlays, set_peers=self._set_linked, random=random, nonce=nonce,
             counters=counters,
         )  # fmt: skip
@@ -90,18 +87,6 @@ class MeshNode:
         self._deadline = self._earliest()
         return session
 
-    def dial_failed(self, peer: str, reason: str, now: float) -> None:
-        """The connection that we asked for could not be made."""
-        self.connections.dial_failed(peer, reason, now)
-
-    def receive(self, session: Session, data: bytes, now: float) -> None:
-        """Bytes arrived on a session's transport."""
-        self.connections.receive(session, data, now)
-
-    def transport_down(self, session: Session, reason: str, now: float) -> None:
-        """A session's transport has ended; ignored where the session had ended before."""
-        self.connections.transport_down(session, reason, now)
-
     def publish(self, source: int | None, key: str, payload: bytes, now: float) -> None:
         """A sample of the own bus; `source` is the index of the subscription that delivered it, None for what came
         another way."""
@@ -114,14 +99,6 @@ class MeshNode:
         """Something for the overlays to do: a request of an app, a stop."""
         step(self.overlays, now)
         self._serve_overlays()
-
-    def ping(self, request: EchoRequest, now: float) -> None:
-        """Measure a link; the answers come out of `actions` as messages for the own bus."""
-        self.connections.ping(request, now)
-
-    def hold(self, request: HoldLink, now: float) -> None:
-        """Have no link with a neighbour for a while, or let it come back."""
-        self.connections.hold(request, now)
 
     def handle_timer(self, now: float) -> None:
         """Whatever is due. Call it at `next_deadline` or any other time."""
@@ -137,35 +114,11 @@ class MeshNode:
         self.overlays.leave(now)
         self._serve_overlays()
 
-    def close(self, now: float) -> None:
-        """End all connections: this robot's mesh stops."""
-        self.connections.close(now)
-
     # -- outputs -----------------------------------------------------------------------------------
-
-    def actions(self) -> list[Action]:
-        """What is to be done, in this order, since the last call."""
-        return self._actions.take()
-
-    def ready(self) -> list[Session]:
-        """Sessions that have had something to send since the last call."""
-        return self.connections.ready()
 
     def next_deadline(self) -> float:
         """When `handle_timer` wants to be called. It may turn out to be early, never late."""
         return self._deadline
-
-    def links(self) -> tuple[LinkState, ...]:
-        """All links as they are, sorted by peer."""
-        return self.connections.states()
-
-    def clashes(self, now: float) -> dict[str, str]:
-        """Names that two robots have, and how that was noticed."""
-        return self.overlays.clashes.named(now)
-
-    def clock(self, now: float) -> ClockState:
-        """The mesh clock."""
-        return self.connections.clock.state(now)
 
     # -- inside ------------------------------------------------------------------------------------
 
@@ -191,7 +144,7 @@ class MeshNode:
         if len(payload) > (largest := self._longest(leg.overlay, leg.priority)):
             self._counters["too_large"] += 1
             text = f"{leg.key}: {len(payload)} bytes, the mesh carries at most {largest} in its class"
-            self._actions.log_once(leg.key, text)
+            self.actions.log_once(leg.key, text)
             return
         if leg.overlay == frames.NEIGHBOURS and not self._carried:
             for peer in leg.peers:
@@ -223,11 +176,11 @@ class MeshNode:
                 case Neighbours(robots):
                     self._relay.set_peers(robots)
                 case LogLine(text, True):
-                    self._actions.log_once(text, text)
+                    self.actions.log_once(text, text)
                 case LogLine(text):
-                    self._actions.log_link(text)
+                    self.actions.log_link(text)
                 case Received() | Write():
-                    self._actions.add(action)
+                    self.actions.add(action)
         self._deadline = self._earliest()
 
     def _admit(self, peer: str, overlay: int, key: str) -> bool:
@@ -238,5 +191,5 @@ class MeshNode:
             admitted = self.overlays.admits(peer, overlay, key)
         if not admitted:
             text = f"key refused peer={peer} key={key[:80]!r}: no relay rule lets it in"
-            self._actions.log_once(f"key from {peer}", text)
+            self.actions.log_once(f"key from {peer}", text)
         return admitted

@@ -35,7 +35,7 @@ class Save:
 
 @frozen
 class Send:
-    """Publish a frame. What the receiver makes of its key is `address_of`."""
+    """Publish a frame under the key `key_of` this, of which the receiver makes an `Address`."""
 
     data: bytes
     to: str | None
@@ -43,15 +43,16 @@ class Send:
     around: bool = False
     """Over other robots, since the link is silent."""
 
-    def key(self, channel: str) -> str:
-        """What it is published under; `channel` is the key of what all neighbours get."""
-        if self.to is None:
-            return channel
-        return f"{channel}/{self.to}/{_AROUND}" if self.around else f"{channel}/{self.to}"
+
+def key_of(channel: str, to: str | None, *, around: bool) -> str:
+    """What a frame is published under; `channel` is the key of what all neighbours get, the others are of `Send`."""
+    if to is None:
+        return channel
+    return f"{channel}/{to}/{_AROUND}" if around else f"{channel}/{to}"
 
 
 class Address(NamedTuple):
-    """What the key of a frame says: `swarm/<sender>/app/<app>/sync/<channel>`, and what `Send.key` puts behind it."""
+    """What the key of a frame says: `swarm/<sender>/app/<app>/sync/<channel>`, and what `key_of` puts behind it."""
 
     sender: str
     app: str

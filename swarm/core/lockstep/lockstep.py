@@ -269,22 +269,20 @@ class Lockstep:
             self.counters["late"] += 1
         elif isinstance(frame, Step):
             new = False
+            values = [(frame.k, frame.value)]
             if frame.previous is not None and frame.k >= self.k:
-                new = self._fill(sender, peer, frame.k - 1, frame.previous)
-            if self._fill(sender, peer, frame.k, frame.value) or new:
+                values.insert(0, (frame.k - 1, frame.previous))
+            for k, value in values:
+                held = peer.slots[k % 3]
+                if held is None:
+                    if k >= self.k:
+                        peer.slots[k % 3] = value
+                        new = True
+                elif held != value:
+                    self._fail(f"two values for one iteration: {sender} sent two different states for iteration {k}")
+            if new:
                 return True
             self.counters["duplicate"] += 1
-        return False
-
-    def _fill(self, sender: str, peer: HeardNeighbour, k: int, value: bytes) -> bool:
-        """Take a value of iteration k-1 to k+1; whether it was missing."""
-        held = peer.slots[k % 3]
-        if held is None:
-            if k >= self.k:
-                peer.slots[k % 3] = value
-                return True
-        elif held != value:
-            self._fail(f"two values for one iteration: {sender} sent two different states for iteration {k}")
         return False
 
     def _fail(self, reason: str) -> None:

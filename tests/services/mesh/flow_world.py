@@ -64,7 +64,7 @@ class Link(TimedWorld):
         return self.b if side is self.a else self.a
 
     def send(self, side: Side, priority: int, key: str, payload: bytes, latest: bool = False) -> bool:
-        taken = side.session.send(priority, key, payload, latest=latest)
+        taken = side.session.queue.push(priority, key, payload, latest=latest)
         self.work(side)
         return taken
 

@@ -221,7 +221,7 @@ class World(TimedWorld):
 
     def link(self, name: str, peer: str) -> LinkState:
         """A link as one robot sees it."""
-        (state,) = (state for state in self.bots[name].node.links() if state.peer == peer)
+        (state,) = (state for state in self.bots[name].node.connections.states() if state.peer == peer)
         return state
 
     def all_up(self) -> bool:
@@ -237,10 +237,10 @@ class World(TimedWorld):
         """Call a node and carry out what it wants."""
         bot = self.bots[name]
         call(bot.node)
-        for session in bot.node.ready():
+        for session in bot.node.connections.ready():
             if session in bot.ends:
                 self._flush(bot.ends[session])
-        for action in bot.node.actions():
+        for action in bot.node.actions.take():
             if isinstance(action, Received):
                 if action.key.endswith(("/mesh/members", "/mesh/passed", "/mesh/topology")):
                     continue
@@ -275,7 +275,7 @@ class World(TimedWorld):
         if self.bots.get(caller.name) is not caller:
             return
         if peer not in self.bots or self._is_cut(caller.name, peer):
-            self.step(caller.name, lambda node: node.dial_failed(peer, "unreachable", self.now))
+            self.step(caller.name, lambda node: node.connections.dial_failed(peer, "unreachable", self.now))
             return
         near, far = End(caller.name, None), End(peer, None)
         near.peer, far.peer = far, near
@@ -367,7 +367,7 @@ class World(TimedWorld):
             self.at(held, lambda: self._arrive(sender, data))
             return
         session = receiver.session
-        self.step(receiver.robot, lambda node: node.receive(session, data, self.now))
+        self.step(receiver.robot, lambda node: node.connections.receive(session, data, self.now))
 
     def _close(self, end: End) -> None:
         """This end is gone: the other one notices after the latency."""
@@ -386,7 +386,7 @@ class World(TimedWorld):
             self.at(held, lambda: self._down(end))
             return
         session = end.session
-        self.step(end.robot, lambda node: node.transport_down(session, "connection reset", self.now))
+        self.step(end.robot, lambda node: node.connections.transport_down(session, "connection reset", self.now))
 
 
 class Raw:

@@ -133,7 +133,7 @@ def test_sessions_speak_the_golden_bytes() -> None:
     assert not one.events()
     assert not other.events()
     one.receive(golden("listener-confirm"), 1.0)
-    one.send(frames.SYNC, "swarm/r0/dwm/pose", b"\x01\x02\0\0\0", latest=False)
+    one.queue.push(frames.SYNC, "swarm/r0/dwm/pose", b"\x01\x02\0\0\0", latest=False)
     expected = b"".join(golden(name) for name in SEALED)
     assert one.data_to_send(1.0, 4096) == expected
     other.receive(golden("dialler-confirm") + expected, 1.0)
@@ -231,7 +231,7 @@ def test_an_authenticated_lockstep_message_costs_18_bytes() -> None:
     lockstep = struct.pack("<BI", 1, 7)  # kind and iteration, docs/reference/network/lockstep.md
     sizes = []
     for _ in range(2):
-        one.send(frames.SYNC, key, lockstep + b"value", latest=False)
+        one.queue.push(frames.SYNC, key, lockstep + b"value", latest=False)
         sizes.append(len(one.data_to_send(0.0, 4096)))
     assert sizes[1] - len(b"value") == 18
 
@@ -287,7 +287,7 @@ def test_nothing_arrives_but_a_prefix_of_what_was_sent(
             for from_first, payload in messages[(turn - 2) * share : (turn - 1) * share]:
                 sender = 0 if from_first else 1
                 if ends[sender].is_up:
-                    ends[sender].send(frames.SYNC, KEY.format(f"r{sender}"), payload, latest=False)
+                    ends[sender].queue.push(frames.SYNC, KEY.format(f"r{sender}"), payload, latest=False)
                     sent[sender].append(payload)
         streams = [end.data_to_send(0.0, 1 << 20) for end in ends]
         for when, first, (what, at, how) in attacks:
@@ -310,7 +310,7 @@ def test_nothing_arrives_but_a_prefix_of_what_was_sent(
 @given(st.integers(0, 60), st.integers(0, 7))
 def test_any_flipped_bit_behind_the_handshake_ends_the_connection(at: int, bit: int) -> None:
     one, other = connected()
-    one.send(frames.SYNC, KEY.format("r0"), b"payload", latest=False)
+    one.queue.push(frames.SYNC, KEY.format("r0"), b"payload", latest=False)
     stream = bytearray(one.data_to_send(0.0, 4096))
     at %= len(stream)
     stream[at] ^= 1 << bit
@@ -334,7 +334,7 @@ def test_a_recorded_connection_cannot_be_played_again() -> None:
     record = one.data_to_send(0.0, 4096)
     other.receive(record, 0.0)
     one.receive(other.data_to_send(0.0, 4096), 0.0)
-    one.send(frames.SYNC, KEY.format("r0"), b"payload", latest=False)
+    one.queue.push(frames.SYNC, KEY.format("r0"), b"payload", latest=False)
     record += one.data_to_send(0.0, 4096)
     other.receive(record[len(D) :], 0.0)
     assert [type(event) for event in other.events()] == [LinkUp, Received]

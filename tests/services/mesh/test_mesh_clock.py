@@ -384,13 +384,13 @@ def test_robots_that_are_not_of_the_swarm_are_never_root() -> None:
 def test_sessions_carry_it() -> None:
     world = World([("r0", "r1"), ("r1", "r2")])
     world.run(20.0)
-    states = [world.bots[name].node.clock(world.now) for name in ("r0", "r1", "r2")]
+    states = [world.bots[name].node.connections.clock.state(world.now) for name in ("r0", "r1", "r2")]
     assert [(state.root, state.hop) for state in states] == [("r0", 0), ("r0", 1), ("r0", 2)]
     # All robots of this world share one monotonic clock.
     assert all(abs(state.offset) < 1e-3 for state in states)
     world.kill("r0")
     world.run(8.0)
-    assert [world.bots[name].node.clock(world.now).root for name in ("r1", "r2")] == ["r1", "r1"]
+    assert [world.bots[name].node.connections.clock.state(world.now).root for name in ("r1", "r2")] == ["r1", "r1"]
 
 
 def test_a_clock_frame_is_short() -> None:

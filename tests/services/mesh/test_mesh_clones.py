@@ -53,7 +53,7 @@ def problems(world: World, name: str) -> str:
 
 
 def clashes(world: World, name: str) -> dict[str, str]:
-    return world.bots[name].node.clashes(world.now)
+    return world.bots[name].node.overlays.clashes.named(world.now)
 
 
 def stop(world: World, robot: str) -> None:

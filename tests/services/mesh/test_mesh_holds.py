@@ -16,7 +16,7 @@ RECOVERY = 7.0
 
 
 def hold(world: World, robot: str, peer: str, seconds: float) -> None:
-    world.step(robot, lambda node: node.hold(HoldLink(peer, seconds), world.now))
+    world.step(robot, lambda node: node.connections.hold(HoldLink(peer, seconds), world.now))
 
 
 def down(world: World) -> bool:

@@ -39,7 +39,7 @@ def watched() -> Iterator[Watched]:
 def lie(watched: Watched, overlay: int, key: str, packet: bytes, priority: int = BULK) -> None:
     """Say something in an authenticated frame of r0's link."""
     (session,) = watched.world.bots["r0"].ends
-    session.send(priority, name_of(overlay, key), packet, latest=False)
+    session.queue.push(priority, name_of(overlay, key), packet, latest=False)
     watched.run(SOON)
 
 

@@ -178,7 +178,7 @@ def test_a_stop_crosses_sessions_and_a_leave_is_heard() -> None:
     world.run(0.1)
     assert any(key == "swarm/stop" for key, _ in world.bots["r3"].inbox)
     world.step("r3", lambda node: node.leave(world.now))
-    world.step("r3", lambda node: node.close(world.now))
+    world.step("r3", lambda node: node.connections.close(world.now))
     world.run(0.5)
     members = world.bots["r0"].node.overlays.members(world.now)
     assert (members.changes[-1].robot, members.changes[-1].what) == ("r3", "leave")

@@ -23,7 +23,7 @@ def echoes(world: World, robot: str) -> list[Echo]:
 
 def ping(world: World, robot: str, request: EchoRequest) -> list[Echo]:
     world.bots[robot].inbox.clear()
-    world.step(robot, lambda node: node.ping(request, world.now))
+    world.step(robot, lambda node: node.connections.ping(request, world.now))
     world.run(1.0)
     return echoes(world, robot)
 
@@ -90,9 +90,9 @@ def test_bad_echoes_are_counted_and_harm_nothing() -> None:
     world = World([("r0", "r1")])
     world.run(1.0)
     (session,) = world.bots["r0"].ends
-    session.send(SYNC, "swarm/r0/mesh/ping", b"short", latest=False)
-    session.send(SYNC, "swarm/r0/mesh/pong", b"", latest=False)
-    session.send(SYNC, "swarm/r1/mesh/ping", bytes(11), latest=False)
+    session.queue.push(SYNC, "swarm/r0/mesh/ping", b"short", latest=False)
+    session.queue.push(SYNC, "swarm/r0/mesh/pong", b"", latest=False)
+    session.queue.push(SYNC, "swarm/r1/mesh/ping", bytes(11), latest=False)
     world.run(1.0)
     assert world.bots["r1"].counters["inbound_refused"] == 3
     assert world.all_up()

@@ -10,7 +10,6 @@ from services.mesh.core.link.calls import EAGER, FIRST_DELAY, LONGEST_DELAY, MAX
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.frames import Hello
 from swarm.config.types import MeshConfig, RobotConfig
-from swarm.errors import LocalError
 
 PAIR = [("r0", "r1")]
 KEYS = {0x68A1F0C2: bytes(range(32))}
@@ -141,7 +140,7 @@ def test_a_restarted_robot_waits_for_suspicion_and_not_for_silence() -> None:
 def test_a_stopping_mesh_says_so() -> None:
     world = World(PAIR)
     world.run(2.0)
-    world.step("r1", lambda node: node.close(world.now))
+    world.step("r1", lambda node: node.connections.close(world.now))
     world.run(0.04)
     assert world.link("r0", "r1").reason == "the other end says: stopping"
     assert world.bots["r0"].counters["byes"] == 1
@@ -370,11 +369,3 @@ def test_only_a_link_that_lasted_resets_the_back_off() -> None:
     dialler.up(30.0)
     dialler.ended(31.5)
     assert dialler.next_deadline() == pytest.approx(31.5 + FIRST_DELAY)
-
-
-def test_sending_on_a_link_that_is_down_is_our_own_mistake() -> None:
-    world = World(PAIR)
-    world.run(0.04)
-    (session,) = world.bots["r0"].ends
-    with pytest.raises(LocalError, match="the link to r1 is connecting"):
-        session.send(frames.SYNC, "swarm/r0/a/b", b"", latest=False)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from lockstep_world import EDGES, RUN, SCHEMA, STATE, World, named
 
 from swarm.core.lockstep import lockstep
-from swarm.core.lockstep.actions import Advanced, Compute, Fault, Finished, Save, Send, Waiting, address_of
+from swarm.core.lockstep.actions import Advanced, Compute, Fault, Finished, Save, Send, Waiting, address_of, key_of
 from swarm.core.lockstep.frames import (
     MAX_ITERATION,
     STEP,
@@ -398,7 +398,7 @@ def test_a_question_that_came_around_is_answered_around():
 )
 def test_the_key_of_a_frame_says_its_way(to, around, end):
     channel = f"swarm/r0/app/balance/sync/{THEIRS.text}"
-    key = Send(b"", to, around).key(channel)
+    key = key_of(channel, to, around=around)
     assert key == channel + end
     assert address_of(key) == ("r0", "balance", THEIRS.text, to, around)
 

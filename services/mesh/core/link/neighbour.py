@@ -213,7 +213,7 @@ class Prober:
             reason = f"the link to {request.peer} is down"
         elif not reason:
             for ping in self._pings_of(request, now):
-                if not session.send(CLASSES[request.priority][0], self._key, ping, latest=False):
+                if not session.queue.push(CLASSES[request.priority][0], self._key, ping, latest=False):
                     reason = f"the queue of the link to {request.peer} is full"
         return Echo(now, request.peer, request.sequence, 0, request.size, None, reason) if reason else None
 

@@ -15,6 +15,7 @@ for it (`Channels`).
 """
 
 from collections import Counter
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from services.mesh.core.link.flow import MAX_INCOMPLETE_BYTES, SYNC_EXTRA
@@ -81,20 +82,18 @@ MAX_BEGUN = 16
 """Messages of which a part has left: the other end holds room for so many at least."""
 
 
+@dataclass(slots=True, eq=False)
 class QueuedMessage:
     """One message that waits; a newer value may replace its payload until a part of it has left."""
 
-    __slots__ = ("key", "latest", "parts", "payload", "priority", "sent")
-
-    def __init__(self, priority: int, key: str, payload: bytes, latest: bool) -> None:
-        self.priority = priority
-        self.key = key
-        self.payload = payload
-        self.latest = latest
-        self.sent = 0
-        """Bytes of the payload that have left."""
-        self.parts = 0
-        """Fragments that have left."""
+    priority: int
+    key: str
+    payload: bytes
+    latest: bool
+    sent: int = 0
+    """Bytes of the payload that have left."""
+    parts: int = 0
+    """Fragments that have left."""
 
     @property
     def size(self) -> int:

@@ -32,7 +32,7 @@ from services.mesh.core.link.round_trips import Pulse, next_beat
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.auth import Keys, newest_common
 from services.mesh.core.wire.frames import BULK, BYE_TEXT, SYNC, Frame, Hello
-from swarm.errors import FrameError, LocalError
+from swarm.errors import FrameError
 
 CONNECTING, UP, SUSPECT, DOWN = "connecting", "up", "suspect", "down"
 
@@ -188,15 +188,6 @@ class Session:
             self._end(frames.BAD_TAG, str(error))
         except FrameError as error:
             self._end(frames.BAD_FRAME, f"bad frame: {error}")
-
-    def send(self, priority: int, key: str, payload: bytes, *, latest: bool) -> bool:
-        """Queue a message for the other end; the link must be up. False = too much bulk waits, come again later.
-
-        `key` is the name of the channel (`channels`).
-        """
-        if not self.is_up:
-            raise LocalError(f"the link to {self.peer} is {self.state}")
-        return self.queue.push(priority, key, payload, latest)
 
     def transport_down(self, reason: str) -> None:
         """The transport is gone; nothing can be sent any more."""
