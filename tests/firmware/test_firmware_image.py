@@ -3,7 +3,8 @@
 import subprocess
 from pathlib import Path
 
-from firmware_layout import CONSTANTS
+import pytest
+from firmware_layout import CONSTANTS, FIRMWARE
 
 from services.balancer.core.flashing import image
 
@@ -21,3 +22,10 @@ def test_the_file_is_read_as_avr_objcopy_does(built: Path, tmp_path: Path) -> No
 def test_its_mark_says_what_it_is(built: Path) -> None:
     found = image.read((built / "balboa.hex").read_text())
     assert (found.layout, found.revision) == (CONSTANTS["LAYOUT_VERSION"], CONSTANTS["REVISION_NUMBER"])
+
+
+def test_the_file_that_robots_get_is_made_of_these_sources(built: Path) -> None:
+    done = subprocess.run(["avr-g++", "-dumpversion"], capture_output=True, text=True, check=True)
+    if done.stdout.strip() != "5.4.0":
+        pytest.skip(f"avr-g++ {done.stdout.strip()} compiles otherwise than 5.4.0, which has made that file")
+    assert (FIRMWARE / "balboa.hex").read_text() == (built / "balboa.hex").read_text(), "make -C firmware release"

@@ -40,6 +40,8 @@ _LIBRARY = Path(swarm.__file__).parents[1]
 _PARTS = _LIBRARY if (_LIBRARY / "deploy" / "install").is_file() else _LIBRARY / "balboa_swarm_parts"
 """Where `deploy`, the lock and the licence lie: in a checkout its root, else beside our packages (pyproject.toml)."""
 LOCK = "requirements-robot.lock"
+FIRMWARE = _PARTS / "firmware" / "balboa.hex"
+"""The Balboa's firmware, made from its sources (firmware/Makefile)."""
 
 _PLATFORMS = ("manylinux_2_28", "manylinux_2_27", "manylinux2014", "manylinux_2_17")
 """Wheels' names for glibc 2.28 and older; Bookworm has 2.36."""
@@ -179,25 +181,6 @@ def _pip(*words: str) -> None:
 def _cache() -> Path:
     own = Path(os.environ.get("XDG_CACHE_HOME", ""))
     return (own if own.is_absolute() else Path.home() / ".cache") / "balboa-swarm"
-
-
-# -- firmware --------------------------------------------------------------------------------------------------------
-
-
-def firmware() -> Path:
-    """Make the Balboa's firmware of the sources here; returns the path of the .hex. Raises `LocalError`."""
-    built = _cache() / "firmware"
-    built.mkdir(parents=True, exist_ok=True)
-    tools = "apt-get install make gcc-avr binutils-avr avr-libc, or name a FIRMWARE.hex that was made elsewhere"
-    try:
-        # Always anew: what is older than the sources cannot be told from a package's file times.
-        words = ["make", "--always-make", "--directory", str(_PARTS / "firmware"), f"BUILD={built}"]
-        done = subprocess.run(words, capture_output=True, text=True, check=False)
-    except FileNotFoundError:
-        raise LocalError(f"there is no make here, which makes the firmware: {tools}") from None
-    if done.returncode != 0:
-        raise LocalError(f"the firmware cannot be made: {done.stderr.strip()[-300:]}; is all of it there? {tools}")
-    return built / "balboa.hex"
 
 
 # -- command ---------------------------------------------------------------------------------------------------------

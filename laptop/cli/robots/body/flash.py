@@ -5,7 +5,7 @@ Each robot's Pi is connected to its Balboa by a USB cable, and flashes it itself
 
 import argparse
 
-from laptop.fleet.release.release import firmware
+from laptop.fleet.release.release import FIRMWARE
 from laptop.fleet.ssh import everyone
 from laptop.fleet.ssh.everyone import ReportProgress
 from laptop.fleet.ssh.ssh import Host, HostError
@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 where the firmware runs everywhere it was to, 1 where a robot failed."""
-    args.firmware = args.firmware or str(firmware())
+    args.firmware = args.firmware or str(FIRMWARE)
     if args.here or args.port:
         return flash.run(args)
     data, read = flash.read_firmware(args.firmware)
