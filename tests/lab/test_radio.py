@@ -284,6 +284,16 @@ def test_an_inquiry_finds_those_that_can_be_found(world: World) -> None:
     assert events[1][1][1:7] == hci.to_wire(B)
 
 
+@pytest.mark.parametrize(("linked", "status"), [(True, 0), (False, Status.PAGE_TIMEOUT)])
+def test_a_linked_robot_that_hears_no_pages_says_its_name(world: World, linked: bool, status: int) -> None:
+    if linked:
+        world.link(A, B)
+    world.tell(B, Op.WRITE_SCAN, b"\0")
+    world.tell(A, Op.REMOTE_NAME, hci.to_wire(B) + bytes(4))
+    world.run(6.0)
+    assert dict(world.events(A))[Ev.REMOTE_NAME_COMPLETE][0] == status
+
+
 def test_an_inquiry_before_a_reset_says_nothing_after_it(world: World) -> None:
     world.tell(A, Op.INQUIRY, b"\x33\x8b\x9e\x08\0")
     world.run(1.0)

@@ -215,7 +215,9 @@ class Controller:
         self._status(op)
         wire = parameters[:6]
         other = self._air.find(hci.from_wire(wire))
-        if other in self._air.others(self) and other.scan & PAGE_SCAN:
+        # A link carries the question (LMP_name_req). Without one the other is paged, which it hears while it scans.
+        asked = self.link_to(hci.from_wire(wire)) is not None or (other is not None and other.scan & PAGE_SCAN)
+        if other in self._air.others(self) and asked:
             body = b"\0" + wire + other.name
             self._air.at(now + self._air.medium.page, lambda _: self._event(Ev.REMOTE_NAME_COMPLETE, body))
         else:
