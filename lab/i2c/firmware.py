@@ -124,7 +124,7 @@ class FirmwareDevice(AtmegaDevice):
     """The chip at its address of the robot's bus.
 
     A transfer takes its time on the wire by the chip's clock at once. The caller's clock follows when the adapter has
-    waited for as long (`lab.i2c.robot`), so the chip may be some milliseconds ahead of it within a tick.
+    waited for as long (`lab.i2c.robot`), so the chip is ahead of it within a transfer.
     """
 
     def __init__(self, chip: Chip, body: BalboaBody, battery: float, clock: Callable[[], float]) -> None:

@@ -13,9 +13,6 @@ from swarm.errors import LocalError
 
 ANY = 0
 """In place of an address: whichever device is spoken to."""
-AT_ONCE_S = 3e-3
-"""Of time on the wire is waited for at the latest; before that, with what writes more than an index. So a tick's four
-transfers, 3.5 ms, share the wait of the last one, which commands the motors: each wait takes a switch of processes."""
 
 
 @dataclass
@@ -58,16 +55,11 @@ class RobotAdapter:
         """The kernel's own default."""
         self.transfers = self.failed = 0
         self._bus, self._clock, self._wait = bus, clock, wait
-        self._owed = self._ended = 0.0
-        """s that transfers should have taken beyond those that they took; when the last one ended."""
 
     def transfer(self, messages: list[Message]) -> bytes:
-        """See `Adapter`. Transfers take what their bytes take at 100 kHz, if not each by itself; a time-out takes its
-        time."""
+        """See `Adapter`. A transfer takes what its bytes take at 100 kHz, and a time-out takes its time."""
         self.transfers += 1
         began, before = self._clock(), self._bus.untimed()
-        if began - self._ended >= self._owed:  # the bus was left alone for as long
-            self._owed = 0.0
         takes = 0.0
         try:
             return b"".join([self._message(message) for message in messages])
@@ -76,12 +68,9 @@ class RobotAdapter:
             takes = self.timeout_s if error.errno == errno.ETIMEDOUT else 0.0
             raise
         finally:
-            ended = self._clock()
-            self._owed += max(0.0, max(takes, self._bus.untimed() - before) - (ended - began))
-            if self._owed >= AT_ONCE_S or (self._owed > 0.0 and len(messages[-1].write) > 1):
-                self._wait(self._owed)
-                self._owed = 0.0
-            self._ended = ended
+            left = began + max(takes, self._bus.untimed() - before) - self._clock()
+            if left > 0.0:
+                self._wait(left)
 
     def report(self) -> dict[str, Any]:
         """How the robot and its bus are now."""

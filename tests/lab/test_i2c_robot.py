@@ -2,13 +2,12 @@
 
 import errno
 import json
-import math
 import random
 
 import pytest
 
 from lab.i2c.ioctls import Message
-from lab.i2c.robot import ANY, AT_ONCE_S, RobotAdapter
+from lab.i2c.robot import ANY, RobotAdapter
 from services.balancer.core.control.body import body_model
 from services.balancer.core.devices import balboa, imu
 from services.balancer.core.slack.wire_time import HOLD_S
@@ -53,19 +52,15 @@ def rig() -> Rig:
 
 
 def test_devices_answer_and_take_their_time_on_the_wire(rig: Rig) -> None:
-    one = (2 * 2 + 9 * 4) * BIT_S
-    before = math.ceil(AT_ONCE_S / one) - 1
-    for _ in range(before):
-        rig.works()
-    assert rig.now == 100.0, "it is waited for when there is enough of it"
     rig.works()
-    took = (before + 1) * one
+    took = (2 * 2 + 9 * 4) * BIT_S
     assert rig.now == pytest.approx(100.0 + took)
     rig.works(VERSION)
-    assert (rig.adapter.transfers, rig.adapter.failed) == (before + 2, 0)
+    took += (2 * 2 + 9 * 4) * BIT_S + 4 * HOLD_S
+    assert rig.now == pytest.approx(100.0 + took)
+    assert (rig.adapter.transfers, rig.adapter.failed) == (2, 0)
     rig.adapter.transfer(STOP)
-    with_motors = (2 * 3 + 9 * (4 + 6)) * BIT_S + (2 + 2 + 6) * HOLD_S
-    assert rig.now == pytest.approx(100.0 + took + with_motors), "or with a command"
+    assert rig.now == pytest.approx(100.0 + took + (2 + 9 * 6) * BIT_S + 6 * HOLD_S)
 
 
 def test_a_pause_is_time_on_the_wire_too(rig: Rig) -> None:
