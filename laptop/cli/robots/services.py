@@ -17,7 +17,8 @@ from swarm.onboard.arguments import show
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what is to be done, and to which services."""
-    parser.add_argument("action", choices=("start", "stop", "restart"), help=argparse.SUPPRESS)
+    # An option: with two positional arguments, argparse takes no names of services after --robots.
+    parser.add_argument("--action", choices=("start", "stop", "restart"), required=True, help=argparse.SUPPRESS)
     parser.add_argument(
         "services", nargs="*", metavar="SERVICE", help="bus, mesh, balancer, dwm or an app (default: all services)"
     )

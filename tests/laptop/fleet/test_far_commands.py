@@ -116,7 +116,7 @@ def test_status_logs_services_and_apps_of_a_simulation(runtime: Path) -> None:
         said = swarm("logs", "mesh", "--robots", "r1", "-n", "50").stdout
         assert "link up peer=r0" in said
         assert all(line.startswith("r1: ") for line in said.splitlines())
-        assert swarm("services", "restart", "dwm", "--robots", "r0").stdout == "r0: restart dwm\n"
+        assert swarm("services", "restart", "--robots", "r0", "dwm").stdout == "r0: restart dwm\n"
         refused = swarm("services", "stop", "dwm")
         assert refused.returncode == 2
         assert "a simulation runs every service: restart dwm" in refused.stderr
