@@ -278,7 +278,7 @@ class SlackTasks:
         behind = ", ".join(each.name for each in self._queue if now < each.starved_at + BEHIND_S)
         if behind != self._behind:
             self._behind = behind
-            clock = f"SCL {1e-3 / self._balancer.wire.bit_s:.0f} kHz"
+            clock = f"SCL {1e-3 * self._balancer.wire.scl:.0f} kHz"
             see = "see docs/reference/robot/i2c-bus.md"
             text = f"no time for {behind} ({clock}): {see}" if behind else f"time for all tasks ({clock})"
             _log.warning("I2C: %s", text)

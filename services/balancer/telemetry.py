@@ -43,7 +43,7 @@ class Telemetry:
             demanded_turn_rate=demanded_turn_rate,
             battery_level=balancer.battery_level,
             battery_left=balancer.battery_time_left,
-            scl=1.0 / balancer.wire.bit_s,
+            scl=balancer.wire.scl,
             behind=behind,
         )
 

@@ -35,6 +35,7 @@ def test_clock_hold_and_overhead_are_told_apart(scl: float, hold: float, call: f
     wire = WireTime()
     Bus(scl, hold, call).teach(wire, 600, count)
     assert 1.0 / wire.bit_s == pytest.approx(scl, rel=0.03)
+    assert wire.scl == pytest.approx(scl, rel=0.03)
     assert wire.byte_s == pytest.approx(9 / scl + hold, rel=0.05)
     assert wire.duration(read(balboa.UWB, 32)) == pytest.approx(
         (4 + 9 * 35) / scl + 35 * hold + 2 * (call + balboa.PAUSE_S), rel=0.05
@@ -47,6 +48,15 @@ def test_one_tick_in_ten_that_another_process_made_longer_changes_little(seed: i
     for _ in range(1000):
         bus.teach(wire, 1, late=chance.choice((1e-3, 50e-3)) if chance.random() < 0.1 else 0.0)
     assert 80e3 < 1.0 / wire.bit_s < 125e3
+    assert wire.scl == pytest.approx(100e3, rel=0.1)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_scl_is_told_truly_where_other_processes_make_half_of_the_transfers_longer(seed: int) -> None:
+    chance, wire, bus = random.Random(seed), WireTime(), Bus(100e3, 25e-6, 0.1e-3)
+    for tick in range(1000):
+        bus.teach(wire, 1, late=chance.uniform(0.0, 2e-3) if chance.random() < 0.5 else 0.0)
+        assert tick < 300 or wire.scl == pytest.approx(100e3, rel=0.1)
 
 
 def test_a_clock_that_drops_is_followed_within_ten_ticks() -> None:
@@ -54,6 +64,8 @@ def test_a_clock_that_drops_is_followed_within_ten_ticks() -> None:
     Bus(100e3, 25e-6, 0.1e-3).teach(wire, 300)
     Bus(62.5e3, 25e-6, 0.1e-3).teach(wire, 10)
     assert 1.0 / wire.bit_s < 66e3
+    Bus(62.5e3, 25e-6, 0.1e-3).teach(wire, 100)
+    assert wire.scl < 66e3
 
 
 def test_before_anything_was_measured_the_slowest_clock_is_expected() -> None:

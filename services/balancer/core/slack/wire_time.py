@@ -17,6 +17,8 @@ BITS_PER_TRANSFER = 2
 HOLD_S = 25e-6
 """By which the ATmega lengthens each byte, before it was measured: between the least and the most that were seen in the
 simulator (firmware/README.md)."""
+LONGEST_HOLD_S = 40e-6
+"""The same at most."""
 SCL_HZ = 100e3
 """SCL as provisioning asks for it (`i2c_arm_baudrate`)."""
 SLOWEST_HZ = 40e3
@@ -28,6 +30,9 @@ LONGEST = 32
 _UP, _DOWN = 0.12, 0.02
 """Largest relative steps of an estimate. One sample in seven may be longer than the rest, by whatever, as where
 another process ran in between, and the estimate stays at the others; a clock that drops is followed in some ticks."""
+
+_LEAST = 0.005, 0.12
+"""The same of an estimate that stays at the shortest samples; it follows a clock that drops to 60 % within a second."""
 
 _QUICKEST_BIT_S = 1 / 1e6
 _IMU_BITS = 2 * BITS_PER_TRANSFER + BITS_PER_BYTE * (3 + imu.BLOCK)
@@ -66,13 +71,15 @@ _SHORTEST_S = 1e-7
 class TypicalTime:
     """What something usually takes, s: near the upper end of most samples, whatever the few longest ones are."""
 
-    def __init__(self, seconds: float) -> None:
+    def __init__(self, seconds: float, up: float = _UP, down: float = _DOWN) -> None:
+        """`up` and `down` are the largest relative steps."""
         self.seconds = seconds
+        self._up, self._down = up, down
 
     def add(self, seconds: float) -> None:
         """Take a sample."""
         change = max(_SHORTEST_S, seconds) / self.seconds - 1.0
-        self.seconds *= 1.0 + max(-_DOWN, min(_UP, change))
+        self.seconds *= 1.0 + max(-self._down, min(self._up, change))
 
 
 class WireTime:
@@ -83,10 +90,19 @@ class WireTime:
         self._select = TypicalTime(_SELECT_BITS / scl + _SELECT_BYTES * HOLD_S)
         self._imu = TypicalTime(_IMU_BITS / scl)
         self._hold = TypicalTime(HOLD_S)
+        self._least_select = TypicalTime(self._select.seconds, *_LEAST)
+        self._least_imu = TypicalTime(self._imu.seconds, *_LEAST)
+
+    @property
+    def scl(self) -> float:
+        """SCL as the shortest transfers show it, Hz: another process can only make one longer."""
+        held = _SELECT_BYTES * min(LONGEST_HOLD_S, self._hold.seconds)
+        wire = self._least_imu.seconds - self._least_select.seconds + held
+        return (_IMU_BITS - _SELECT_BITS) / max(wire, (_IMU_BITS - _SELECT_BITS) * _QUICKEST_BIT_S)
 
     @property
     def bit_s(self) -> float:
-        """The period of SCL."""
+        """The period of SCL as most transfers have it, for plans."""
         held = _SELECT_BYTES * self._hold.seconds
         return max(_QUICKEST_BIT_S, (self._imu.seconds - self._select.seconds + held) / (_IMU_BITS - _SELECT_BITS))
 
@@ -103,8 +119,10 @@ class WireTime:
     def learn(self, select: float, sample: float, count: int, motion: float) -> None:
         """A tick's transfers took so long, s: the index written to the ATmega, the IMU's sample, and a read of `count`
         bytes from the ATmega."""
-        self._select.add(select)
-        self._imu.add(sample)
+        for estimate in (self._select, self._least_select):
+            estimate.add(select)
+        for estimate in (self._imu, self._least_imu):
+            estimate.add(sample)
         wire = (BITS_PER_TRANSFER + BITS_PER_BYTE * (1 + count)) * self.bit_s
         self._hold.add((motion - self.call_s - wire) / (1 + count))
 
