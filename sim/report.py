@@ -90,7 +90,9 @@ def summary(outcome: RunOutcome) -> Json:
         "iteration_s_p95": _rounded(trajectory.percentile(times, 95), 6),
         "result": {name: result(path) for name, path in paths.items()} or bodies(outcome),
         "messages_per_iteration": (
-            round(outcome.messages / iterations, 2) if outcome.messages is not None and iterations > 0 else None
+            round(outcome.messages / iterations, 2)
+            if outcome.messages is not None and iterations > 0 and scenario.steps
+            else None
         ),
         "messages": outcome.messages,
         "rss_mib_per_robot": round(sum(memory) / len(memory), 1) if memory else None,
@@ -302,6 +304,8 @@ def _sentences(report: Json, outcome: RunOutcome) -> list[str]:
         lines.append(f"iteration   {1e3 * median:.1f} ms median, {1e3 * p95:.1f} ms 95 %")
     if report["messages_per_iteration"] is not None:
         lines.append(f"messages    {report['messages_per_iteration']} an iteration")
+    elif report["messages"]:
+        lines.append(f"messages    {report['messages']} between the robots")
     if outcome.started_s is not None:
         ready = "the first iteration" if outcome.scenario.app else "all services ready"
         lines.append(f"start       {outcome.started_s:.2f} s from the command to {ready}")

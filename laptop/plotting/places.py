@@ -110,7 +110,8 @@ def scene(figure: Any, run: Run, references: Mapping[str, Sequence[Place]] | Non
         raise LocalError(f"{run.path}: no place is recorded: neither poses nor a target")
     frame(axes, seen)
     axes.set(xlabel="x / m", ylabel="y / m", aspect="equal")
-    legend = axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=3)
+    # Below the label of the axis, however high the picture is: distances in lines of text.
+    legend = axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), borderaxespad=4.0, ncols=3)
     style.name_points(axes, names, [place for name, _, _ in names for place, _ in tracks[name][::3]])
     for handle in legend.legend_handles:
         handle.set_color("black" if handle.get_label().startswith(("target", "true")) else style.GREY)

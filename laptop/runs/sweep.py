@@ -13,7 +13,7 @@ from laptop.runs.results import table_of
 from laptop.runs.simulation import App, app_of, arguments_of, settings_for
 from sim.scenario.options import parse
 from sim.sweep.engines import here, local
-from sim.sweep.measure import SweptRun, summarize
+from sim.sweep.measure import Summary, SweptRun, check, summarize
 from sim.sweep.plan import Job, SweepPoint, points_of
 from swarm.app.parameters import number_or_text
 from swarm.errors import ConfigError
@@ -36,18 +36,15 @@ class SweepTable:
     def rows(self) -> list[dict[str, Any]]:
         """One for each combination: the values that make it, and over all seeds `runs`, `failed`, `unsettled`,
         `settled` (iterations, median), `settled_most`, `error` (median), `error_most`, `iteration_s`, `problem` (the
-        first). None where there is nothing to say."""
+        first), and each metric `error_NAME` of the app like `error`. None where there is nothing to say."""
         runs = sweep_results.by_point(self._points, self._found)
-        return [{**_values(point), **asdict(summarize(each))} for point, each in zip(self._points, runs, strict=True)]
+        return [{**_values(point), **_flat(summarize(each))} for point, each in zip(self._points, runs, strict=True)]
 
     @property
     def runs(self) -> list[dict[str, Any]]:
         """One for each combination and seed: the values, `seed`, `iterations`, `settled`, `error`, `seconds` (virtual),
-        `iteration_s`, `computed_s` and `problem`."""
-        return [
-            {**_values(self._points[run.point]), **{name: x for name, x in asdict(run).items() if name != "point"}}
-            for run in self._found
-        ]
+        `iteration_s`, `computed_s`, `problem`, and the app's metrics `error_NAME`."""
+        return [{**_values(self._points[run.point]), **_flat(run)} for run in self._found]
 
     def to_pandas(self) -> "pd.DataFrame":
         """`runs` as a table. Needs pandas, of the extra `notebook`."""
@@ -115,6 +112,7 @@ def sweep(
         name = found.name if by_class else str(app)
         parse([name, *words, "--virtual"], ends=False)  # what is wrong is said before anything is computed
         planned += [Job(index, seed, (name, *words, "--seed", str(seed)), within) for seed in numbers]
+    check([job for job in planned if job.seed == planned[0].seed], found)
     engine = here(found) if jobs == 1 else local(jobs)
     with contextlib.ExitStack() as stack:
         look = stack.enter_context(shown_progress(f"{found.name}: {len(planned)} runs", shown=progress))
@@ -136,6 +134,11 @@ def _text(value: Any) -> str:
     if isinstance(value, list | tuple):
         return f"[{','.join(map(str, value))}]"
     return str(value)
+
+
+def _flat(row: SweptRun | Summary) -> dict[str, Any]:
+    """What is known of a run or a combination, by name, with the app's metrics beside the rest."""
+    return {name: x for name, x in asdict(row).items() if name not in ("point", "metrics")} | dict(row.metrics)
 
 
 def _values(point: SweepPoint) -> dict[str, Any]:

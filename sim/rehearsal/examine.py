@@ -139,7 +139,7 @@ def describe(task: Task) -> dict[str, object]:
         "algorithms": [name for name in app.algorithms if name],
         "source": app.source,
         "step_line": tracing.line_of(kind, "step" if hasattr(kind, "step") else "start"),
-        "fields": {f.name: f"{f.kind}{f'[{f.length}]' if f.length > 1 else ''}" for f in schema.fields},
+        "fields": {f.name: f"{f.kind}{list(f.shape) or ''}" for f in schema.fields},
         "parameters": {name: declared.default for name, declared in kind.spec.parameters.items()},
         "bytes": schema.size,
         "bytes_on_air": schema.size + FRAME if schema.fields else 0,

@@ -1,6 +1,7 @@
 """`swarm new FILE`: a commented app that runs, and its test beside it."""
 
 import argparse
+import importlib.util
 import sys
 from pathlib import Path
 
@@ -23,7 +24,8 @@ def main() -> int:
         sys.stdout.write(f"wrote {path}\n")
     file, test = options.file, beside(options.file)
     start = " --set r2.value=6" if options.kind == "sync" else ""  # all begin at zero otherwise: nothing would move
-    sys.stdout.write(f"next: swarm check {file}; pytest {test}; swarm sim {file} --robots 6{start}\n")
+    install = "" if importlib.util.find_spec("pytest") else "pip install pytest; "
+    sys.stdout.write(f"next: swarm check {file}; {install}pytest {test}; swarm sim {file} --robots 6{start}\n")
     return 0
 
 

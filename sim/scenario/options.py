@@ -277,6 +277,8 @@ def parse(arguments: list[str], *, ends: bool = True) -> Options:
                 raise ConfigError(f"{name} needs an APP, e.g. swarm sim consensus")
         if options.iterations is not None:
             raise ConfigError("--iterations needs an APP; without one use --seconds")
+        if options.virtual and options.seconds is None and not options.view:
+            raise ConfigError("--virtual needs an APP, or --seconds: robots without an app would stand there for ever")
         if options.run_options.arguments:
             raise ConfigError("--until, --for and --absent need an APP, e.g. swarm sim consensus")
     return options

@@ -3,12 +3,16 @@
 import logging
 import math
 import statistics
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import field
 
 from services.apps.loader import LoadedApp
-from sim.report import is_metric
+from services.apps.runner import ERROR
+from sim.report import is_metric, metrics
+from sim.scenario.options import parse
+from sim.scenario.scenario import build
 from sim.sweep.plan import Job
-from sim.virtual.run import simulate
+from sim.virtual.run import PLACE, simulate
 from swarm.errors import SwarmError
 from swarm.frozen import frozen
 from swarm.recording.trajectory import Trajectory
@@ -37,6 +41,23 @@ class SweptRun:
     """Why it failed; empty where it did not."""
     contacts: int = 0
     """How often two robots touched."""
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    """What the app's methods `error_NAME` say at the end, by name: the mean over the robots."""
+
+
+def check(jobs: Sequence[Job], app: LoadedApp | None = None) -> None:
+    """Raise what is wrong with the first job where none of them can be run: then it is wrong with the command. `app`
+    as of `measure`."""
+    wrong = None
+    for job in jobs:
+        try:
+            build(parse([*job.arguments, "--virtual"], ends=False), PLACE, app)
+        except SwarmError as error:
+            wrong = wrong or error
+        else:
+            return
+    if wrong is not None:
+        raise wrong
 
 
 def measure(job: Job, app: LoadedApp | None = None) -> SweptRun:
@@ -51,6 +72,7 @@ def measure(job: Job, app: LoadedApp | None = None) -> SweptRun:
     finally:
         logging.disable(before)
     path_error = report.get("error", report.get("error_cm"))
+    own = metrics(outcome.trajectories)
     iteration = report["iteration_s_median"]
     return SweptRun(
         point=job.point,
@@ -63,6 +85,7 @@ def measure(job: Job, app: LoadedApp | None = None) -> SweptRun:
         computed_s=outcome.computed_s or 0.0,
         problem="; ".join(outcome.problems),
         contacts=contacts if isinstance(contacts := outcome.scene.get("contacts"), int) else 0,
+        metrics={name: x for name, x in own.items() if name != ERROR and f"{name}_most" in own and type(x) is float},
     )
 
 
@@ -106,6 +129,8 @@ class Summary:
     """The first."""
     contacts: int
     """Of all runs together: how often two robots touched."""
+    metrics: Mapping[str, float]
+    """Of each of the app's methods `error_NAME` the median over the runs, and under `error_NAME_most` the largest."""
 
 
 def summarize(runs: Sequence[SweptRun]) -> Summary:
@@ -125,4 +150,14 @@ def summarize(runs: Sequence[SweptRun]) -> Summary:
         iteration_s=statistics.median(times) if times else None,
         problem=next((run.problem for run in runs if run.problem), ""),
         contacts=sum(run.contacts for run in runs),
+        metrics=_summed([run.metrics for run in good]),
     )
+
+
+def _summed(found: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """`Summary.metrics` of several runs."""
+    summed: dict[str, float] = {}
+    for name in dict.fromkeys(name for each in found for name in each):
+        values = [each[name] for each in found if name in each]
+        summed |= {name: statistics.median(values), f"{name}_most": max(values)}
+    return summed

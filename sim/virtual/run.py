@@ -332,7 +332,7 @@ class VirtualRun:
             seconds=0.0 if started is None else ended_at - started,
             trajectories=self._records.trajectories() if self._scenario.app else {},
             beside={name: records.trajectories() for name, records in self._beside.items()},
-            bodies=dict.fromkeys(names),
+            bodies={name: robot.balancer.state() for name, robot in self.world.robots.items()},
             messages=self._messages(),
             rss_mib={},
             restarts={name: self.world.robots[name].starts - (2 if name in self._late else 1) for name in names},

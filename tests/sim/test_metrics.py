@@ -1,6 +1,7 @@
 """Metrics of an app's own: `error(self, truth)` in results, report, sweep and picture, and nowhere on a real robot."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,9 +11,10 @@ from services.apps import loader
 from services.apps.event_runner import EventRunner
 from services.apps.runner import metrics_of
 from sim.rehearsal import rehearse
-from sim.sweep.measure import measure
+from sim.sweep.measure import measure, summarize
 from sim.sweep.plan import Job, SweepPoint
 from sim.virtual.run import simulate
+from swarm import sweep
 from swarm.app.truth import RobotTruth, TruthWatch
 from swarm.config import Config
 from swarm.errors import LocalError
@@ -131,3 +133,17 @@ def test_a_sweep_has_the_apps_error_and_says_so_where_there_is_nothing(tmp_path:
     found = [run.__class__(run.point, run.seed, 5, None, None, 0.1, None, 0.1, "") for run in found]
     with pytest.raises(LocalError, match="nothing to draw: no result settled"):
         sweep_results.draw("mine", points, found, tmp_path / "none.png")
+
+
+def test_a_sweep_has_each_metric_of_the_app(tmp_path: Path) -> None:
+    app = write(tmp_path, OWN_PLACE)
+    points = [SweepPoint((("robots", "2"),)), SweepPoint((("robots", "3"),))]
+    jobs = [Job(i, 1, (app, *each.arguments(), "--seconds", "3"), 0.01) for i, each in enumerate(points)]
+    found = [measure(job) for job in jobs]
+    assert [dict(run.metrics) for run in found] == [{"error_gain": 0.0}] * 2
+    assert "error_gain" in sweep_results.table(points, found)
+    summed = summarize([found[0], replace(found[0], metrics={"error_gain": 2.0})])
+    assert summed.metrics == {"error_gain": 1.0, "error_gain_most": 2.0}
+    sweep_results.draw("own", points, found, tmp_path / "sweep.png")
+    table = sweep(app, {"robots": [2]}, seconds=3)
+    assert (table.rows[0]["error_gain"], table.rows[0]["error_gain_most"], table.runs[0]["error_gain"]) == (0, 0, 0)

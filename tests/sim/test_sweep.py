@@ -9,12 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from laptop.cli.runs import sweep as sweep_command
 from laptop.cli.runs import sweep_results
 from sim.sweep import engines
 from sim.sweep.limit import search
-from sim.sweep.measure import SweptRun, measure, settled, summarize
+from sim.sweep.measure import SweptRun, check, measure, settled, summarize
 from sim.sweep.plan import Job, SweepPoint, jobs_of, points_of, seeds_of, setting_of, values_of
-from swarm.errors import LocalError
+from swarm.errors import AppError, ConfigError, LocalError
 from swarm.recording.trajectory import Trajectory
 
 
@@ -160,6 +161,26 @@ def test_a_wrong_command_is_refused_before_anything_runs():
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "none" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["consenus", "--robots", "3,4"], "there is no app 'consenus'"),
+        (["consensus", "--set", "nonsense=3,4"], "unknown parameter 'nonsense'"),
+    ],
+)
+def test_what_no_run_can_be_made_of_is_one_message(words, said, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["sweep", *words])
+    with pytest.raises(AppError, match=said):
+        sweep_command.main()
+
+
+def test_some_combinations_may_be_impossible():
+    jobs = jobs_of("consensus", points_of([("robots", ("3", "6")), ("topology", ("thesis-d",))]), (1,), [], 0.01)
+    check(jobs)
+    with pytest.raises(ConfigError, match="thesis-d"):
+        check(jobs[:1])
 
 
 def figures(runs):

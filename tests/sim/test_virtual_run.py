@@ -157,6 +157,12 @@ class Blink(PeriodicApp):
 """
 
 
+def test_robots_without_an_app_stand_and_a_push_topples_one():
+    report, _ = simulate("--robots", "2", "--seconds", "3", "--push", "r1@1s,0.6")
+    assert report["result"]["r0"] == {"mode": "balancing", "tilt_deg": 0.0, "fault": ""}
+    assert report["result"]["r1"]["mode"] != "balancing"
+
+
 def test_a_button_reaches_an_event_driven_app_and_its_neighbours():
     app = str(EXAMPLES / "button_count.py")
     report, _ = simulate(app, "--robots", "3", "--seconds", "4", "--press", "r1.A@1s", "--press", "r1.A@2s")

@@ -14,6 +14,7 @@ from laptop.cli.runs import sweep_results
 from sim.scenario import options as simulation
 from sim.sweep.engines import ENGINES, Engine, dask, local
 from sim.sweep.limit import search
+from sim.sweep.measure import check
 from sim.sweep.plan import SweepPoint, jobs_of, points_of, seeds_of, setting_of, values_of
 from swarm.errors import ConfigError
 from swarm.onboard.arguments import whole
@@ -82,6 +83,7 @@ def main() -> int:
     points = points_of([*lists, *args.settings])
     for point in points:  # what is wrong with the command is said before anything is computed
         simulation.parse([args.app, *point.arguments(), *rest, "--virtual"])
+    check(jobs_of(args.app, points, args.seeds[:1], rest, args.within))
     engine = dask(args.jobs, args.scheduler) if args.engine == "dask" else local(args.jobs)
     if args.limit is not None:
         return _limits(args, points, rest, engine)

@@ -40,15 +40,19 @@ def table(points: Sequence[SweepPoint], found: Sequence[SweptRun]) -> str:
     """A row for each point, and what failed."""
     sums = [summarize(runs) for runs in by_point(points, found)]
     names = [name for name, _ in points[0].choices] if points else []
-    rows = [[*names, *_NUMBERS.values()]]
+    metrics = _metrics(sums)
+    rows = [[*names, *_NUMBERS.values(), *(title for name in metrics for title in (name, "at most"))]]
     for point, each in zip(points, sums, strict=True):
-        rows.append([*(value for _, value in point.choices), *(_shown(getattr(each, name)) for name in _NUMBERS)])
+        numbers = [getattr(each, name) for name in _NUMBERS]
+        for name in metrics:
+            numbers += [each.metrics.get(name), each.metrics.get(f"{name}_most")]
+        rows.append([*(value for _, value in point.choices), *map(_shown, numbers)])
     text = _aligned(rows)
     touched = [
-        f"contacts {_named(point)}: {each.contacts}" for point, each in zip(points, sums, strict=True) if each.contacts
+        f"contacts{_named(point)}: {each.contacts}" for point, each in zip(points, sums, strict=True) if each.contacts
     ]
     problems = [
-        f"failed {_named(point)}: {each.problem}" for point, each in zip(points, sums, strict=True) if each.problem
+        f"failed{_named(point)}: {each.problem}" for point, each in zip(points, sums, strict=True) if each.problem
     ]
     notes = [*problems, *touched]
     return "\n".join([text, *([""] if notes else []), *notes])
@@ -87,6 +91,7 @@ def draw_on(made: Any, app: str, points: Sequence[SweepPoint], found: Sequence[S
         lines.setdefault(", ".join(f"{name} {value}" for name, value in choices.items()), []).append((x, each))
     kinds = {"settled": "iterations to settle", "error": f"error{_UNITS.get(app, '')}"}
     kinds = {name: what for name, what in kinds.items() if any(getattr(each, name) is not None for each in sums)}
+    kinds |= {name: name for name in _metrics(sums)}
     if not kinds:
         raise LocalError(
             f"{app}: there is nothing to draw: no result settled (--within says how near its end it must stay), and "
@@ -97,12 +102,12 @@ def draw_on(made: Any, app: str, points: Sequence[SweepPoint], found: Sequence[S
     for index, (label, each_line) in enumerate(lines.items()):
         look = {"color": style.colour(index, len(lines)), "marker": style.mark(index), "markersize": 4}
         for name, axes in panels.items():
-            known = [(x, s) for x, s in each_line if getattr(s, name) is not None]
-            drawn = [(x, getattr(s, name), getattr(s, f"{name}_most")) for x, s in known]
+            numbers = [(x, {**asdict(each), **each.metrics}) for x, each in each_line]
+            drawn = [(x, known[name], known[f"{name}_most"]) for x, known in numbers if known.get(name) is not None]
             if drawn:
                 xs, ys, tops = zip(*drawn, strict=True)
                 axes.plot(xs, ys, "-", label=label or None, **look)
-                axes.plot(xs, tops, ":", color=look["color"])
+                axes.plot(xs, tops, ":", color=look["color"], marker="_")  # a point alone has no line
     for name, axes in panels.items():
         if along is None:  # nothing to be drawn along an axis of numbers
             ticks = [", ".join(value for _, value in point.choices) for point in points]
@@ -119,6 +124,12 @@ def draw_on(made: Any, app: str, points: Sequence[SweepPoint], found: Sequence[S
             for line, label in zip(*axes.get_legend_handles_labels(), strict=True)
         }
         made.legend(named.values(), named.keys(), loc="outside upper center", ncols=2, fontsize="small")
+
+
+def _metrics(sums: Sequence[Summary]) -> list[str]:
+    """Names of the app's methods `error_NAME`, as far as they gave numbers."""
+    known = dict.fromkeys(name for each in sums for name in each.metrics)
+    return [name for name in known if f"{name}_most" in known]
 
 
 def _along(points: Sequence[SweepPoint]) -> str | None:
@@ -143,7 +154,8 @@ def _run(run: SweptRun) -> dict[str, object]:
 
 
 def _named(point: SweepPoint) -> str:
-    return " ".join(f"{name}={value}" for name, value in point.choices)
+    """What a note about a point begins with, behind its first word."""
+    return "".join(f" {name}={value}" for name, value in point.choices)
 
 
 def _shown(value: object) -> str:

@@ -230,10 +230,14 @@ class VirtualBalancer:
     def _tell_state(self) -> None:
         if not any(map(self.bus.wanted, self._side.state_keys)):
             return
+        self._side.publish(self.state())
+
+    def state(self) -> BalancerState:
+        """What there is to say of the body now."""
         now, body = self._time.now, self.body
         body.advance(now)
         speed, turn_rate = body.demand
-        state = BalancerState(
+        return BalancerState(
             t=now,
             mode=body.mode,
             tilt=body.tilt,
@@ -250,7 +254,6 @@ class VirtualBalancer:
             demanded_speed=speed if body.mode == BALANCING else 0.0,
             demanded_turn_rate=turn_rate,
         )
-        self._side.publish(state)
 
     def _tell_truth(self) -> None:
         now, body = self._time.now, self.body

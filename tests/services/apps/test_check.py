@@ -46,6 +46,16 @@ def short(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         signal.signal(number, handler)
 
 
+def test_new_says_what_its_test_needs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for there, said in ((True, "; pytest "), (False, "; pip install pytest; pytest ")):
+        monkeypatch.setattr(sys, "argv", ["swarm new", str(tmp_path / f"app_{there}.py".lower())])
+        monkeypatch.setattr(new.importlib.util, "find_spec", lambda name, there=there: there or None)
+        assert new.main() == 0
+        assert said in capsys.readouterr().out
+
+
 BAD = {
     "raises": ("        self.value = 1 / 0\n", "ZeroDivisionError: division by zero", 8),
     "no number": ("        self.value = float('nan') * mean\n", "value: nan is not a finite number", 8),
