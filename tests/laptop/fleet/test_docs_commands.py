@@ -38,11 +38,11 @@ ELSEWHERE = {
     "swarm dwm": "modules: tests/services/dwm/test_dwm_tool.py",
     "swarm calibrate": "a robot's module: tests/laptop/fleet/test_calibrations.py",
     "swarm flash": "avr-gcc: tests/laptop/fleet/test_flash_fleet.py",
-    "swarm commission": "a robot's body: tests/laptop/fleet/test_commission_ssh.py, tests/sim/test_action_effects.py",
+    "swarm commission": "bodies: tests/laptop/fleet/test_commission_ssh.py, tests/sim/core/test_action_effects.py",
     "swarm balance": "a robot's body: tests/laptop/fleet/test_balance_ssh.py",
     "swarm drive": "a keyboard: tests/laptop/fleet/test_drive_ssh.py",
-    "swarm sim": "a simulation: tests/sim/test_action_effects.py, tests/sim/test_commission_report.py",
-    "swarm hand": "a simulation: tests/sim/test_action_effects.py",
+    "swarm sim": "a simulation: tests/sim/core/test_action_effects.py, tests/sim/scenario/test_commission_report.py",
+    "swarm hand": "a simulation: tests/sim/core/test_action_effects.py",
 }
 """Commands that are not run here: what they need, and what runs them."""
 

@@ -128,7 +128,7 @@ def test_a_replay_ends_where_the_recording_does(tmp_path):
     assert report["iterations"] == outcome.scenario.iterations == 12
 
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+EXAMPLES = Path(__file__).parents[3] / "examples"
 BLINK = """
 from math import fsum
 

@@ -162,7 +162,7 @@ def test_the_command_serves_until_it_is_interrupted_and_reports() -> None:
     ]
     with running(
         [*command, "--view", "--no-open", "--speed", "max"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=Path(__file__).parents[3],
     ) as process:  # fmt: skip
         assert process.stdout is not None
         assert process.stderr is not None

@@ -33,7 +33,7 @@ from swarm.errors import LocalError, RemoteError
 from swarm.messages import BalancerState, Buttons, LedChange, SetMode, Truth, read
 from swarm.messages.codec import decode
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "services/balancer"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "services/balancer"))
 from balancer_rig import Rig, upright
 
 CLAIM = """

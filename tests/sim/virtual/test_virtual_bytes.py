@@ -12,7 +12,7 @@ import pytest
 from bench.running import running
 from services.apps import loader
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+EXAMPLES = Path(__file__).parents[3] / "examples"
 
 APPS = {
     **{
