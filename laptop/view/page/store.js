@@ -3,6 +3,7 @@
 import { theme } from "./theme.js";
 
 const TRAIL = 300; // places
+const TRAILS_S = 0.25; // of the swarm's time between two looks at trails
 const STEP_MS = [40, 500]; // the way between two samples takes nearly as long as they are apart as a rule, within this
 const NEARLY = 0.8; // else a late one would be waited for twice
 const RULE = 0.2; // share of the newest one in what is the rule
@@ -32,7 +33,8 @@ export class Store {
     this.events = [];
     this.faults = new Map(); // name -> the newest event that is an error
     this.trails = new Map(); // name -> [[x, y], ...]
-    this.trailed = (this.trailed ?? 0) + 1; // goes up with each place of a trail
+    this.trailed = (this.trailed ?? 0) + 1; // goes up as trails grow; their ends are below the robots, so not with each place
+    this.trailedAt = -Infinity;
     this.hops = {};
     this.flashes = new Map(); // "r0>r1" -> {at, rate}
     this.places = new Map(); // name -> {from, to, at, span}: drawn between two samples
@@ -150,7 +152,7 @@ export class Store {
     const trail = this.trails.get(name) ?? [], newest = trail[trail.length - 1];
     if (!newest || Math.hypot(newest[0] - pose.x, newest[1] - pose.y) > 0.01) {
       trail.push([pose.x, pose.y]);
-      this.trailed += 1;
+      if (!(this.t > this.trailedAt && this.t < this.trailedAt + TRAILS_S)) [this.trailed, this.trailedAt] = [this.trailed + 1, this.t];
     }
     if (trail.length > TRAIL) trail.shift();
     this.trails.set(name, trail);
