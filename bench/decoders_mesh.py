@@ -13,8 +13,9 @@ from services.mesh.core.link.clock import ClockClaim, encode_claim
 from services.mesh.core.link.flow import Fragment, Reassembly, decode_fragment, encode_ack, encode_fragment
 from services.mesh.core.link.session import Session
 from services.mesh.core.node import MeshNode
-from services.mesh.core.overlays import carried, stop
+from services.mesh.core.overlays import carried, completion, stop
 from services.mesh.core.overlays.carried import Carried
+from services.mesh.core.overlays.completion import Known
 from services.mesh.core.overlays.robot_overlays import RobotOverlays
 from services.mesh.core.overlays.stop import Halt, Mark
 from services.mesh.core.overlays.viewing import KEYS, Viewing
@@ -45,6 +46,9 @@ PACKETS = (
     packets.encode_spread(Spread(7, 5, b"", echo=True, size=20_000)),
     packets.encode_spread(Spread(7, 9, topology.encode_advertisement(Advertisement({"r1": 300}, topology=5, heard=7)))),
     topology.encode_advertisement(Advertisement({"r1": 300, "r2": 65535}, leaving=True, heard=3)),
+    packets.encode_spread(Spread(7, 6, b"x" * 20, known=0b101)),
+    packets.encode_spread(Spread(7, 6, b"", size=20_000, known=0b101)),
+    completion.encode_known(Known(7, 6, 0b111, final=True)),
     packets.encode_echo(EchoPacket(7, 5, ("r2", "r3"), lost=True, orphan=True, ttl=9)),
     *packets.encode_digests({"r2": (7, 5), "r3": (8, 6)}, answer=True),
     packets.encode_summary(77),
@@ -302,6 +306,7 @@ _PACKET_DECODERS = (
     topology.decode_advertisement, packets.decode_message, packets.decode_ack, neighbour._answer,
     pieces.decode, pieces.decode_offer, pieces.decode_want, pieces.decode_piece, pieces.decode_state,
     carried.decode_carried,
+    completion.decode_known,
 )  # fmt: skip
 
 TARGETS = (
@@ -328,6 +333,7 @@ TARGETS = (
             for each in (
                 "wire/packets.py",
                 "overlays/carried.py",
+                "overlays/completion.py",
                 "bulk/pieces.py",
                 "overlays/stop.py",
                 "routing/topology.py",
@@ -341,6 +347,7 @@ TARGETS = (
         (
             f"{_CORE}wire/packets.py",
             f"{_CORE}overlays/carried.py",
+            f"{_CORE}overlays/completion.py",
             f"{_CORE}bulk/pieces.py",
             f"{_CORE}overlays/stop.py",
             f"{_CORE}routing/topology.py",

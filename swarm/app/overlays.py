@@ -151,7 +151,7 @@ class Overlays:
         bus.on_change(self._on_bus)
 
     def flood(self, payload: bytes, *, priority: str = "bulk", announce: bool = False) -> Handle[Flooded]:
-        """To all robots. With `announce` all of them learn when it is complete."""
+        """To all robots. With `announce` all of them learn when all have it."""
         request = FloodRequest(self._ticket(), self._app, payload, priority, announce)
         return self._open(request, self._flood_key)
 
@@ -201,7 +201,7 @@ class Overlays:
         self._subscribe(key("*", "app", self._app, "send", self._robot), callback)
 
     def on_complete(self, callback: Callable[[str, Flooded], None]) -> None:
-        """Call `callback(origin, answer)` on Zenoh's thread when another robot announces that a flood is complete."""
+        """Call `callback(origin, answer)` on Zenoh's thread when all have another robot's flood with `announce`."""
 
         def handle(name: str, payload: bytes) -> None:
             answer = _decoded(Flooded, name, payload)

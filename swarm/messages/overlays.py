@@ -19,16 +19,17 @@ class FloodRequest:
     priority: str
     """control, sync or bulk."""
     announce: bool
-    """Whether the answer is flooded, too: every robot learns that the flood is complete."""
+    """Whether every robot is to learn that all have it."""
 
 
 @frozen
 class Flooded:
-    """End of a flood, on `swarm/<robot>/mesh/flooded` of its origin; elsewhere only where it is announced."""
+    """End of a flood, on `swarm/<origin>/mesh/flooded` at its origin, and elsewhere where all are to know it."""
 
     t: float
-    """At the origin."""
+    """When this robot learned it."""
     ticket: str
+    """Of the request; empty elsewhere than at the origin."""
     app: str
     robots: tuple[str, ...]
     """Whom it reached, besides the origin."""

@@ -54,7 +54,7 @@ class FloodingDemo(EventApp):
             self._show("incomplete", f"{len(outcome.robots)} reached: {outcome.problem}", red=True)
 
     def on_announced(self, origin: str, outcome: Flooded) -> None:
-        """The origin has told that all have it."""
+        """All have another robot's."""
         if outcome.complete:
             self.complete += 1
             self._show("complete", f"all have {origin}'s", green=True)

@@ -37,7 +37,7 @@ def longest(overlay: int, priority: int) -> int:
     """The longest payload of a relayed value, bytes."""
     if overlay == frames.NEIGHBOURS:
         return frames.MAX_MESSAGE if priority == frames.BULK else frames.MAX_PAYLOAD
-    return flood.limit_of(priority) if overlay == frames.FLOOD else unicast.limit_of(priority)
+    return flood.limit_of(priority, all_know=False) if overlay == frames.FLOOD else unicast.limit_of(priority)
 
 
 class MeshNode:

@@ -63,19 +63,6 @@ def test_a_flood_without_echo_costs_less() -> None:
     assert sum(world.messages.values()) == 2 * edges - (len(world.names) - 1)
 
 
-def test_completion_is_announced_to_all_on_request() -> None:
-    world = World(line(4))
-    world.settle()
-    world.flood("r1", b"x", announce=True)
-    world.run(1.0)
-    for name in world.names:
-        assert len(world.got(name, "r1/mesh/flooded")) == 1
-    world.clear()
-    world.flood("r1", b"y")
-    world.run(1.0)
-    assert [len(world.got(name, "mesh/flooded")) for name in world.names] == [0, 1, 0, 0]
-
-
 def test_alone_a_flood_is_complete_at_once() -> None:
     world = World(line(2), start=False)
     world.start("r0")

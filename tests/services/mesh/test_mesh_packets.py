@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from services.mesh.core.bulk import pieces
 from services.mesh.core.bulk.numbered import SeenNumbers
 from services.mesh.core.bulk.pieces import DONE, GONE, OFFER, PIECE, STATE, WANT, MessageId, Packet
-from services.mesh.core.overlays import carried, stop
+from services.mesh.core.overlays import carried, completion, stop
 from services.mesh.core.overlays.carried import Carried
+from services.mesh.core.overlays.completion import Known
 from services.mesh.core.overlays.stop import Halt, Mark
 from services.mesh.core.routing import topology
 from services.mesh.core.routing.topology import Advertisement
@@ -31,6 +32,8 @@ LARGE = MessageId("r0", 1, 5, flood=False)
 GOLDEN = {
     "spread": packets.encode_spread(Spread(0x0006_0000_0000_0001, 7, b"hi", latest=True)),
     "second": packets.encode_spread(Spread(0x0006_0000_0000_0001, 9, b"hi", echo=True, first=7)),
+    "all_know": packets.encode_spread(Spread(0x0006_0000_0000_0001, 7, b"hi", known=0b11)),
+    "known": completion.encode_known(Known(0x0006_0000_0000_0001, 7, 0b1111)),
     "echo": packets.encode_echo(EchoPacket(0x0006_0000_0000_0001, 7, ("r1", "r2"))),
     "digest": packets.encode_digests({"r0": (1, 0xAABBCCDD)}, answer=True)[0],
     "summary": packets.encode_summary(0xAABBCCDD),
@@ -52,6 +55,8 @@ GOLDEN = {
 DECODERS: dict[str, Callable[[bytes], object]] = {
     "spread": packets.decode_spread,
     "second": packets.decode_spread,
+    "all_know": packets.decode_spread,
+    "known": completion.decode_known,
     "echo": packets.decode_echo,
     "digest": packets.decode_digest,
     "summary": packets.decode_summary,
@@ -82,15 +87,24 @@ u64 = st.integers(0, 2**64 - 1)
 u32 = st.integers(1, 2**32 - 1)
 none, below_9 = st.just(0), st.integers(1, 8)
 large = st.integers(packets.MAX_SPREAD + 1, packets.MAX_LARGE)
+large_known = st.integers(packets.room(all_know=True) + 1, packets.MAX_LARGE)
+bits = st.integers(1, 2**2040 - 1)
 keys = st.sampled_from(("swarm/r0/app/x/send/r3", "swarm/r3/balancer/set/mode"))
 
 
+def spreads_with(**fields: st.SearchStrategy[object]) -> st.SearchStrategy[Spread]:
+    plain = {name: st.just(value) for name, value in Spread(1, 9, b"")._asdict().items()}
+    return st.builds(Spread, **{**plain, "incarnation": u64, **fields})
+
+
 spreads = st.one_of(
-    st.builds(Spread, u64, u32, st.binary(max_size=99), st.booleans(), latest=st.just(False), first=none, size=none),
-    st.builds(Spread, u64, u32, st.binary(max_size=99), st.just(False), latest=st.just(True), first=none, size=none),
-    st.builds(Spread, u64, st.just(9), st.binary(max_size=9), st.just(True), st.just(False), first=below_9, size=none),
-    st.builds(Spread, u64, st.just(9), st.just(b""), st.just(True), st.just(False), first=below_9, size=large),
-    st.builds(Spread, u64, u32, st.just(b""), st.just(False), st.booleans(), first=none, size=large),
+    spreads_with(sequence=u32, payload=st.binary(max_size=99), echo=st.booleans()),
+    spreads_with(sequence=u32, payload=st.binary(max_size=99), latest=st.just(True)),
+    spreads_with(payload=st.binary(max_size=9), echo=st.booleans(), first=below_9),
+    spreads_with(echo=st.just(True), first=below_9, size=large),
+    spreads_with(sequence=u32, latest=st.booleans(), size=large),
+    spreads_with(payload=st.binary(max_size=99), first=none | below_9, known=bits),
+    spreads_with(first=none | below_9, known=bits, size=large_known),
 )
 
 
@@ -112,6 +126,16 @@ def test_an_echo_that_does_not_fit_says_so() -> None:
     echo = packets.decode_echo(data)
     assert echo.lost
     assert 0 < len(echo.robots) < 1000
+
+
+@given(st.builds(Known, u64, u32, st.integers(0, 2**2040 - 1), st.booleans()))
+def test_known_round_trip(packet: Known) -> None:
+    assert completion.decode_known(completion.encode_known(packet)) == packet
+
+
+def test_the_longest_flood_fits_a_packet_with_all_robots_that_it_can_name() -> None:
+    payload = bytes(packets.room(all_know=True))
+    assert len(packets.encode_spread(Spread(1, 9, payload, first=1, known=2**2040 - 1))) == MAX_PAYLOAD
 
 
 @given(st.dictionaries(names, st.tuples(u64, st.integers(0, 2**32 - 1)), max_size=120), st.booleans())

@@ -31,7 +31,7 @@ class Admission:
             return robot == peer and service == "mesh" and topic in ("unicast", "pieces")
         if service == "mesh" and topic in ("digest", "halt", "topology"):
             return robot == peer
-        if (service, topic) in (("mesh", "lsa"), ("mesh", "flooded"), ("mesh", "stopped"), ("mesh", "watch")):
+        if (service, topic) in (("mesh", "lsa"), ("mesh", "stopped"), ("mesh", "watch")):
             return True
         return _is_app_flood(service, topic) or self._flood(key)
 

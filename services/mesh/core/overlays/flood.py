@@ -1,17 +1,19 @@
 """Flooding: one robot's message to the whole swarm (thesis 3.4.5), and how those who missed it catch up.
 
 Who sees a flood for the first time delivers it and passes it on over all links but the one it came by: it crosses
-each edge once or twice, 2E - (N - 1) messages in all. A confirmed one has its echo (`overlays.echo`), 2E messages; the
-origin tries a second time where links broke meanwhile. Of keys marked latest each robot keeps the newest value;
-neighbours compare checksums when their link comes up and every 30 s, and hand each other what is missing.
+each edge once or twice, 2E - (N - 1) messages in all. A confirmed one has its echo (`overlays.echo`), 2E messages; one
+of which all are to know that all have it needs 4E at most (`overlays.completion`). The origin tries a second time where
+links broke meanwhile. Of keys marked latest each robot keeps the newest value; neighbours compare checksums when their
+link comes up and every 30 s, and hand each other what is missing.
 """
 
 from collections import Counter
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 from services.mesh.core.actions import Emit, Transmit
 from services.mesh.core.bulk import pieces
 from services.mesh.core.overlays import large_messages
+from services.mesh.core.overlays.completion import Completion, decode_known
 from services.mesh.core.overlays.echo import FloodId, Waves
 from services.mesh.core.overlays.flood_store import NEW, OLD, CatchUp, Store
 from services.mesh.core.overlays.large_messages import LargeFloods
@@ -39,12 +41,14 @@ _NEVER = float("inf")
 
 
 class Attempt:
-    """An own flood whose echo is awaited."""
+    """An own flood whose end is awaited."""
 
-    __slots__ = ("deadline", "first", "goal", "key", "patience", "payload", "priority", "robots", "settle",
+    __slots__ = ("all_know", "deadline", "first", "goal", "key", "patience", "payload", "priority", "robots", "settle",
                  "token", "tries")  # fmt: skip
 
-    def __init__(self, token: object, key: str, payload: bytes, priority: int, patience: float, settle: float) -> None:
+    def __init__(
+        self, token: object, key: str, payload: bytes, priority: int, patience: float, settle: float, *, all_know: bool
+    ) -> None:
         self.token = token
         self.key = key
         self.payload = payload
@@ -52,6 +56,8 @@ class Attempt:
         self.patience = patience
         self.settle = settle
         """s that echoes may still come after all edges have spoken."""
+        self.all_know = all_know
+        """Whether all are to learn that all have it, not this robot alone by an echo."""
         self.first = 0
         self.tries = 0
         self.deadline = 0.0
@@ -68,22 +74,27 @@ class FloodOverlay:
         me: str,
         incarnation: int,
         robots: frozenset[str],
+        names: Sequence[str],
         *,
         emit: Emit,
         deliver: Callable[[str, str, bytes, int, int], None],
         reached: Callable[[object, frozenset[str], bool], None],
+        all_have: Callable[[str, Collection[str]], None],
         towards: Callable[[str], str | None],
         expected: Callable[[], Collection[str]],
+        graph: Callable[[], Mapping[str, Collection[str]]],
         random: Callable[[], float],
         counters: Counter[str],
     ) -> None:
-        """`deliver(origin, key, payload, priority, incarnation)` is called for each flood of others;
-        `reached(token, robots, complete)` ends each `confirm`; `expected()` are the robots there is a way to."""
+        """`names` are all robots, sorted. `deliver(origin, key, payload, priority, incarnation)` is called for each
+        flood of others; `reached(token, robots, complete)` ends each `confirm`; `all_have(key, robots)` tells of those
+        of others of which all are to know. `expected()` are the robots there is a way to; `graph()` all links."""
         self._me = me
         self._robots = robots
         self._emit = emit
         self._deliver = deliver
         self._reached = reached
+        self._all_have = all_have
         self._expected = expected
         self._counters = counters
         self._store = Store()
@@ -96,8 +107,12 @@ class FloodOverlay:
         self._waves = Waves(me, self._emit_wave, towards=towards, heard=self._heard)
         self._neighbours = CatchUp(me, self._store, emit=emit, random=random, counters=counters)
         self._links = self._neighbours.links
+        self._completion = Completion(
+            me, names,
+            emit=self._emit_wave, links=self._links, expected=expected, graph=graph, complete=self._complete,
+        )  # fmt: skip
         self.large = LargeFloods(
-            me, self._store, self._waves, pass_on=self._pass_on, deliver=deliver, counters=counters
+            me, self._store, self._waves, self._completion, pass_on=self._pass_on, deliver=deliver, counters=counters
         )
 
     # -- own floods --------------------------------------------------------------------------------------------
@@ -111,17 +126,27 @@ class FloodOverlay:
         self._spread(key, Spread(self.incarnation, self._next(now), payload, latest=latest), priority, now)
         return True
 
-    def confirm(self, token: object, key: str, payload: bytes, priority: int, patience: float, now: float) -> bool:
+    def confirm(
+        self,
+        token: object,
+        key: str,
+        payload: bytes,
+        priority: int,
+        patience: float,
+        now: float,
+        *,
+        all_know: bool = False,
+    ) -> bool:
         """Flood, and learn by `reached` whom; False where too many are under way. `patience` is how long a try of a
-        small one may take, s."""
+        small one may take, s. With `all_know` the others learn it, too."""
         settle = patience
-        if len(payload) > packets.MAX_SPREAD:
+        if len(payload) > packets.room(all_know=all_know):
             if not self.large.has_room(len(payload)):
                 return False
             patience += large_messages.patience(len(payload))
         if len(self._attempts) >= MAX_ATTEMPTS:
             return False
-        attempt = Attempt(token, key, payload, priority, patience, settle)
+        attempt = Attempt(token, key, payload, priority, patience, settle, all_know=all_know)
         attempt.goal.update(self._expected())
         self._try(attempt, now)
         return True
@@ -152,10 +177,15 @@ class FloodOverlay:
     def unlink(self, peer: str) -> None:
         """A neighbour is gone: nothing goes to it any more."""
         self._neighbours.unlink(peer)
+        self._completion.unlink(peer)
 
     def link_down(self, peer: str, now: float) -> None:
         """After `unlink`, when routes know it, too: what echoes make of it."""
         self._waves.link_down(peer, now)
+
+    def ways_changed(self, now: float) -> None:
+        """The map is another one."""
+        self._completion.ways_changed(now)
 
     def receive(self, peer: str, key: str, data: bytes, priority: int, now: float) -> None:
         """A packet of a neighbour; raises `FrameError`."""
@@ -171,6 +201,10 @@ class FloodOverlay:
                 self._waves.echo(
                     FloodId(parse(key).robot, echo.incarnation, echo.sequence), key, priority, peer, echo, now
                 )
+            case packets.KNOWN:
+                known = decode_known(data)
+                id = FloodId(parse(key).robot, known.incarnation, known.sequence)
+                self._completion.heard(id, peer, known.robots, now, final=known.final)
             case packets.DIGEST:
                 digest = packets.decode_digest(data)
                 incarnation, _ = digest.origins.get(self._me, (0, 0))
@@ -189,6 +223,7 @@ class FloodOverlay:
     def handle_timer(self, now: float) -> None:
         """Whatever is due."""
         self._waves.handle_timer(now)
+        self._completion.handle_timer(now)
         self.large.handle_timer(now)
         for sequence, attempt in list(self._attempts.items()):
             if now >= attempt.deadline and self._attempts.get(sequence) is attempt:
@@ -212,7 +247,7 @@ class FloodOverlay:
     def _spread(self, key: str, packet: Spread, priority: int, now: float) -> None:
         """An own flood: noted as seen, and off."""
         self._store.take(self._me, key, packet, priority)
-        if len(packet.payload) > packets.MAX_SPREAD:
+        if len(packet.payload) > packets.room(all_know=bool(packet.known)):
             id = pieces.MessageId(self._me, packet.incarnation, packet.first or packet.sequence, flood=True)
             self.large.hold(id, packet.payload, now, key if packet.latest else "")
             packet = packet._replace(payload=b"", size=len(packet.payload))
@@ -226,7 +261,7 @@ class FloodOverlay:
         others = [peer for peer in self._links if peer != source]
         for peer in others:
             self._counters["flood_sent"] += 1
-            self._counters["wave_sent"] += packet.echo
+            self._counters["wave_sent"] += packet.echo or packet.known > 0
             self._neighbours.spread(Transmit(peer, FLOOD, key, data, priority, packet.latest))
         return others
 
@@ -243,16 +278,24 @@ class FloodOverlay:
             self._counters["flood_old"] += 1
             return
         id = FloodId(origin, packet.incarnation, packet.sequence)
+        first = id._replace(sequence=packet.first or packet.sequence)
         if verdict != NEW:
             self._counters["flood_duplicates"] += 1
             if packet.echo:
                 self._waves.again(id, key, priority, peer, now)
+            elif packet.known:
+                self._completion.heard(first, peer, packet.known, now)
             return
+        if packet.known:
+            known = self._completion.reached(first, key, priority, peer, packet.known, now, has=True)
+            data = packets.encode_spread(packet._replace(known=known))
         others = self._pass_on(key, packet, priority, peer, data)
         if packet.echo:
             self._waves.join(id, key, priority, peer, others, now)
         if not packet.first or not self._store.has_seen(origin, packet.first):
             self._deliver(origin, key, packet.payload, priority, packet.incarnation)
+        if packet.known:
+            self._completion.spread(first, others, now)
 
     def _on_own(self, peer: str, key: str, packet: Spread, priority: int, now: float) -> None:
         """Our own flood came round; or one of an earlier life of ours, or of a member that pretends to be us."""
@@ -260,6 +303,9 @@ class FloodOverlay:
             self._go_above(packet.incarnation, now)
         elif packet.echo and packet.incarnation == self.incarnation:
             self._waves.again(FloodId(self._me, packet.incarnation, packet.sequence), key, priority, peer, now)
+        elif packet.known:
+            first = FloodId(self._me, packet.incarnation, packet.first or packet.sequence)
+            self._completion.heard(first, peer, packet.known, now)
 
     def _go_above(self, incarnation: int, now: float) -> None:
         """Others know us by a higher incarnation: without this they would take all we say for old."""
@@ -282,19 +328,34 @@ class FloodOverlay:
         for attempt in attempts:
             attempt.tries, attempt.first, attempt.deadline = 0, 0, 0.0
 
-    # -- the echo at the origin --------------------------------------------------------------------------------
+    # -- the end at the origin ---------------------------------------------------------------------------------
 
     def _try(self, attempt: Attempt, now: float) -> None:
         sequence = self._next(now)
         attempt.tries += 1
         attempt.deadline = now + attempt.patience
         self._attempts[sequence] = attempt
-        packet = Spread(self.incarnation, sequence, attempt.payload, echo=True, first=attempt.first)
+        packet = Spread(self.incarnation, sequence, attempt.payload, echo=not attempt.all_know, first=attempt.first)
         attempt.first = attempt.first or sequence
+        life = large_messages.patience(len(attempt.payload))
+        if attempt.all_know:
+            first = FloodId(self._me, self.incarnation, attempt.first)
+            known = self._completion.reached(first, attempt.key, attempt.priority, "", 0, now, has=True, life=life)
+            self._spread(attempt.key, packet._replace(known=known), attempt.priority, now)
+            self._completion.spread(first, self._links, now)
+            return
         self._spread(attempt.key, packet, attempt.priority, now)
         id = FloodId(self._me, self.incarnation, sequence)
-        life = large_messages.patience(len(attempt.payload))
         self._waves.begin(id, attempt.key, attempt.priority, self._links, now, life)
+
+    def _complete(self, id: FloodId, key: str, now: float) -> None:
+        """All have a flood of which all are to know."""
+        if id.origin != self._me:
+            self._all_have(key, self._completion.robots(id))
+            return
+        for attempt in set(self._attempts.values()):
+            if attempt.all_know and attempt.first == id.sequence and id.incarnation == self.incarnation:
+                self._end(attempt, complete=True)
 
     def _heard(self, id: FloodId, robots: Collection[str], lost: bool, over: bool, now: float) -> None:
         attempt = self._attempts.get(id.sequence)
@@ -308,8 +369,12 @@ class FloodOverlay:
             attempt.deadline = min(attempt.deadline, now + attempt.settle)
 
     def _expire(self, sequence: int, attempt: Attempt, now: float) -> None:
+        if attempt.all_know:
+            attempt.robots.update(self._completion.robots(FloodId(self._me, self.incarnation, attempt.first)))
         if attempt.robots.issuperset(self._expected()):
             self._end(attempt, complete=True)
+            if attempt.all_know:
+                self._completion.end(FloodId(self._me, self.incarnation, attempt.first), now)
         elif attempt.tries >= 2:
             self._end(attempt, complete=False)
         else:
@@ -321,6 +386,8 @@ class FloodOverlay:
         for sequence in [sequence for sequence, each in self._attempts.items() if each is attempt]:
             del self._attempts[sequence]
             self._waves.forget(FloodId(self._me, self.incarnation, sequence))
+        if attempt.all_know:
+            attempt.robots.update(self._completion.robots(FloodId(self._me, self.incarnation, attempt.first)))
         self._reached(attempt.token, frozenset(attempt.robots - {self._me}), complete)
 
     # -- inside ------------------------------------------------------------------------------------------------
@@ -330,6 +397,6 @@ class FloodOverlay:
         self._emit(packet)
 
 
-def limit_of(priority: int) -> int:
+def limit_of(priority: int, *, all_know: bool) -> int:
     """Bytes that a flood of a class may have."""
-    return MAX_LARGE if priority == BULK else packets.MAX_SPREAD
+    return MAX_LARGE if priority == BULK else packets.room(all_know=all_know)

@@ -15,6 +15,7 @@ from services.mesh.core.bulk.exchange import BulkExchange, total_of
 from services.mesh.core.bulk.numbered import SeenNumbers
 from services.mesh.core.bulk.pieces import SIZE, MessageId, Packet
 from services.mesh.core.bulk.transfers import Transfers
+from services.mesh.core.overlays.completion import Completion
 from services.mesh.core.overlays.echo import MAX_WAVES, Waves
 from services.mesh.core.overlays.echo import FloodId as WaveId
 from services.mesh.core.overlays.flood_store import NEW, OLD, Store
@@ -80,6 +81,7 @@ class LargeFloods:
         me: str,
         store: Store,
         waves: Waves,
+        completion: Completion,
         *,
         pass_on: Callable[[str, Spread, int, str | None], list[str]],
         deliver: Callable[[str, str, bytes, int, int], None],
@@ -90,6 +92,7 @@ class LargeFloods:
         self._me = me
         self._store = store
         self._waves = waves
+        self._completion = completion
         self._pass_on = pass_on
         self._deliver = deliver
         self._counters = counters
@@ -130,6 +133,7 @@ class LargeFloods:
         """A neighbour announces a message."""
         id = MessageId(origin, packet.incarnation, packet.first or packet.sequence, flood=True)
         wave = WaveId(origin, packet.incarnation, packet.sequence)
+        first = wave._replace(sequence=id.number)
         verdict = self._store.sight(origin, key, packet)
         if verdict == OLD:
             self._counters["flood_old"] += 1
@@ -139,6 +143,8 @@ class LargeFloods:
             self.exchange.add_source(id, peer, now)
             if packet.echo:
                 self._waves.again(wave, key, BULK, peer, now)
+            elif packet.known:
+                self._completion.heard(first, peer, packet.known, now)
             return
         coming = self._coming.get(id)
         there = self._was_delivered(id)
@@ -147,7 +153,14 @@ class LargeFloods:
             if coming is None and packet.latest:
                 # Nothing notes that it was here: passed on it would come back, and again. Neighbours will compare.
                 return
+        if packet.known:
+            known = self._completion.reached(
+                first, key, BULK, peer, packet.known, now, has=there, life=patience(packet.size)
+            )
+            packet = packet._replace(known=known)
         others = self._pass_on(key, packet, BULK, peer)
+        if packet.known:
+            self._completion.spread(first, others, now)
         if packet.echo:
             if coming is not None:
                 coming.waves.append(wave)
@@ -171,6 +184,8 @@ class LargeFloods:
                 self._deliver(id.origin, coming.key, payload, BULK, id.incarnation)
         for wave in coming.waves:
             self._waves.came(wave, now, complete=payload is not None)
+        if payload is not None:
+            self._completion.came(WaveId(id.origin, id.incarnation, id.number), now)
 
     def handle_timer(self, now: float) -> None:
         """Forget what nobody asks for any more."""

@@ -6,14 +6,13 @@ the word that there is no such request here.
 """
 
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 
 from services.mesh.core.overlays import flood
 from services.mesh.core.overlays.flood import FloodOverlay
 from services.mesh.core.overlays.unicast import Hop, Unicast
 from services.mesh.core.routing.topology import Route
 from services.mesh.core.routing.wanted_links import Linking
-from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import BULK, CONTROL, PRIORITIES
 from swarm.frozen import frozen
 from swarm.messages import (
@@ -28,7 +27,7 @@ from swarm.messages import (
     TopologySet,
 )
 from swarm.messages.codec import encode
-from swarm.messages.keys import is_name
+from swarm.messages.keys import is_name, parse
 from swarm.messages.keys import key as key_of
 
 LEAST_PATIENCE = {CONTROL: 1.0}
@@ -45,7 +44,6 @@ class _Ticket:
 
     ticket: str
     app: str
-    announce: bool = False
 
 
 Request = FloodRequest | SendRequest | Reminder | TopologyRequest
@@ -71,9 +69,8 @@ class OverlayRequests:
         self.routes: Callable[[], Mapping[str, Route]]
         self.linking: Linking | None = None
         self._tickets: OrderedDict[str, Answer | _Ticket] = OrderedDict()
-        self._flooded_key = key_of(me, "mesh", "flooded")
         self._keys = {
-            Flooded: self._flooded_key,
+            Flooded: key_of(me, "mesh", "flooded"),
             Sent: key_of(me, "mesh", "sent"),
             TopologySet: key_of(me, "mesh", "topology_set"),
         }
@@ -95,16 +92,17 @@ class OverlayRequests:
 
     def _request_flood(self, request: FloodRequest) -> None:
         """The answer goes to `mesh/flooded`."""
-        token = _Ticket(request.ticket, request.app, request.announce)
+        token = _Ticket(request.ticket, request.app)
         if self._is_known(token):
             return
         problem = _problem(request.app, request.priority)
         priority = PRIORITIES.get(request.priority, BULK)
-        if len(request.payload) > (limit := flood.limit_of(priority)):
+        if len(request.payload) > (limit := flood.limit_of(priority, all_know=request.announce)):
             problem = f"{len(request.payload)} bytes, a flood has at most {limit} in its class"
         if not problem:
             key = key_of(self._me, "app", request.app, "flood")
-            if self.flood.confirm(token, key, request.payload, priority, self._patience(priority), self._now()):
+            patience, now = self._patience(priority), self._now()
+            if self.flood.confirm(token, key, request.payload, priority, patience, now, all_know=request.announce):
                 return
             problem = "too many floods, or bytes of large ones, are under way"
         self._answer_flood(token, (), complete=False, problem=problem)
@@ -147,6 +145,13 @@ class OverlayRequests:
             problem = "" if complete else "a link broke, or a robot did not answer"
             self._answer_flood(token, sorted_names(robots), complete=complete, problem=problem)
 
+    def all_have(self, key: str, robots: Collection[str]) -> None:
+        """All have another robot's flood: told on the own bus, where no ticket of it is known."""
+        origin, _, topic = parse(key)
+        others = sorted_names(set(robots) - {origin})
+        answer = Flooded(self._now(), "", topic.partition("/")[0], others, complete=True, problem="")
+        self._to_bus(key_of(origin, "mesh", "flooded"), encode(answer), CONTROL)
+
     def sent(self, token: object, to: str, problem: str) -> None:
         """A message has ended."""
         if isinstance(token, _Ticket):
@@ -172,11 +177,7 @@ class OverlayRequests:
         return max(least, 4 * (farthest.hops + 1) * (farthest.time / farthest.hops) * 1e-4)
 
     def _answer_flood(self, token: _Ticket, robots: tuple[str, ...], *, complete: bool, problem: str) -> None:
-        answer = Flooded(self._now(), token.ticket, token.app, robots, complete, problem)
-        self._end(answer)
-        payload = encode(answer)
-        if token.announce and complete and len(payload) <= packets.MAX_SPREAD:
-            self.flood.publish(self._flooded_key, payload, CONTROL, self._now(), latest=False)
+        self._end(Flooded(self._now(), token.ticket, token.app, robots, complete, problem))
 
     def _is_known(self, token: _Ticket) -> bool:
         """Whether a request was seen before; its answer, if it is there, is told again."""

@@ -77,10 +77,16 @@ class RobotOverlays:
         self._actions: list[Action] = []
         emit = self._actions.append
         self._requests = OverlayRequests(me, to_bus=self._to_bus, now=lambda: self._now)
+        names = _sorted(self._robots)
+
+        def graph() -> Mapping[str, Collection[str]]:
+            return self._map.graph()
+
         self._flood = FloodOverlay(
-            me, incarnation, self._robots,
-            emit=emit, deliver=self._on_flood, reached=self._requests.reached, towards=self._towards,
-            expected=lambda: self._map.routes().keys(), random=random, counters=counters,
+            me, incarnation, self._robots, names,
+            emit=emit, deliver=self._on_flood, reached=self._requests.reached, all_have=self._requests.all_have,
+            towards=self._towards, expected=lambda: self._map.routes().keys(), graph=graph,
+            random=random, counters=counters,
         )  # fmt: skip
         self._map = LinkStateMap(
             me,
@@ -109,7 +115,6 @@ class RobotOverlays:
             me, lambda: self._flood.incarnation, self._robots, emit=emit, changed=lambda: self._stops.changed(self._now)
         )
         self._stops = Stops(me, self._register, self._flood, self._to_bus)
-        names = _sorted(self._robots)
         self._carrier = Carrier(
             me, names,
             emit=emit, route=self._map.route, admits=admits_neighbour, passes=carries, deliver=self._to_bus,
@@ -369,6 +374,7 @@ class RobotOverlays:
         self._version = self._map.version
         if look:
             self._look_at = min(self._look_at, now + SETTLE)
+        self._flood.ways_changed(now)
         self._unicast.routes_changed(now)
         self._large.ways_changed(now)
         if self.linking is not None:

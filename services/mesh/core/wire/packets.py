@@ -94,8 +94,8 @@ class PacketReader:
         return FrameError(f"overlay packet of {len(self._data)} bytes ends too early")
 
 
-SPREAD, ECHO, DIGEST, SUMMARY, HALT, TOPOLOGY = 1, 2, 3, 4, 5, 6
-"""Kinds of packets on flood channels; the last one is made in `topology`."""
+SPREAD, ECHO, DIGEST, SUMMARY, HALT, TOPOLOGY, KNOWN = 1, 2, 3, 4, 5, 6, 7
+"""Kinds of packets on flood channels; the last three are made in `overlays.stop`, `topology`, `overlays.completion`."""
 
 MESSAGE, ACK = 1, 2
 """Kinds of packets on unicast channels."""
@@ -115,6 +115,9 @@ _ACK = struct.Struct("<BBBQI")
 
 MAX_SPREAD = MAX_PAYLOAD - _SPREAD.size - _FIRST.size
 """Longest payload of a flood in one packet, in bytes."""
+
+MAX_KNOWN = 1 + 255
+"""Bytes that the robots in a SPREAD take at most."""
 
 MAX_MESSAGE = MAX_PAYLOAD - _MESSAGE.size - 2 * 17 - 256
 """Longest payload of a unicast message in one packet, in bytes, whatever its names and key."""
@@ -139,6 +142,9 @@ class Spread(NamedTuple):
     """The sequence of the first try where this is a second one: who saw that one must not deliver it again."""
     size: int = 0
     """Bytes of the message where this only announces it (`overlays.large_messages`); the payload is empty then."""
+    known: int = 0
+    """Where all are to learn that all have it (`overlays.completion`): the robots that have it, as far as the sender
+    knows; bit i is robot i of all names, sorted. 0 elsewhere."""
 
 
 class EchoPacket(NamedTuple):
@@ -211,11 +217,24 @@ def kind_of(data: bytes) -> int:
     return data[0]
 
 
+def room(*, all_know: bool) -> int:
+    """Longest payload of a flood in one packet, in bytes; `all_know`: where it names robots."""
+    return MAX_SPREAD - MAX_KNOWN if all_know else MAX_SPREAD
+
+
+def packed_bits(bits: int) -> bytes:
+    """A set of robots behind its length, u8: bit i is robot i of all names, sorted."""
+    size = (bits.bit_length() + 7) // 8
+    return bytes((size,)) + bits.to_bytes(size, "little")
+
+
 def encode_spread(packet: Spread) -> bytes:
-    """A SPREAD packet: 14 bytes before the payload, 18 on the second try."""
+    """A SPREAD packet: 14 bytes before the payload, 18 on the second try, and what `known` takes."""
     flags = packet.echo | packet.latest << 1 | bool(packet.first) << 2 | bool(packet.size) << 3
+    flags |= bool(packet.known) << 4
     head = _SPREAD.pack(SPREAD, flags, packet.incarnation, packet.sequence)
     head += _FIRST.pack(packet.first) if packet.first else b""
+    head += packed_bits(packet.known) if packet.known else b""
     return head + (_SIZE.pack(packet.size) if packet.size else packet.payload)
 
 
@@ -228,7 +247,7 @@ def _decode_spread(data: bytes) -> Spread:
     if len(data) < _SPREAD.size:
         raise FrameError(f"SPREAD of {len(data)} bytes: it has at least {_SPREAD.size}")
     _, flags, incarnation, sequence = _SPREAD.unpack_from(data)
-    if flags > 15 or flags & 3 == 3 or not sequence:
+    if flags > 31 or (flags & 19).bit_count() > 1 or not sequence:
         raise FrameError(f"SPREAD flags {flags:#x}, sequence {sequence}: not known")
     at, first = _SPREAD.size, 0
     if flags & 4:
@@ -238,14 +257,20 @@ def _decode_spread(data: bytes) -> Spread:
         at += _FIRST.size
         if not 0 < first < sequence:
             raise FrameError(f"SPREAD {sequence} claims to repeat {first}")
+    known = 0
+    if flags & 16:
+        reader = PacketReader(data, at)
+        known, at = int.from_bytes(reader.octets(), "little"), reader.at
+        if not known:
+            raise FrameError("SPREAD that nobody has")
     payload, size = data[at:], 0
     if flags & 8:
         if len(payload) != _SIZE.size:
             raise FrameError(f"SPREAD announces a message by {len(payload)} bytes: it takes {_SIZE.size}")
         payload, (size,) = b"", _SIZE.unpack(payload)
-        if not MAX_SPREAD < size <= MAX_LARGE:
-            raise FrameError(f"SPREAD announces {size} bytes: {MAX_SPREAD + 1} to {MAX_LARGE} are allowed")
-    return Spread(incarnation, sequence, payload, bool(flags & 1), bool(flags & 2), first, size)
+        if not (least := room(all_know=bool(known))) < size <= MAX_LARGE:
+            raise FrameError(f"SPREAD announces {size} bytes: {least + 1} to {MAX_LARGE} are allowed")
+    return Spread(incarnation, sequence, payload, bool(flags & 1), bool(flags & 2), first, size, known)
 
 
 _SMALL = 256

@@ -1,0 +1,254 @@
+"""How every robot learns that all have a flood (`announce`): who has it is told over all links, both ways at once.
+
+    r0 --SPREAD {r0}--> r1 --SPREAD {r0, r1}--> r2      the last robot knows when the flood is there,
+       <--KNOWN {all}--    <----KNOWN {all}----         the others when its word comes back
+
+Each SPREAD names the robots that its sender knows to have the message. A robot tells a neighbour whom it knows of, in
+one KNOWN, as soon as that includes every robot that has a shortest way to that neighbour over this one. On a tree
+these are all robots but those behind the neighbour, so completion travels both ways at once. At most two messages go
+over each link in each direction, 4E in all. Ways are those of the map. Where they change meanwhile, and after a second
+try, who knows of all tells each neighbour that may not.
+
+A robot waits for those that it had a way to when the flood came. Where some of them are gone, the origin decides, after
+its second try or before, that those who are left are all: this word (`final`) goes over all links.
+"""
+
+import struct
+from collections import OrderedDict, deque
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+from services.mesh.core.actions import Emit, Transmit
+from services.mesh.core.overlays.echo import LIFE, MAX_WAVES, FloodId
+from services.mesh.core.wire.frames import FLOOD
+from services.mesh.core.wire.packets import KNOWN, PacketReader, packed_bits
+from swarm.errors import FrameError
+
+_KNOWN = struct.Struct("<BBQI")
+
+
+class Known(NamedTuple):
+    """Who has a flood, as far as the sender knows."""
+
+    incarnation: int
+    sequence: int
+    """Of its first try."""
+    robots: int
+    """Bit i is robot i of all names, sorted."""
+    final: bool = False
+    """The origin's word that these are all that can be reached."""
+
+
+def encode_known(packet: Known) -> bytes:
+    """A KNOWN packet."""
+    return _KNOWN.pack(KNOWN, packet.final, packet.incarnation, packet.sequence) + packed_bits(packet.robots)
+
+
+def decode_known(data: bytes) -> Known:
+    """A KNOWN packet. Raises `FrameError`."""
+    if len(data) < _KNOWN.size:
+        raise FrameError(f"KNOWN of {len(data)} bytes: it has at least {_KNOWN.size}")
+    kind, flags, incarnation, sequence = _KNOWN.unpack_from(data)
+    if kind != KNOWN or flags > 1:
+        raise FrameError(f"KNOWN kind {kind}, flags {flags:#x}: bit 0 is known")
+    reader = PacketReader(data, _KNOWN.size)
+    robots = int.from_bytes(reader.octets(), "little")
+    reader.end()
+    return Known(incarnation, sequence, robots, bool(flags))
+
+
+class _Flood:
+    """One flood of which all are to know. Sets of robots are bits: bit i is robot i of all names, sorted."""
+
+    __slots__ = ("complete", "disturbed", "ends", "final", "goal", "key", "priority", "robots", "shared")
+
+    def __init__(self, key: str, priority: int, goal: int, ends: float) -> None:
+        self.key = key
+        self.priority = priority
+        self.goal = goal
+        """Who could be reached when it came here: who joins later is not waited for."""
+        self.ends = ends
+        """When it is forgotten."""
+        self.robots = 0
+        """Who has it, as far as is known here."""
+        self.shared: dict[str, int] = {}
+        """Of whom each neighbour has told us, or has been told."""
+        self.disturbed = False
+        self.complete = False
+        """Whether that was told here."""
+        self.final: set[str] | None = None
+        """Neighbours that have said or been told the origin's word; None without it."""
+
+
+class Completion:
+    """All such floods that a robot takes part in."""
+
+    def __init__(
+        self,
+        me: str,
+        names: Sequence[str],
+        *,
+        emit: Emit,
+        links: Collection[str],
+        expected: Callable[[], Collection[str]],
+        graph: Callable[[], Mapping[str, Collection[str]]],
+        complete: Callable[[FloodId, str, float], None],
+    ) -> None:
+        """`names` of all robots, sorted. `links` are the neighbours, as they are at any time; `expected()` the robots
+        that there is a way to; `graph()` all links. `complete(id, key, now)` is called once, when all have a flood."""
+        self._me = me
+        self._names = names
+        self._place = {name: place for place, name in enumerate(names)}
+        self._emit = emit
+        self._links = links
+        self._expected = expected
+        self._graph = graph
+        self._complete = complete
+        self._floods: OrderedDict[FloodId, _Flood] = OrderedDict()
+        self._map: dict[str, frozenset[str]] = {}
+        self._through: dict[str, int] = {}
+        """Who has a shortest way to a neighbour over this robot; made as needed."""
+
+    def __len__(self) -> int:
+        return len(self._floods)
+
+    def reached(
+        self, id: FloodId, key: str, priority: int, peer: str, robots: int, now: float, *, has: bool, life: float = 0.0
+    ) -> int:
+        """A try of a flood has come from `peer`, the first copy of it; from nobody where it is our own. `has`: whether
+        the message is here, too, otherwise `came` will say so. Returns whom our own SPREAD is to name. Raises
+        `FrameError` where `robots` has strangers."""
+        self._check(robots)
+        flood = self._floods.get(id)
+        if flood is None:
+            if not self._floods:
+                self._look_at_map()
+            if len(self._floods) >= MAX_WAVES:
+                self._floods.popitem(last=False)
+            goal = self._bits((self._me, *self._expected()))
+            flood = self._floods[id] = _Flood(key, priority, goal, now + LIFE + life)
+        else:
+            flood.shared.clear()  # it is a second try: what was told may be lost
+            flood.disturbed = True
+        flood.robots |= robots | self._bits((self._me,) if has else ())
+        if peer:
+            flood.shared[peer] = robots
+        return flood.robots
+
+    def spread(self, id: FloodId, peers: Iterable[str], now: float) -> None:
+        """That SPREAD has left for these neighbours."""
+        flood = self._floods[id]
+        for peer in peers:
+            flood.shared[peer] = flood.shared.get(peer, 0) | flood.robots
+        self._settle(id, flood, now)
+
+    def came(self, id: FloodId, now: float) -> None:
+        """The message that a flood has announced is here."""
+        flood = self._floods.get(id)
+        if flood is not None:
+            flood.robots |= self._bits((self._me,))
+            self._settle(id, flood, now)
+
+    def heard(self, id: FloodId, peer: str, robots: int, now: float, *, final: bool = False) -> None:
+        """A neighbour knows of these robots. Raises `FrameError` where there are strangers among them."""
+        self._check(robots)
+        flood = self._floods.get(id)
+        if flood is not None:
+            flood.robots |= robots
+            flood.shared[peer] = flood.shared.get(peer, 0) | robots
+            if final:
+                flood.final = (flood.final or set()) | {peer}
+            self._settle(id, flood, now)
+
+    def end(self, id: FloodId, now: float) -> None:
+        """Our own flood is over: those who are left have it, and are to know."""
+        flood = self._floods.get(id)
+        if flood is not None and not flood.complete:
+            flood.complete, flood.final = True, set()
+            self._settle(id, flood, now)
+
+    def unlink(self, peer: str) -> None:
+        """A neighbour is gone: what was told it last may be lost."""
+        for flood in self._floods.values():
+            flood.shared.pop(peer, None)
+
+    def ways_changed(self, now: float) -> None:
+        """The map may be another one."""
+        if self._floods and self._look_at_map():
+            for id, flood in tuple(self._floods.items()):
+                flood.disturbed = True
+                self._settle(id, flood, now)
+
+    def robots(self, id: FloodId) -> list[str]:
+        """Who is known to have it."""
+        flood = self._floods.get(id)
+        return [] if flood is None else [name for i, name in enumerate(self._names) if flood.robots >> i & 1]
+
+    def handle_timer(self, now: float) -> None:
+        """Forget what is old; cheap enough to be called at any time."""
+        while self._floods:
+            id, flood = next(iter(self._floods.items()))
+            if flood.ends > now:
+                return
+            del self._floods[id]
+
+    # -- inside ------------------------------------------------------------------------------------------------
+
+    def _settle(self, id: FloodId, flood: _Flood, now: float) -> None:
+        """Tell each neighbour that waits for our word what is known, if that is all that we are to know."""
+        complete = not flood.goal & ~flood.robots
+        for peer in self._links:
+            needs = flood.goal if complete and flood.disturbed else self._over_us(peer) & flood.goal
+            shared = flood.shared.get(peer, 0)
+            if not needs & ~flood.robots and needs & ~shared:
+                self._tell(id, flood, peer)
+            elif flood.final is not None and peer not in flood.final:
+                flood.final.add(peer)
+                self._tell(id, flood, peer, final=True)
+        if (complete or flood.final is not None) and not flood.complete:
+            flood.complete = True
+            self._complete(id, flood.key, now)
+
+    def _tell(self, id: FloodId, flood: _Flood, peer: str, *, final: bool = False) -> None:
+        flood.shared[peer] = flood.shared.get(peer, 0) | flood.robots
+        data = encode_known(Known(id.incarnation, id.sequence, flood.robots, final))
+        self._emit(Transmit(peer, FLOOD, flood.key, data, flood.priority))
+
+    def _look_at_map(self) -> bool:
+        """Whether links are others than at the last look. Times that changed do not matter."""
+        links = {name: frozenset(peers) for name, peers in self._graph().items()}
+        if links == self._map:
+            return False
+        self._map = links
+        self._through.clear()
+        return True
+
+    def _over_us(self, peer: str) -> int:
+        """The robots that have a shortest way to a neighbour over this one, which is one of them."""
+        if peer not in self._through:
+            ours, theirs = _hops(self._map, self._me), _hops(self._map, peer)
+            over_us = [name for name, hops in ours.items() if theirs.get(name) == hops + 1]
+            self._through[peer] = self._bits((self._me, *over_us))
+        return self._through[peer]
+
+    def _bits(self, robots: Iterable[str]) -> int:
+        bits = 0
+        for robot in robots:
+            bits |= 1 << self._place[robot]
+        return bits
+
+    def _check(self, robots: int) -> None:
+        if robots >> len(self._names):
+            raise FrameError("a flood with robots that are not in our configuration")
+
+
+def _hops(graph: Mapping[str, Collection[str]], start: str) -> dict[str, int]:
+    """The hops to each robot that can be reached."""
+    hops, queue = {start: 0}, deque((start,))
+    while queue:
+        name = queue.popleft()
+        for peer in graph.get(name, ()):
+            if peer not in hops:
+                hops[peer] = hops[name] + 1
+                queue.append(peer)
+    return hops
