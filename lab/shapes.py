@@ -31,6 +31,11 @@ def hasty(shape: str, key: str) -> str:
     return _config(ROBOTS, SHAPES[shape], key, times="")
 
 
+def star(shape: str, key: str) -> str:
+    """The same over a hub: the first robot calls all others."""
+    return _config(ROBOTS, SHAPES[shape], f'{key}\nlinks = "star"')
+
+
 def line(robots: int, key: str, extra: str = "") -> str:
     """The swarm.toml of so many in line."""
     return _config(robots, LINE[: robots - 1], key) + extra

@@ -74,6 +74,7 @@ def main() -> None:
             sockets,
             keep=partial(_save, this),
             heard=view_sender.heard,
+            role_of=network.roles.of,
         )
         BusInterface(runtime, mesh)
         view_sender.begin(this.bus, runtime.entry(mesh.ask))
@@ -81,6 +82,7 @@ def main() -> None:
         this.ready()
         while not this.stopping.wait(_LOOK_S):
             view_sender.step()
+            network.roles.look()
             if sockets.turned():
                 this.watchdog()
         view_sender.close()

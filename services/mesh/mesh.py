@@ -7,6 +7,7 @@ The same code runs in a process, over sockets (`services.mesh.sockets`), and und
 import logging
 import threading
 from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple, TypeVar
 
 from services.mesh.core.actions import Close, Dial, LinksChanged, LogLine, Supervise, Write
@@ -18,14 +19,14 @@ from services.mesh.core.node import MeshNode
 from services.mesh.core.overlays.robot_overlays import RobotOverlays
 from services.mesh.core.relay import KeyRelay
 from services.mesh.core.routing.physical_links import calls
-from services.mesh.core.routing.roles import callers
+from services.mesh.core.routing.roles import CENTRAL, PERIPHERAL, callers
 from services.mesh.core.routing.topology import Ground
 from services.mesh.core.routing.wanted_links import InitialLinks
 from services.mesh.core.wire.frames import BULK
 from services.mesh.surroundings import Surroundings, Transport
 from swarm.config import Config
 from swarm.config.types import AUTO_LINKS, GRAPH, TREE, RobotConfig
-from swarm.messages import Clock, EchoRequest, HoldLink, Links
+from swarm.messages import Clock, EchoRequest, HoldLink, Links, LinkState
 from swarm.messages.keys import key
 
 REPORT_PERIOD = 1.0
@@ -128,6 +129,7 @@ class Mesh:
         "_changed",
         "_clock_key",
         "_deadline",
+        "_dials",
         "_heard",
         "_keep",
         "_keeping",
@@ -135,6 +137,7 @@ class Mesh:
         "_look",
         "_node",
         "_reporting",
+        "_role_of",
         "_surroundings",
         "_topology_key",
         "_transport",
@@ -156,11 +159,15 @@ class Mesh:
         keep: Callable[[bytes], None],
         heard: Callable[[str, bytes], None] | None = None,
         wanted: Callable[[str], bool] = lambda key: True,
+        role_of: Callable[[str], str] = lambda robot: "",
     ) -> None:
         """`incarnation`: of its floods, higher than at its last start. `keep(data)` keeps the topology through
         restarts; `heard(key, payload)` gets what came in, before the bus; `wanted(key)` tells whether anybody hears a
-        key on the own bus, where that can be known at any time."""
+        key on the own bus, where that can be known at any time. `role_of(robot)` is this robot's role in its
+        connection to another one, `LinkState.role`."""
         robot = self.robot = local.robot
+        self._dials = local.dials
+        self._role_of = role_of
         self.running = True
         """False after its end: it does nothing any more."""
         counters = surroundings.counters
@@ -241,7 +248,8 @@ class Mesh:
     def links(self) -> Links:
         """Return all links as they are, and the names that two robots have."""
         now = self._surroundings.now
-        return Links(now, self._node.connections.states(), self._node.overlays.clashes.named(now))
+        states = tuple(map(self._with_role, self._node.connections.states()))
+        return Links(now, states, self._node.overlays.clashes.named(now))
 
     def stop(self) -> None:
         """Say goodbye to the neighbours and end all connections."""
@@ -341,6 +349,10 @@ class Mesh:
 
     def _ask_node(self, question: Callable[[MeshNode, float], Any]) -> Any:
         return question(self._node, self._surroundings.now)
+
+    def _with_role(self, link: LinkState) -> LinkState:
+        role, wanted = self._role_of(link.peer), CENTRAL if self._dials.get(link.peer) else PERIPHERAL
+        return replace(link, role=role, wanted_role=wanted) if role else link
 
     def _links_changed(self) -> None:
         """Report once for all changes of a moment."""

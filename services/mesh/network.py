@@ -7,9 +7,11 @@ from pathlib import Path
 
 from services.mesh import link_address
 from services.mesh.core.link.calls import Local, has_address
-from services.mesh.links import pybluez, rfcomm, sim, supervision, tcp
+from services.mesh.links import pybluez, rfcomm, role, sim, supervision, tcp
+from services.mesh.links.page import Paging
 from services.mesh.links.pipe import Pipe
 from services.mesh.sockets import Listener
+from swarm.bluetooth.adapter import Adapter
 from swarm.config import Config
 from swarm.errors import ConfigError, LocalError
 
@@ -30,6 +32,7 @@ class Network:
         *,
         open_bluetooth: rfcomm.Open = rfcomm.open_socket,
         supervise: Callable[[str, str, float], None] = supervision.try_limit,
+        open_adapter: role.OpenAdapter = Adapter,
     ) -> None:
         self._supervise = supervise
         robots = {name: config.robot(name) for name in local.dials}
@@ -57,7 +60,17 @@ class Network:
         if needed and own is not None:
             required.add(type(own))
         self._open_bluetooth = open_bluetooth
-        self._radio = rfcomm.Radio(me.bluetooth or ANY_ADAPTER, config.mesh.rfcomm_channel, config.mesh.rfcomm_encrypt)
+        settings = config.mesh
+        self._radio = rfcomm.Radio(
+            me.bluetooth or ANY_ADAPTER, settings.rfcomm_channel, settings.rfcomm_encrypt, calls_all=not callers
+        )
+        self._paging = Paging(self._radio.adapter, open_adapter=open_adapter)
+        by_radio = {
+            peer: address.address
+            for peer, address in self._addresses.items()
+            if isinstance(address, link_address.Rfcomm)
+        }
+        self.roles = role.Roles(self._radio.adapter, by_radio, open_adapter=open_adapter)
         self._record: pybluez.Record | None = None
         self._air = sim.LinkConditions(local.robot, directory) if link_address.Sim in kinds else None
         self.listeners: list[Listener] = []
@@ -88,7 +101,7 @@ class Network:
             return tcp.dial(address)
         if isinstance(address, link_address.Rfcomm):
             try:
-                pipe = rfcomm.dial(self._radio, address.address, open_socket=self._open_bluetooth)
+                pipe = rfcomm.dial(self._radio, address.address, paging=self._paging, open_socket=self._open_bluetooth)
             except LocalError as error:  # no Bluetooth here, and no configured neighbour that needs it
                 raise ConnectionError(str(error)) from None
             pipe.limit = partial(self._supervise, self._radio.adapter, address.address)

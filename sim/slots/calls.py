@@ -22,10 +22,10 @@ SMALL = 12
 class Call:
     """One attempt to make a link."""
 
-    __slots__ = ("called", "caller", "done", "link", "step")
+    __slots__ = ("called", "caller", "done", "link", "step", "timeout")
 
-    def __init__(self, caller: str, called: str, done: Callable[[RadioLink | None, str], None]) -> None:
-        self.caller, self.called = caller, called
+    def __init__(self, caller: str, called: str, timeout: float, done: Callable[[RadioLink | None, str], None]) -> None:
+        self.caller, self.called, self.timeout = caller, called, timeout
         self.done = done
         """Called once, with the link or with the reason why there is none."""
         self.link: RadioLink | None = None
@@ -48,10 +48,10 @@ class Calls:
             clock.at(clock.now + radio.random.random() * period, self._scan, device)
 
     def call(self, caller: str, called: str, timeout: float, done: Callable[[RadioLink | None, str], None]) -> None:
-        """Make a link; `done(link, reason)` is called at its end, with None after `timeout` s at the latest."""
-        call = Call(caller, called, done)
+        """Make a link; `done(link, reason)` is called at its end, with None `timeout` s after its page has begun at the
+        latest."""
+        call = Call(caller, called, timeout, done)
         self._waiting[caller].append(call)
-        self._clock.at(self._clock.now + timeout, self._end, call, LATE)
         self._next(caller)
 
     def _next(self, caller: str) -> None:
@@ -67,6 +67,7 @@ class Calls:
             self._paging[caller] = call
             radio.take_role(radio.devices[caller], PAGE)
             self._clock.at(self._clock.now + radio.parameters.page_timeout, self._page_failed, call)
+            self._clock.at(self._clock.now + call.timeout, self._end, call, LATE)
 
     def _page_failed(self, call: Call) -> None:
         if self._paging.get(call.caller) is call:

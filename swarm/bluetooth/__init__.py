@@ -1,1 +1,1 @@
-"""Host Controller Interface of a Bluetooth adapter: signal strength and supervision time-outs."""
+"""Host Controller Interface of a Bluetooth adapter: what its connections tell, roles, supervision time-outs."""

@@ -51,12 +51,48 @@ class Adapter:
 
     def handle(self, peer: str) -> int:
         """That of the connection to the Bluetooth address `peer`; `LocalError` where there is none."""
+        return hci.connection_handle(self._connection(peer))
+
+    def is_central(self, peer: str) -> bool:
+        """Whether this adapter is the central of that connection; `LocalError` where there is none."""
+        return hci.is_central(self._connection(peer))
+
+    def is_connected(self, peer: str) -> bool:
+        """Whether there is a connection to that address, not only a page."""
+        try:
+            return hci.is_connected(self._connection(peer))
+        except LocalError:
+            return False
+
+    def be_central(self, peer: str) -> None:
+        """Ask for a switch of roles and wait for its end; `LocalError` where the other adapter or this one refuses."""
+        address = hci.packed_address(peer)
+        check(self.ask(hci.switch_role(address, hci.CENTRAL), lambda packet: hci.switched_role(packet, address)))
+
+    def read(self, what: int, peer: str) -> int | None:
+        """A status parameter of that connection, by its opcode; None where the adapter does not know the command.
+        `LocalError` where there is no connection, or no answer."""
+        handle = self.handle(peer)
+
+        def answer(packet: bytes) -> hci.Reading | None:
+            found = hci.reading(packet, what)
+            return None if found is not None and found.status == 0 and found.handle != handle else found
+
+        found = self.ask(hci.read(what, handle), answer)
+        if found.status == hci.UNKNOWN_COMMAND:
+            return None
+        if found.status == hci.NO_CONNECTION:
+            raise LocalError(f"there is no connection to {peer} any more")
+        check(found.status)
+        return found.value
+
+    def _connection(self, peer: str) -> bytearray:
         info = hci.connection_info(hci.packed_address(peer))
         try:
             self._ioctl(self._socket, hci.CONNECTION_INFO, info)
         except FileNotFoundError:
             raise LocalError(f"there is no Bluetooth connection to {peer}") from None
-        return hci.connection_handle(info)
+        return info
 
     def ask(self, command: bytes, answer: Callable[[bytes], Answer | None]) -> Answer:
         """Send a command; the first packet that `answer` makes something of. `LocalError` where none comes: others ask

@@ -1,9 +1,9 @@
-"""Bytes of the Host Controller Interface: how strong is the signal of a connection, and how long may it be silent
-(Bluetooth Core Specification, volume 4, part E, 7.5.4 Read RSSI, 7.3.42 Write Link Supervision Timeout); and of the
-kernel calls around them (Linux: net/bluetooth/hci_sock.h).
+"""Bytes of the Host Controller Interface: what a connection's radio tells, which side is its central, and how long it
+may be silent (Bluetooth Core Specification, volume 4, part E, 7.5 status parameters, 7.2.8 Switch Role, 7.3.42 Write
+Link Supervision Timeout); and of the kernel calls around them (Linux: net/bluetooth/hci_sock.h).
 
-All little endian. The kernel lets everybody ask for the signal, root or not: its filter of commands for unprivileged
-sockets allows the status parameters. Setting anything takes CAP_NET_RAW.
+All little endian. The kernel lets everybody ask for status parameters and roles, root or not: its filter of commands
+for unprivileged sockets allows them. Setting anything takes CAP_NET_RAW.
 """
 
 import errno
@@ -15,11 +15,14 @@ from swarm.errors import FrameError, LocalError
 COMMAND, EVENT = 1, 4
 """First byte of a packet."""
 
-COMPLETE, STATUS = 0x0E, 0x0F
-"""Events that answer a command: Command Complete, Command Status."""
+COMPLETE, STATUS, ROLE_CHANGE = 0x0E, 0x0F, 0x12
+"""Events that answer a command: Command Complete, Command Status, and what follows Switch Role."""
 
-READ_RSSI = 0x05 << 10 | 0x0005
-"""Opcode: group 5, status parameters; command 5."""
+READ_FAILED_CONTACTS, READ_QUALITY, READ_RSSI = (0x05 << 10 | command for command in (0x0001, 0x0003, 0x0005))
+"""Opcodes: group 5, status parameters."""
+
+SWITCH_ROLE = 0x02 << 10 | 0x000B
+"""Opcode: group 2, link policy; command 11."""
 
 WRITE_SUPERVISION = 0x03 << 10 | 0x0037
 """Opcode: group 3, controller and baseband; command 0x37."""
@@ -30,8 +33,11 @@ SLOT = 0.000625
 ACL = 1
 """Type of the connections that RFCOMM runs over."""
 
-NO_CONNECTION = 0x02
-"""Status: there is no connection of that handle."""
+UNKNOWN_COMMAND, NO_CONNECTION = 0x01, 0x02
+"""Status: the adapter does not know the command; there is no connection of that handle."""
+
+CENTRAL, PERIPHERAL = 0, 1
+"""Roles, as commands and events have them."""
 
 DEVICE_LIST, DEVICE_INFO, CONNECTION_INFO = 0x800448D2, 0x800448D3, 0x800448D5
 """Requests of ioctl: _IOR('H', 210, int), 211 and 213."""
@@ -42,8 +48,8 @@ DEVICE_INFO_SIZE = 92
 SOL_HCI, HCI_FILTER = 0, 2
 """Of setsockopt; from linux/net/bluetooth/hci_sock.h, for not every Python has names for them."""
 
-FILTER = struct.pack("<IIIHxx", 1 << EVENT, 1 << COMPLETE | 1 << STATUS, 0, 0)
-"""struct hci_filter, 16 bytes: event packets, of these two kinds, of any command."""
+FILTER = struct.pack("<IIIHxx", 1 << EVENT, 1 << COMPLETE | 1 << STATUS | 1 << ROLE_CHANGE, 0, 0)
+"""struct hci_filter, 16 bytes: event packets, of these three kinds, of any command."""
 
 HINTS = {
     errno.EAFNOSUPPORT: "this kernel has no Bluetooth",
@@ -55,29 +61,52 @@ HINTS = {
 
 _COMMAND = struct.Struct("<BHBH")
 _SUPERVISION = struct.Struct("<BHBHH")
-_COMPLETE = struct.Struct("<BBBBHBHb")
+_SWITCH = struct.Struct("<BHB6sB")
+_ROLE = struct.Struct("<BBBB6sB")
+_COMPLETE = {READ_FAILED_CONTACTS: "<BBBBHBHH", READ_QUALITY: "<BBBBHBHB", READ_RSSI: "<BBBBHBHb"}
 _STATUS = struct.Struct("<BBBBBH")
 _CONNECTION = struct.Struct("<6sBxH6sBBHI")
+_CONNECTED = (1, 7)
+"""States of a connection: BT_CONNECTED, BT_CONFIG."""
+_LINK_CENTRAL = 1
+"""Bit of a connection's link mode (HCI_LM_MASTER)."""
 
 SUPERVISION_SHARE = 2 / 3
 """Supervision time-out of a connection, of the mesh's own time-out for a silent robot: others that wait for a buffer of
 the controller meanwhile must not be taken for dead."""
 
 
-class RssiReading(NamedTuple):
-    """An answer to Read RSSI."""
+class Reading(NamedTuple):
+    """An answer to one of the commands that read a status parameter."""
 
     status: int
     """0 = fine."""
     handle: int
-    rssi: int
-    """dB. By the specification how far the signal is above (or, negative, below) the controller's golden range; many
-    controllers, Broadcom's among them, give dBm instead."""
+    value: int
+    """RSSI in dB: by the specification how far the signal is above (or, negative, below) the controller's golden range;
+    many controllers, Broadcom's among them, give dBm instead. Link quality: 0 to 255, higher is better, each maker has
+    its own measure. Failed contacts: packets in a row that were given up without an answer; 0 where packets never
+    expire, as is usual."""
 
 
-def read_rssi(handle: int) -> bytes:
-    """The command."""
-    return _COMMAND.pack(COMMAND, READ_RSSI, 2, handle)
+def read(what: int, handle: int) -> bytes:
+    """The command with that opcode."""
+    return _COMMAND.pack(COMMAND, what, 2, handle)
+
+
+def switch_role(address: bytes, role: int) -> bytes:
+    """The command: have that role in the connection to a packed address."""
+    return _SWITCH.pack(COMMAND, SWITCH_ROLE, 7, address, role)
+
+
+def switched_role(packet: bytes, address: bytes) -> int | None:
+    """The status at the end of such a switch, 0 = fine; None where the packet is something else."""
+    if len(packet) == _ROLE.size and packet[:2] == bytes((EVENT, ROLE_CHANGE)):
+        _, _, _, status, peer, _ = _ROLE.unpack(packet)
+        return int(status) if peer == address else None
+    if len(packet) == _STATUS.size and packet[1] == STATUS and _STATUS.unpack(packet)[5] == SWITCH_ROLE:
+        return packet[3] or None  # 0: its end is to come
+    return None
 
 
 def write_supervision(handle: int, seconds: float) -> bytes:
@@ -97,19 +126,22 @@ def written_supervision(packet: bytes) -> int | None:
     return None
 
 
-def reading(packet: bytes) -> RssiReading | None:
-    """The answer in a packet; None where it is another event. Raises `FrameError` for what is no event at all."""
+def reading(packet: bytes, what: int = READ_RSSI) -> Reading | None:
+    """The answer to the command with that opcode; None where the packet is another event. Raises `FrameError` for what
+    is no event at all."""
     if len(packet) < 3 or packet[0] != EVENT or packet[2] != len(packet) - 3:
         raise FrameError(f"HCI packet {packet[:8].hex(' ')}...: no event")
-    if packet[1] == COMPLETE and len(packet) >= 6 and packet[4] | packet[5] << 8 == READ_RSSI:
+    if packet[1] == COMPLETE and len(packet) >= 6 and packet[4] | packet[5] << 8 == what:
         if len(packet) == 7:  # an error without return parameters
-            return RssiReading(packet[6], 0, 0)
-        if len(packet) != _COMPLETE.size:
-            raise FrameError(f"HCI: Read RSSI answered by {len(packet)} bytes: {_COMPLETE.size} were to come")
-        *_, status, handle, rssi = _COMPLETE.unpack(packet)
-        return RssiReading(status, handle, rssi)
-    if packet[1] == STATUS and len(packet) == _STATUS.size and _STATUS.unpack(packet)[5] == READ_RSSI:
-        return RssiReading(packet[3], 0, 0)
+            return Reading(packet[6], 0, 0)
+        layout = _COMPLETE[what]
+        if len(packet) != struct.calcsize(layout):
+            size = struct.calcsize(layout)
+            raise FrameError(f"HCI: command {what:#06x} answered by {len(packet)} bytes: {size} were to come")
+        *_, status, handle, value = struct.unpack(layout, packet)
+        return Reading(status, handle, value)
+    if packet[1] == STATUS and len(packet) == _STATUS.size and _STATUS.unpack(packet)[5] == what:
+        return Reading(packet[3], 0, 0)
     return None
 
 
@@ -154,6 +186,17 @@ def connection_handle(filled: bytes | bytearray) -> int:
     """The connection's handle in it."""
     handle: int = _CONNECTION.unpack(bytes(filled))[2]
     return handle
+
+
+def is_connected(filled: bytes | bytearray) -> bool:
+    """Whether the connection in it has been made; else it is being made, or ends."""
+    return _CONNECTION.unpack(bytes(filled))[6] in _CONNECTED
+
+
+def is_central(filled: bytes | bytearray) -> bool:
+    """Whether the own adapter is the central of the connection in it."""
+    mode: int = _CONNECTION.unpack(bytes(filled))[7]
+    return bool(mode & _LINK_CENTRAL)
 
 
 def explained(error: OSError) -> str:

@@ -42,6 +42,10 @@ class LinkState:
     """Messages for this neighbour that were lost: the link was down or its queue full."""
     refused: int = 0
     """Connections to or from this neighbour that were refused."""
+    role: str = ""
+    """This robot's role in a Bluetooth connection: central or peripheral; empty where there is none, or not known."""
+    wanted_role: str = ""
+    """The role that it is to have there: who calls is to be central. Empty where `role` is."""
 
 
 @frozen

@@ -11,6 +11,8 @@ from inside_swarm import APPS, MESH, NAMES, SHARE, Swarm
 
 from lab.radio.remote import Radio
 from lab.shapes import ITERATIONS, LONG, SHAPES
+from lab.waiting import until
+from swarm.messages import read
 from swarm.recording.run import Run
 
 SHORT_CUT_S, LINK_ENDS_S = 1.5, 2.0
@@ -48,6 +50,29 @@ def test_trajectories_are_those_of_the_simulation(swarm: Swarm, radio: Radio) ->
     compare(swarm, ITERATIONS)
     links = {tuple(pair) for pair in radio.order("look")["links"]}
     assert links <= {(radio.addresses[i], radio.addresses[j]) for i, j in SHAPES[swarm.config]}
+
+
+@pytest.mark.parametrize("swarm", ["star"], indirect=True)
+def test_a_hub_carries_what_neighbours_tell_each_other(swarm: Swarm, radio: Radio) -> None:
+    """It calls all others and is central of one piconet with them, as each mesh tells of its own end."""
+    until("no connection of a test before", lambda: not radio.order("look")["links"])
+    told: dict[tuple[str, str], tuple[str, str, str]] = {}
+
+    def take(key: str, payload: bytes) -> None:
+        for link in read(key, payload).links:
+            told[key.split("/")[1], link.peer] = link.state, link.role, link.wanted_role
+
+    for name, bus in swarm.buses.items():
+        bus.subscribe(f"swarm/{name}/mesh/links", take)
+    swarm.run(ITERATIONS)
+    hub, *others = NAMES
+    wanted = {(hub, name): ("up", "central", "central") for name in others}
+    wanted |= {(name, hub): ("up", "peripheral", "peripheral") for name in others}
+    swarm.wait("roles are those wanted", lambda: told == wanted, lambda: told)
+    finish(swarm, ITERATIONS)
+    compare(swarm, ITERATIONS)
+    first, *rest = radio.addresses
+    assert {tuple(pair) for pair in radio.order("look")["links"]} <= {(first, each) for each in rest}
 
 
 def test_faults_in_mid_run_change_no_bit(swarm: Swarm, radio: Radio) -> None:

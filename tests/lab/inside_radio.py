@@ -57,4 +57,4 @@ def _whole_again(radio: Radio) -> Iterator[None]:
     radio.order("topology", edges=[[a, b] for a in radio.addresses for b in radio.addresses if a < b])
     for address in radio.addresses:
         radio.order("unsilence", address=address)
-    radio.order("medium", supervision=SUPERVISION, latency=0.0, jitter=0.0, bandwidth=0.0)
+    radio.order("medium", supervision=SUPERVISION, latency=0.0, jitter=0.0, bandwidth=0.0, rssi=0)

@@ -9,7 +9,7 @@ import pytest
 
 from lab import waiting
 from lab.inside import run_tests
-from lab.shapes import ITERATIONS, LONG, config, hasty
+from lab.shapes import ITERATIONS, LONG, config, hasty, star
 from lab.vm.build import Image
 from lab.vm.machine import PLAIN, Machine
 from swarm.config.keyfile import new_key_file
@@ -56,6 +56,11 @@ def test_six_robots_compute_what_the_simulation_computes(robots: Machine, shapes
     for shape in shapes.split(" or "):
         simulate(shape, robots.share)
     run_tests(robots, f"tests/lab/inside_consensus.py -k 'simulation and ({shapes})'")
+
+
+def test_a_hub_carries_the_graph_and_is_central_of_all(robots: Machine) -> None:
+    simulate("loop", robots.share, star, "star")
+    run_tests(robots, "tests/lab/inside_consensus.py -k hub")
 
 
 def test_nothing_is_lost_or_doubled_by_faults_in_mid_run(robots: Machine) -> None:

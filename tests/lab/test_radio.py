@@ -84,6 +84,39 @@ def world() -> World:
     return World()
 
 
+def result(world: World, address: str, op: int, handle: int) -> bytes:
+    """What a command about a link gives, from its status on."""
+    world.events(address)
+    world.tell(address, op, handle.to_bytes(2, "little"))
+    ((_, body),) = world.events(address)
+    return body[3:]
+
+
+def test_roles_are_those_of_the_call_until_a_host_has_them_switched(world: World) -> None:
+    one, other = world.link(A, B)
+    assert (result(world, A, Op.ROLE_DISCOVERY, one)[3], result(world, B, Op.ROLE_DISCOVERY, other)[3]) == (0, 1)
+    world.tell(B, Op.SWITCH_ROLE, hci.to_wire(A) + b"\0")
+    assert world.events(A) == [(Ev.ROLE_CHANGE, b"\0" + hci.to_wire(B) + b"\1")]
+    assert world.events(B)[-1] == (Ev.ROLE_CHANGE, b"\0" + hci.to_wire(A) + b"\0")
+    assert (result(world, A, Op.ROLE_DISCOVERY, one)[3], result(world, B, Op.ROLE_DISCOVERY, other)[3]) == (1, 0)
+    # The time-out is the central's to set.
+    slots = (3200).to_bytes(2, "little")
+    world.tell(A, Op.WRITE_SUPERVISION, one.to_bytes(2, "little") + slots)
+    world.tell(B, Op.WRITE_SUPERVISION, other.to_bytes(2, "little") + slots)
+    assert [world.events(each)[-1][1][3] for each in (A, B)] == [Status.COMMAND_DISALLOWED, 0]
+    world.tell(A, Op.SWITCH_ROLE, hci.to_wire(C) + b"\0")
+    assert world.events(A)[-1] == (Ev.COMMAND_STATUS, hci.status(Op.SWITCH_ROLE, Status.UNKNOWN_CONNECTION)[3:])
+
+
+def test_a_link_tells_its_signal(world: World) -> None:
+    one, _ = world.link(A, B)
+    world.air.medium.rssi = -60
+    assert result(world, A, Op.READ_RSSI, one)[3:] == b"\xc4"
+    assert result(world, A, Op.READ_QUALITY, one)[3:] == b"\xff"
+    assert result(world, A, Op.READ_FAILED_CONTACTS, one)[3:] == b"\0\0"
+    assert result(world, A, Op.READ_RSSI, 999)[0] == Status.UNKNOWN_CONNECTION
+
+
 def test_golden_bytes() -> None:
     assert hci.complete(Op.RESET).hex() == "040e0401030c00"
     assert hci.status(Op.CREATE_CONNECTION).hex() == "040f0400010504"

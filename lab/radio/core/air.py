@@ -32,6 +32,8 @@ class Medium:
     """s until a robot that listens has heard a page."""
     supervision: float = 20.0
     """s without a sign of the other side until a link is over (the standard's default); a host may ask for less."""
+    rssi: int = 0
+    """dB, of every link; 0: within the golden range."""
     range: float = math.inf
     """m; robots that are placed hear each other so far."""
 
@@ -179,6 +181,14 @@ class Air:
             each.links[link.ends[each.address]] = link
             self.send(each.address, hci.connected(0, link.ends[each.address], link.peer(each.address)))
         self.counts["connected"] += 1
+
+    def switch_roles(self, link: Link, central: str) -> None:
+        """The other side of a link becomes its central, or the same one stays it; both hosts hear of it."""
+        link.central = central
+        for address in link.ends:
+            if address not in link.gone:
+                self.send(address, hci.role_changed(link.peer(address), peripheral=address != central))
+        self.counts["roles_switched"] += 1
 
     def disconnect(self, controller: Controller, link: Link, reason: int, now: float) -> None:
         """One side's host ends the link; the other one hears of it, or finds out in the end."""

@@ -30,7 +30,7 @@ COMPANY = 0xFFFF
 GENERAL_INQUIRY = b"\x33\x8b\x9e"
 ENCRYPTION_KEY_SIZE = 16
 RSSI = -56
-"""dBm, of every robot found by an inquiry; a link's own figure is 0: within the golden range."""
+"""dBm, of every robot found by an inquiry; a link's own figure is the medium's."""
 
 ANSWERED = {
     **dict.fromkeys((0x080F, 0x0C01, 0x0C05, 0x0C16, 0x0C1C, 0x0C1E, 0x0C20, 0x0C22, 0x0C26, 0x0C31), b"\0"),
@@ -52,7 +52,7 @@ ANSWERED = {
 """Commands that have always the same result; the first are settings that make no difference here (event masks, filters,
 scan and inquiry parameters)."""
 
-OF_A_LINK = {0x080D: b"", 0x0811: b"", 0x0C28: b"", Op.READ_RSSI: b"\0"}
+OF_A_LINK = {0x080D: b"", 0x0811: b"", 0x0C28: b"", Op.READ_FAILED_CONTACTS: b"\0\0", Op.READ_QUALITY: b"\xff"}
 """Commands that begin with a link's handle, and so do their results: what follows."""
 
 PAIRING = {

@@ -64,6 +64,9 @@ class Controller:
             Op.WRITE_SIMPLE_PAIRING: self._write,
             Op.WRITE_PAGE_TIMEOUT: self._write,
             Op.WRITE_SUPERVISION: self._supervise,
+            Op.SWITCH_ROLE: self._switch_role,
+            Op.ROLE_DISCOVERY: self._tell_role,
+            Op.READ_RSSI: self._tell_rssi,
         }
 
     def _set_defaults(self) -> None:
@@ -132,8 +135,6 @@ class Controller:
                 return bytes((parameters[0], 1)) + (host if parameters[0] else FEATURES)
             case Op.READ_KEY_SIZE:
                 return parameters[:2] + bytes((ENCRYPTION_KEY_SIZE,))
-            case Op.ROLE_DISCOVERY:
-                return parameters[:2] + b"\0"
             case Op.REMOTE_NAME_CANCEL:
                 return parameters[:6]
         return None
@@ -156,8 +157,6 @@ class Controller:
                 return Ev.REMOTE_VERSION_COMPLETE, b"\0" + handle + struct.pack("<BHH", VERSION, COMPANY, 0)
             case Op.CHANGE_PACKET_TYPE:
                 return Ev.PACKET_TYPE_CHANGED, b"\0" + parameters[:4]
-            case Op.SWITCH_ROLE:
-                return Ev.ROLE_CHANGE, b"\0" + parameters[:7]
         return None
 
     def _write(self, op: int, parameters: bytes, now: float) -> None:
@@ -308,6 +307,26 @@ class Controller:
             return
         self._status(op)
         self._air.disconnect(self, link, reason, now)
+
+    def _switch_role(self, op: int, parameters: bytes, now: float) -> None:
+        link = self.link_to(hci.from_wire(parameters[:6]))
+        if link is None:
+            self._status(op, Status.UNKNOWN_CONNECTION)
+            return
+        self._status(op)
+        self._air.switch_roles(link, link.peer(self.address) if parameters[6] else self.address)
+
+    def _tell_role(self, op: int, parameters: bytes, now: float) -> None:
+        self._tell_of(op, parameters, lambda link: bytes((link.central != self.address,)))
+
+    def _tell_rssi(self, op: int, parameters: bytes, now: float) -> None:
+        self._tell_of(op, parameters, lambda link: struct.pack("b", self._air.medium.rssi))
+
+    def _tell_of(self, op: int, parameters: bytes, what: Callable[[Link], bytes]) -> None:
+        """Answer a command about a link that begins with its handle."""
+        link = self.links.get(int.from_bytes(parameters[:2], "little"))
+        code = Status.UNKNOWN_CONNECTION if link is None else Status.SUCCESS
+        self._complete(op, bytes((code,)) + parameters[:2] + (b"\0" if link is None else what(link)))
 
     def _supervise(self, op: int, parameters: bytes, now: float) -> None:
         handle, slots = struct.unpack("<HH", parameters)

@@ -74,6 +74,8 @@ class Op(IntEnum):
     READ_EXTENDED_FEATURES = 0x1004
     READ_BUFFER_SIZE = 0x1005
     READ_ADDRESS = 0x1009
+    READ_FAILED_CONTACTS = 0x1401
+    READ_QUALITY = 0x1403
     READ_RSSI = 0x1405
     READ_KEY_SIZE = 0x1408
 
@@ -207,6 +209,11 @@ def acl(handle: int, boundary: int, data: bytes) -> bytes:
 def connected(code: int, handle: int, address: str) -> bytes:
     """Connection Complete of an ACL link, not encrypted."""
     return event(Ev.CONNECTION_COMPLETE, struct.pack("<BH", code, handle) + to_wire(address) + b"\x01\0")
+
+
+def role_changed(peer: str, *, peripheral: bool) -> bytes:
+    """Role Change: what this side is in the link with that one from now on."""
+    return event(Ev.ROLE_CHANGE, b"\0" + to_wire(peer) + bytes((peripheral,)))
 
 
 def disconnected(handle: int, reason: int) -> bytes:

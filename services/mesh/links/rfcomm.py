@@ -14,18 +14,24 @@ from typing import Any
 
 from services.mesh.core.link.calls import UNKNOWN, Caller
 from services.mesh.links import stream
+from services.mesh.links.page import Paging
 from services.mesh.links.pipe import Pipe, describe
 from swarm.errors import LocalError
 from swarm.frozen import frozen
 
 DIAL_TIMEOUT = 10.0
-"""s. The kernel gives up an absent robot after 5.2 s with EHOSTDOWN, which says more than a time-out; encryption with
-nobody to answer for the pairing (no bluetoothd) hangs for ever."""
+"""s from the page on. The kernel gives up an absent robot after 5.2 s with EHOSTDOWN, which says more than a time-out;
+encryption with nobody to answer for the pairing (no bluetoothd) hangs for ever."""
 
 SOL_BLUETOOTH = 274
 BT_SECURITY = 4
 SECURITY_MEDIUM = 2
 """From linux/net/bluetooth/bluetooth.h; Python has no names for them. Medium = encrypted, paired without asking."""
+
+SOL_RFCOMM = 18
+RFCOMM_LM = 3
+RFCOMM_LM_MASTER = 1
+"""From linux/net/bluetooth/rfcomm.h: who accepts asks for a switch of roles, to be the central."""
 
 _SECURITY = struct.Struct("BB")
 """struct bt_security: level, key size (0 = the kernel's choice)."""
@@ -66,6 +72,8 @@ class Radio:
     """RFCOMM channel of the mesh on every robot, 1 to 30."""
     encrypt: bool = False
     """Whether the links are to be encrypted by Bluetooth itself, which needs bluetoothd on both robots."""
+    calls_all: bool = False
+    """Whether this robot calls all others. Who calls it knocks only, and the link that follows has its own central."""
 
 
 def open_socket() -> socket.socket:
@@ -107,16 +115,16 @@ class RfcommPipe(Pipe):
             raw.send(ECHO_REQUEST)
 
 
-def dial(radio: Radio, address: str, *, open_socket: Open = open_socket) -> Pipe:
-    """Connect to the robot with that Bluetooth address; raises OSError whose text says what it means."""
+def dial(radio: Radio, address: str, *, paging: Paging | None = None, open_socket: Open = open_socket) -> Pipe:
+    """Connect to the robot with that Bluetooth address; raises OSError whose text says what it means. `paging` is what
+    all calls of the adapter share, where there may be several at a time."""
     sock = None
     try:
         sock = open_socket()
         _prepare(sock, radio)
         # Channel 0: any; only the adapter matters.
         sock.bind((radio.adapter, 0))
-        sock.settimeout(DIAL_TIMEOUT)
-        sock.connect((address, radio.channel))
+        (paging or Paging(radio.adapter)).connect(sock, (address, radio.channel), DIAL_TIMEOUT)
     except OSError as error:
         if sock is not None:
             sock.close()
@@ -135,6 +143,8 @@ class RfcommListener(stream.StreamListener):
         try:
             sock = open_socket()
             _prepare(sock, radio)
+            if radio.calls_all:
+                sock.setsockopt(SOL_RFCOMM, RFCOMM_LM, RFCOMM_LM_MASTER)
             sock.bind((radio.adapter, radio.channel))
             sock.listen(stream.BACKLOG)
         except OSError as error:

@@ -3,7 +3,11 @@
 Its own time-out is 20 s, and a controller keeps what it could not deliver until then, in the few buffers that all its
 connections share (8 on the robots'). A robot that goes off thus takes the buffers of each of its neighbours, which fall
 silent towards all others (tests/lab/inside_faults.py shows it with Linux's own Bluetooth). So whoever has called sets
-a time-out below that of the mesh. It is the caller's to do: the called side's controller would refuse.
+a time-out below that of the mesh. It is the central's to do: the other side's controller would refuse.
+
+The caller is to be the central (`services.mesh.core.routing.roles`), and is, unless the robot that it calls has just
+knocked: the kernel then uses the connection of the knock, whose central is the robot that knocked. So the caller looks,
+and asks for a switch of roles where it is not.
 """
 
 import contextlib
@@ -21,7 +25,9 @@ _lock = threading.Lock()
 
 def limit(adapter: Adapter, peer: str, seconds: float) -> None:
     """Let the connection to the Bluetooth address `peer` be over after so much silence. Raises `LocalError` where there
-    is no such connection or the adapter refuses, and OSError."""
+    is no such connection or an adapter refuses, and OSError."""
+    if not adapter.is_central(peer):
+        adapter.be_central(peer)
     check(adapter.ask(hci.write_supervision(adapter.handle(peer), seconds), hci.written_supervision))
 
 

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 
 from swarm.bluetooth import hci
-from swarm.bluetooth.adapter import Adapter, check
+from swarm.bluetooth.adapter import Adapter
 from swarm.config import load
 from swarm.config.types import RobotConfig
 from swarm.errors import LocalError
@@ -35,17 +35,10 @@ class Signal:
 
     def read(self) -> int:
         """One reading, dB; `LocalError` where there is no connection, or no answer."""
-        handle = self._adapter.handle(self._peer)
-
-        def answer(packet: bytes) -> hci.RssiReading | None:
-            found = hci.reading(packet)
-            return None if found is not None and found.status == 0 and found.handle != handle else found
-
-        found = self._adapter.ask(hci.read_rssi(handle), answer)
-        if found.status == hci.NO_CONNECTION:
-            raise LocalError(f"there is no connection to {self._peer} any more")
-        check(found.status)
-        return found.rssi
+        found = self._adapter.read(hci.READ_RSSI, self._peer)
+        if found is None:
+            raise LocalError("the adapter does not tell the signal strength")
+        return found
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -67,10 +60,10 @@ def measured(args: argparse.Namespace) -> tuple[str, list[int]]:
     if peer not in config.names:
         raise LocalError(f"there is no robot {peer}, there are {' '.join(config.names)}")
     link = f"{robot} - {peer}"
-    own, address = (_radio(config.robot(name), link) for name in (robot, peer))
+    own, there = (address(config.robot(name), link) for name in (robot, peer))
     try:
         with contextlib.closing(Adapter(own)) as adapter:
-            readings = sample(Signal(adapter, address), args.count)
+            readings = sample(Signal(adapter, there), args.count)
     except OSError as error:
         raise LocalError(f"Bluetooth {own}: {hci.explained(error)}") from None
     data = {"robot": robot, "peer": peer, "what": "radio", "period": PERIOD, "rssi": readings}
@@ -97,10 +90,11 @@ def text(link: str, readings: list[int]) -> list[str]:
     ]
 
 
-def _radio(config: RobotConfig, link: str) -> str:
+def address(config: RobotConfig, link: str) -> str:
+    """The Bluetooth address of a robot; `LocalError`, with `link` in front, where it is reached another way."""
     if config.link is not None and not config.link.startswith("rfcomm:"):
         raise LocalError(f"{link}: this link has no radio: {config.name} is reached by {config.link}")
-    address = (config.link or "").removeprefix("rfcomm:") or config.bluetooth
-    if address is None:
+    found = (config.link or "").removeprefix("rfcomm:") or config.bluetooth
+    if found is None:
         raise LocalError(f"{link}: this link has no radio: {config.name} has no Bluetooth address")
-    return address
+    return found

@@ -3,6 +3,7 @@
 import statistics
 from collections.abc import Sequence
 
+from swarm.messages import LinkState
 from swarm.onboard.buses.ask import AWAY
 from swarm.onboard.mesh.collected import CollectedMesh
 from swarm.process.terminal import columns
@@ -63,7 +64,8 @@ def robots(mesh: CollectedMesh) -> list[str]:
 
 
 def links(mesh: CollectedMesh) -> list[str]:
-    """One line for each end of each link of the robots that were asked."""
+    """One line for each end of each link of the robots that were asked; roles where there are any."""
+    roles = any(link.role for _, link in mesh.links())
     rows: list[Sequence[str]] = [
         (
             "link",
@@ -78,6 +80,7 @@ def links(mesh: CollectedMesh) -> list[str]:
             "window",
             "lost",
             "refused",
+            *(["role"] if roles else []),
             "why",
         ),
     ]
@@ -96,10 +99,16 @@ def links(mesh: CollectedMesh) -> list[str]:
                 str(link.window),
                 str(link.dropped),
                 str(link.refused),
+                *([role(link)] if roles else []),
                 link.reason,
             )
         )
     return columns(rows)
+
+
+def role(link: LinkState) -> str:
+    """This end's role in a Bluetooth connection, and which one is wanted in its place."""
+    return link.role if link.role == link.wanted_role else f"{link.role}, wanted {link.wanted_role}"
 
 
 def overlays(mesh: CollectedMesh) -> list[str]:

@@ -25,6 +25,12 @@ class Controller:
         self.sockets: list[HciSocket] = []
         self.asked: list[bytes] = []
         self.refuses: OSError | None = None
+        self.state = 1
+        """Of the connection: 5 = being paged, 7 = being set up, 1 = there."""
+        self.central = True
+        """Whether the own adapter is the central of the connection."""
+        self.switches: int | None = 0
+        """The status at the end of a switch of roles; None = its end never comes."""
 
     def __enter__(self) -> "Controller":
         return self
@@ -56,6 +62,7 @@ class Controller:
                 if buffer[6] != hci.ACL or bytes(buffer[:6]) not in self.connected:
                     raise OSError(errno.ENOENT, os.strerror(errno.ENOENT))
                 buffer[8:10] = struct.pack("<H", self.connected[bytes(buffer[:6])])
+                buffer[18:24] = struct.pack("<HI", self.state, self.central)
         return 0
 
 
@@ -78,6 +85,13 @@ class HciSocket(socket.socket):
         kind, _, length, handle = struct.unpack_from("<BHBH", data)
         assert (kind, length) == (hci.COMMAND, len(data) - 4)
         self.controller.asked.append(data)
+        if data[1:3] == struct.pack("<H", hci.SWITCH_ROLE):
+            self.other.send(bytes.fromhex("04 0f 04 00 01 0b 08"))
+            if self.controller.switches is not None:
+                self.controller.central = self.controller.switches == 0
+                role = bytes((hci.EVENT, hci.ROLE_CHANGE, 8, self.controller.switches))
+                self.other.send(role + data[4:10] + bytes((not self.controller.central,)))
+            return len(data)
         for packet in self.controller.answers(handle):
             self.other.send(packet)
         return len(data)

@@ -8,7 +8,7 @@ import threading
 import time
 from typing import Any
 
-from services.mesh.links.rfcomm import BT_SECURITY, SOL_BLUETOOTH
+from services.mesh.links.rfcomm import BT_SECURITY, RFCOMM_LM, SOL_BLUETOOTH, SOL_RFCOMM
 
 
 def fault(number: int) -> OSError:
@@ -51,6 +51,7 @@ class RfcommSocket(socket.socket):
         self.adapter = ""
         self.channel = 0
         self.security: bytes | None = None
+        self.link_mode = 0
         self.over: int | None = None
         """Error of the connection's end, once it was told."""
         self.silent = False
@@ -59,6 +60,8 @@ class RfcommSocket(socket.socket):
     def setsockopt(self, level: int, option: int, value: Any) -> None:  # type: ignore[override]
         if (level, option) == (SOL_BLUETOOTH, BT_SECURITY):
             self.security = value
+        elif (level, option) == (SOL_RFCOMM, RFCOMM_LM):
+            self.link_mode = value
         else:
             super().setsockopt(level, option, value)
 

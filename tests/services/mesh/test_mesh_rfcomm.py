@@ -333,6 +333,8 @@ def test_a_robot_that_is_back_knocks_at_one_that_only_calls(
     wait_until(lambda: near.state[0] == far.state[0] == "up")
     wait_until(lambda: len(near.limits) == 1)
     assert far.limits == []  # r0 has called: the roles are those wanted
+    asks = {sock.adapter: sock.link_mode for sock in air.sockets if sock.fileno() >= 0 and sock.channel}
+    assert asks == {A: rfcomm.RFCOMM_LM_MASTER, B: 0}  # a knock at r0, which calls all, makes r0 the central
     near.stop()
     far.stop()
 

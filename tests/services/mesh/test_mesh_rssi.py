@@ -29,13 +29,17 @@ from swarm.onboard.measure.radio import Signal
 
 def test_golden_bytes() -> None:
     """By the specification: opcode 0x1405, handle 11; -60 dB for it."""
-    assert hci.read_rssi(11) == bytes.fromhex("01 05 14 02 0b 00")
-    assert hci.reading(bytes.fromhex("04 0e 07 01 05 14 00 0b 00 c4")) == hci.RssiReading(0, 11, -60)
-    assert hci.reading(bytes.fromhex("04 0e 04 01 05 14 02")) == hci.RssiReading(2, 0, 0)
-    assert hci.reading(bytes.fromhex("04 0f 04 0c 01 05 14")) == hci.RssiReading(12, 0, 0)
+    assert hci.read(hci.READ_RSSI, 11) == bytes.fromhex("01 05 14 02 0b 00")
+    assert hci.reading(bytes.fromhex("04 0e 07 01 05 14 00 0b 00 c4")) == hci.Reading(0, 11, -60)
+    assert hci.reading(bytes.fromhex("04 0e 04 01 05 14 02")) == hci.Reading(2, 0, 0)
+    assert hci.reading(bytes.fromhex("04 0f 04 0c 01 05 14")) == hci.Reading(12, 0, 0)
+    assert hci.reading(bytes.fromhex("04 0e 07 01 03 14 00 0b 00 ff"), hci.READ_QUALITY) == hci.Reading(0, 11, 255)
+    failed = bytes.fromhex("04 0e 08 01 01 14 00 0b 00 02 01")
+    assert hci.reading(failed, hci.READ_FAILED_CONTACTS) == hci.Reading(0, 11, 258)
+    assert hci.reading(failed) is None, "another reading"
     assert hci.reading(bytes.fromhex("04 0e 04 01 03 0c 00")) is None, "another command's end"
     assert hci.reading(bytes.fromhex("04 05 04 00 0b 00 13")) is None, "another event"
-    assert bytes(16) < hci.FILTER == bytes.fromhex("10000000 00c00000 00000000 0000 0000")
+    assert bytes(16) < hci.FILTER == bytes.fromhex("10000000 00c00400 00000000 0000 0000")
     assert hci.packed_address("B8:27:EB:12:34:56") == bytes.fromhex("563412eb27b8")
     assert (len(hci.connection_info(bytes(6))), len(hci.device_info(0)), len(hci.device_list())) == (24, 92, 132)
 
@@ -55,7 +59,7 @@ def test_any_bytes_are_an_answer_or_none_or_refused(packet: bytes) -> None:
 @given(st.integers(0, 255), st.integers(0, 0xEFF), st.integers(-128, 127))
 def test_every_reading_comes_through(status: int, handle: int, value: int) -> None:
     packet = struct.pack("<BBBBHBHb", hci.EVENT, hci.COMPLETE, 7, 1, hci.READ_RSSI, status, handle, value)
-    assert hci.reading(packet) == hci.RssiReading(status, handle, value)
+    assert hci.reading(packet) == hci.Reading(status, handle, value)
 
 
 @pytest.fixture
@@ -87,7 +91,8 @@ def test_what_others_ask_the_adapter_is_not_taken_for_the_answer(controller: Con
     ("answers", "text"),
     [
         (lambda handle: [complete(handle, 0, hci.NO_CONNECTION)], "no connection to B8:27:EB:00:00:0B any more"),
-        (lambda handle: [bytes.fromhex("04 0f 04 01 01 05 14")], "HCI status 0x01"),
+        (lambda handle: [bytes.fromhex("04 0f 04 0c 01 05 14")], "HCI status 0x0c"),
+        (lambda handle: [bytes.fromhex("04 0f 04 01 01 05 14")], "does not tell the signal strength"),
         (lambda handle: [], r"does not answer \(0\.05 s\)"),
     ],
 )

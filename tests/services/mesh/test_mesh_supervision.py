@@ -14,7 +14,7 @@ from hci_controller import ADAPTERS, HANDLE, PEER, Controller
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.mesh.links import supervision
+from services.mesh.links import role, supervision
 from swarm.bluetooth import hci
 from swarm.bluetooth.adapter import Adapter
 from swarm.errors import LocalError
@@ -85,6 +85,56 @@ def test_what_stands_in_its_way_is_said_once_and_breaks_nothing(
     adapter.answers = lambda _: [PERIPHERAL]
     supervision.try_limit(OWN, PEER, 3.0)
     assert "HCI status 0x0c" in warnings(caplog)[1]
+
+
+def test_who_called_takes_the_role_of_the_central(adapter: Controller, caplog: pytest.LogCaptureFixture) -> None:
+    """A connection that the other robot's knock has made has the other one as its central."""
+    adapter.central = False
+    supervision.try_limit(OWN, PEER, 3.0)
+    address = hci.packed_address(PEER)
+    assert adapter.asked == [hci.switch_role(address, hci.CENTRAL), hci.write_supervision(HANDLE, 2.0)]
+    assert adapter.central
+    assert warnings(caplog) == []
+
+
+def test_a_switch_of_roles_that_is_refused_is_said(adapter: Controller, caplog: pytest.LogCaptureFixture) -> None:
+    adapter.central, adapter.switches = False, 0x21
+    supervision.try_limit(OWN, PEER, 3.0)
+    assert "HCI status 0x21" in warnings(caplog)[0]
+    assert len(adapter.asked) == 1
+
+
+def test_golden_bytes_of_a_switch_of_roles() -> None:
+    """By the specification: opcode 0x080b, address, role 0 = central; Command Status, then Role Change."""
+    address = hci.packed_address(PEER)
+    assert hci.switch_role(address, hci.CENTRAL) == bytes.fromhex("01 0b 08 07 0b0000eb27b8 00")
+    changed = bytes.fromhex("04 12 08 00 0b0000eb27b8 00")
+    assert hci.switched_role(changed, address) == 0
+    assert hci.switched_role(changed, bytes(6)) is None, "of another connection"
+    assert hci.switched_role(bytes.fromhex("04 0f 04 00 01 0b 08"), address) is None, "its end is to come"
+    assert hci.switched_role(bytes.fromhex("04 0f 04 0c 01 0b 08"), address) == 0x0C
+
+
+@given(st.binary(max_size=300))
+def test_any_bytes_end_a_switch_of_roles_or_do_not(packet: bytes) -> None:
+    assert hci.switched_role(packet, bytes(6)) in (None, *range(256))
+
+
+def test_roles_are_what_the_kernel_says_and_unknown_without_it(controller: Controller) -> None:
+    open_adapter = functools.partial(Adapter, open_socket=controller.open, ioctl=controller.ioctl)
+    found = role.Roles(OWN, {"r1": PEER, "r2": "B8:27:EB:00:00:0C"}, open_adapter=open_adapter)
+    assert found.of("r1") == ""
+    found.look()
+    assert (found.of("r1"), found.of("r2")) == ("central", "")
+    controller.central = False
+    found.look()
+    assert found.of("r1") == "peripheral"
+    controller.connected.clear()
+    found.look()
+    assert found.of("r1") == ""
+    nowhere = role.Roles("00:00:00:00:00:01", {"r1": PEER}, open_adapter=open_adapter)
+    nowhere.look()
+    assert nowhere.of("r1") == ""
 
 
 def test_the_mesh_of_a_robot_may_do_it_and_no_other_service() -> None:

@@ -189,6 +189,18 @@ def test_calls_fail_with_their_reasons():
     assert swarm.failed["a", "b"][0] == BUSY
 
 
+def test_a_call_that_waits_for_pages_has_its_whole_time_from_its_own_on():
+    """Behind six absent robots, 31 s."""
+    absent = [f"gone{n}" for n in range(6)]
+    swarm = Made(["a", "b", *absent])
+    for name in absent:
+        swarm.calls.reachable.discard(name)
+        swarm.call("a", name)
+    swarm.call("a", "b")
+    swarm.run(40.0)
+    assert swarm.made["a", "b"][1] > 6 * 5.12
+
+
 def test_a_piconet_has_room_for_seven():
     names = [f"r{n}" for n in range(MAX_PERIPHERALS + 2)]
     swarm = Made(names)

@@ -10,6 +10,9 @@ from collections.abc import Sequence
 
 from swarm.core.graph import Edge
 
+CENTRAL, PERIPHERAL = "central", "peripheral"
+"""The role that who calls is to have, and that of who is called."""
+
 MOST = 32
 """Links of a graph up to which calls are turned; beyond, the sides alone decide."""
 

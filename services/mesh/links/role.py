@@ -1,0 +1,36 @@
+"""Which side of each of this robot's Bluetooth connections is central, as the kernel has it: for what the mesh tells of
+its links. Asking needs no rights; where it cannot be done, roles are not known."""
+
+import contextlib
+from collections.abc import Callable, Mapping
+
+from services.mesh.core.routing.roles import CENTRAL, PERIPHERAL
+from swarm.bluetooth.adapter import Adapter
+from swarm.errors import LocalError
+
+OpenAdapter = Callable[[str], Adapter]
+
+
+class Roles:
+    """Of one robot. Any thread may ask for what the last `look` found."""
+
+    def __init__(self, own: str, addresses: Mapping[str, str], *, open_adapter: OpenAdapter = Adapter) -> None:
+        """`own`: Bluetooth address of the adapter; `addresses`: those of other robots, by name."""
+        self._own = own
+        self._addresses = addresses
+        self._open = open_adapter
+        self._found: Mapping[str, str] = {}
+
+    def look(self) -> None:
+        """Ask the kernel anew."""
+        found = {}
+        if self._addresses:
+            with contextlib.suppress(LocalError, OSError), contextlib.closing(self._open(self._own)) as adapter:
+                for name, address in self._addresses.items():
+                    with contextlib.suppress(LocalError):  # no connection
+                        found[name] = CENTRAL if adapter.is_central(address) else PERIPHERAL
+        self._found = found
+
+    def of(self, robot: str) -> str:
+        """`CENTRAL` or `PERIPHERAL` in the connection to that robot; empty where it is not known."""
+        return self._found.get(robot, "")
