@@ -23,8 +23,9 @@ HELP = "show the robots of the swarm, their links and the graph"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare `[--robots r0,r3] [--run-dir DIR] [--json]`."""
+    """Declare `[--robots r0,r3] [--run-dir DIR] [--radio] [--json]`."""
     buses.add_arguments(parser)
+    parser.add_argument("--radio", action="store_true", help="show what the Bluetooth adapter tells of its connections")
     add_json(parser)
 
 
@@ -35,8 +36,16 @@ def run(args: argparse.Namespace) -> int:
 
 def shown(args: argparse.Namespace) -> CollectedMesh:
     """Print what is known, and return it."""
-    mesh = collect(buses.find(args))
-    show(args, as_json(mesh), tables.text(mesh))
+    directories = buses.find(args)
+    mesh = collect(directories)
+    data, text = as_json(mesh), tables.text(mesh)
+    if args.radio:
+        from swarm.onboard.mesh import radio  # asks the adapter: most uses of `swarm mesh` do without
+
+        readings = radio.read(directories)
+        data["radio"] = [asdict(each) for each in readings]
+        text += ["", *radio.table(readings)]
+    show(args, data, text)
     return mesh
 
 

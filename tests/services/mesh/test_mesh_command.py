@@ -83,6 +83,15 @@ def test_the_tables_show_every_link_and_counter_of_those_who_were_asked() -> Non
     json.dumps(shown)
 
 
+def test_roles_are_shown_where_links_have_them_and_a_wrong_one_is_said() -> None:
+    right = replace(link("r1"), role="central", wanted_role="central")
+    wrong = replace(link("r2"), role="peripheral", wanted_role="central")
+    text = tables.links(CollectedMesh({"r0": view(right, wrong)}))
+    assert [line.split("  ")[-1].strip() for line in text] == ["why", "central", "peripheral, wanted central"]
+    assert "role" in text[0]
+    assert "role" not in tables.links(CollectedMesh({"r0": view(link("r1"))}))[0]
+
+
 def test_a_large_swarm_is_a_list() -> None:
     names = [f"r{number:02}" for number in range(20)]
     found = CollectedMesh(
@@ -139,4 +148,4 @@ def test_from_one_robot_the_whole_swarm_is_seen(
 
 
 def argparse_of(plot: Path) -> "show.argparse.Namespace":
-    return show.argparse.Namespace(run_dir=None, robots=None, json=True, plot=plot)
+    return show.argparse.Namespace(run_dir=None, robots=None, radio=False, json=True, plot=plot)

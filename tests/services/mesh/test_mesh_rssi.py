@@ -23,6 +23,7 @@ from swarm.bluetooth.adapter import Adapter
 from swarm.errors import FrameError, LocalError
 from swarm.onboard.measure import radio
 from swarm.onboard.measure.radio import Signal
+from swarm.onboard.mesh import radio as mesh_radio
 
 # -- bytes ---------------------------------------------------------------------------------------------------
 
@@ -160,6 +161,24 @@ def test_readings_are_printed(
     assert command.run(args) == 0
     assert "min -62, median -62, mean -62.0, max -62" in capsys.readouterr().out
     assert args.plot.stat().st_size > 1000
+
+
+def test_connections_are_told_and_what_the_adapter_does_not_know_is_unknown(
+    args: argparse.Namespace, controller: Controller, runtime: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = functools.partial(Adapter, open_socket=controller.open, ioctl=controller.ioctl)
+    monkeypatch.setattr(mesh_radio, "Adapter", own)
+    quality = bytes.fromhex("04 0e 07 01 03 14 00 0b 00 fe")
+    controller.answers = lambda _: [complete(HANDLE, -61), quality, bytes.fromhex("04 0e 04 01 01 14 01")]
+    (reading,) = mesh_radio.read({"r0": runtime / "r0"})
+    assert reading == mesh_radio.RadioReading("r0", "r1", "central", -61, 254, None)
+    text = mesh_radio.table([reading])
+    assert text[1].split() == ["r0", "r1", "central", "-61", "254", "unknown"]
+    assert text[2].startswith("retransmissions: unknown")
+    controller.state = 5  # only called
+    assert mesh_radio.read({"r0": runtime / "r0"}) == []
+    with pytest.raises(LocalError, match="this link has no radio"):
+        mesh_radio.read({"r2": runtime / "r2"})
 
 
 def test_a_link_without_a_radio_is_said(args: argparse.Namespace, runtime: Path) -> None:

@@ -1,0 +1,65 @@
+"""`swarm mesh --radio`: what this robot's Bluetooth adapter tells of its connections. Asking needs no rights."""
+
+import contextlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from swarm.bluetooth import hci
+from swarm.bluetooth.adapter import Adapter
+from swarm.config import load
+from swarm.errors import LocalError
+from swarm.frozen import frozen
+from swarm.onboard.measure.radio import address
+from swarm.process.simulations import CONFIG, is_live
+from swarm.process.terminal import columns
+
+
+@frozen
+class RadioReading:
+    """What an adapter tells of one connection; None where it does not know the command."""
+
+    robot: str
+    peer: str
+    role: str
+    """central or peripheral"""
+    rssi: int | None
+    """dB, as of `swarm.bluetooth.hci.Reading`"""
+    quality: int | None
+    """0 to 255"""
+    failed: int | None
+    """Packets in a row that were given up without an answer."""
+
+
+def read(directories: Mapping[str, Path]) -> list[RadioReading]:
+    """The connections of these robots' adapters; `LocalError` where a robot has no radio, or the adapter no answer."""
+    found = []
+    for robot, directory in directories.items():
+        config = load(directory.parent / CONFIG if is_live(directory.parent) else None)
+        own = address(config.robot(robot), robot)
+        peers = {each.name: each.bluetooth for each in config.robots if each.name != robot and each.bluetooth}
+        try:
+            with contextlib.closing(Adapter(own)) as adapter:
+                found += [
+                    _reading(adapter, robot, peer, there)
+                    for peer, there in peers.items()
+                    if adapter.is_connected(there)
+                ]
+        except OSError as error:
+            raise LocalError(f"Bluetooth {own}: {hci.explained(error)}") from None
+    return found
+
+
+def _reading(adapter: Adapter, robot: str, peer: str, there: str) -> RadioReading:
+    rssi, quality, failed = (
+        adapter.read(what, there) for what in (hci.READ_RSSI, hci.READ_QUALITY, hci.READ_FAILED_CONTACTS)
+    )
+    return RadioReading(robot, peer, "central" if adapter.is_central(there) else "peripheral", rssi, quality, failed)
+
+
+def table(readings: Sequence[RadioReading]) -> list[str]:
+    """One line for each connection."""
+    rows: list[Sequence[str]] = [("radio", "role", "RSSI dB", "quality", "given up")]
+    for each in readings:
+        values = ["unknown" if value is None else str(value) for value in (each.rssi, each.quality, each.failed)]
+        rows.append((f"{each.robot} {each.peer}", each.role, *values))
+    return [*columns(rows), "retransmissions: unknown, no standard command of an adapter tells them"]
