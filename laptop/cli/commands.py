@@ -58,6 +58,7 @@ SECTIONS: Sections = {
                     "laptop.cli.measure", ("throughput",), robot.MEASURE.commands["throughput"].help, FAR
                 ),
                 "radio": Command("laptop.cli.radio", far=FAR),
+                "slots": Command("laptop.cli.slots"),
                 "i2c": robot.MEASURE.commands["i2c"]._replace(far=FAR),
             }
         ),

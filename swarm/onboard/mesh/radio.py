@@ -36,7 +36,11 @@ def read(directories: Mapping[str, Path]) -> list[RadioReading]:
     for robot, directory in directories.items():
         config = load(directory.parent / CONFIG if is_live(directory.parent) else None)
         own = address(config.robot(robot), robot)
-        peers = {each.name: each.bluetooth for each in config.robots if each.name != robot and each.bluetooth}
+        peers: dict[str, str] = {}
+        for each in config.robots:
+            if each.name != robot:
+                with contextlib.suppress(LocalError):  # reached another way
+                    peers[each.name] = address(each, robot)
         try:
             with contextlib.closing(Adapter(own)) as adapter:
                 found += [

@@ -105,4 +105,4 @@ def test_hands_and_measurements_are_complete() -> None:
     assert list(groups["hand"].commands) == [
         "press", "push", "lay", "place", "lift", "roll", "miswire", "unplug", "kill", "cut", "reboot",
     ]  # fmt: skip
-    assert list(groups["measure"].commands) == ["rtt", "throughput", "radio", "i2c"]
+    assert list(groups["measure"].commands) == ["rtt", "throughput", "radio", "slots", "i2c"]

@@ -1,0 +1,187 @@
+"""`swarm measure slots RUN...`: fit the slot radio to runs of consensus that robots have recorded.
+
+Each run is simulated with the robots and links of its own swarm.toml. Runs in one piconet tell what a frame costs in
+the hosts, runs with bridges how long a bridge stays in each piconet. What the recorded radio did besides is told too:
+links that were lost, roles that were not those wanted, round trips.
+"""
+
+import argparse
+import statistics
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from services.mesh.core.routing.physical_links import physical
+from services.mesh.core.routing.roles import callers, piconets
+from services.mesh.mesh import links_of
+from sim.scenario.options import parse
+from sim.scenario.scenario import build
+from sim.slots.fitting import Curve, FittedValue, fitted
+from sim.virtual.radio.mesh import VirtualMesh
+from sim.virtual.run import PLACE, VirtualRun
+from swarm.config import load
+from swarm.config.types import GRAPH
+from swarm.errors import LocalError
+from swarm.frozen import frozen
+from swarm.messages import LinkState
+from swarm.onboard.arguments import add_json, show, whole
+from swarm.process.terminal import columns
+from swarm.recording.restore import published
+from swarm.recording.run import Run
+from swarm.recording.trajectory import iteration_times, median
+
+HELP = "fit the slot radio to recorded runs of consensus"
+
+APP = "consensus"
+STAYS = (0.04, 0.08, 0.15, 0.25, 0.4)
+HOSTS = (0.0005, 0.0015, 0.004, 0.008, 0.016)
+"""s; the values of the two parameters that are simulated."""
+SEEDS = (11, 12)
+FLAT = 1.15
+"""Factor by which a run's pace must depend on a parameter to say anything of it."""
+
+
+@frozen
+class Radio:
+    """What a radio did in a run, recorded or simulated."""
+
+    pace: float
+    """s an iteration, median"""
+    rtt_median: float | None
+    """s, of the link whose median is the middle one"""
+    rtt_p99: float | None
+    """s, of the link with the longest"""
+    lost: int
+    """Links that were lost, and came back or not."""
+    wrong: tuple[str, ...]
+    """Ends of links whose role is not the one wanted."""
+
+
+@frozen
+class Recorded:
+    """One recorded run."""
+
+    path: Path
+    robots: int
+    links: int
+    piconets: int
+    """In which the busiest robot is."""
+    radio: Radio
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The runs."""
+    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="folder of a recorded run of consensus")
+    parser.add_argument(
+        "--iterations", type=whole(20, 10_000), default=60, metavar="N", help="iterations of each simulated run (60)"
+    )
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read, fit and print."""
+    runs = [_read(path) for path in args.runs]
+    found: dict[str, FittedValue] = {}
+    known: dict[str, float] = {}
+    for name, values, bridges in (("host", HOSTS, False), ("stay", STAYS, True)):
+        chosen = [each for each in runs if (each.piconets > 1) == bridges]
+        curves = [curve for each in chosen if (curve := _curve(each, name, values, known, args.iterations))]
+        if curves:
+            found[name] = fitted(curves)
+            known[name] = found[name].value
+    if not found:
+        raise LocalError("no run depends on the radio's parameters; record one with bridges, such as a loop of six")
+    beside = [_simulated(each.path, known, SEEDS[0], args.iterations) for each in runs]
+    data = {
+        "parameters": {name: asdict(each) for name, each in found.items()},
+        "runs": [
+            asdict(each) | {"path": str(each.path), "model": asdict(model)}
+            for each, model in zip(runs, beside, strict=True)
+        ],
+    }
+    show(args, data, [*_table(runs, beside), "", *_verdict(found)])
+    return 0
+
+
+def _read(path: Path) -> Recorded:
+    recorded = Run(path, APP)
+    config = load(path / "swarm.toml", addressed=False)
+    way = links_of(config, bluetooth=True)
+    links = sorted(callers(config.names, config.edges)) if way == GRAPH else physical(config.names, config.edges, way)
+    pace = median(iteration_times(recorded.trajectories()))
+    if pace is None:
+        raise LocalError(f"{path}: the run is too short: expected 30 iterations or more")
+    told: dict[str, list[LinkState]] = {}
+    for sample in recorded.samples("swarm/*/mesh/links"):
+        entries = published(sample.topic, sample.message)["links"]
+        told[sample.topic.split("/")[1]] = [LinkState(**entry) for entry in entries]
+    return Recorded(path, len(config.names), len(links), max(piconets(links).values()), _radio(pace, told))
+
+
+def _radio(pace: float, told: Mapping[str, Sequence[LinkState]]) -> Radio:
+    """Of what each robot has told last of its links."""
+    states = [(robot, link) for robot, links in told.items() for link in links]
+    medians = [link.rtt_median for _, link in states if link.rtt_median is not None]
+    longest = [link.rtt_p99 for _, link in states if link.rtt_p99 is not None]
+    lost = {
+        frozenset((robot, link.peer)): link.connection - (link.state in ("up", "suspect")) for robot, link in states
+    }
+    wrong = tuple(sorted(f"{robot} {link.peer}" for robot, link in states if link.role != link.wanted_role))
+    return Radio(
+        pace, statistics.median(medians) if medians else None, max(longest, default=None), sum(lost.values()), wrong
+    )
+
+
+def _curve(
+    each: Recorded, name: str, values: Sequence[float], known: Mapping[str, float], iterations: int
+) -> Curve | None:
+    """The run beside the model's; None where the parameter makes no difference to it."""
+    model = {
+        value: [_simulated(each.path, {**known, name: value}, seed, iterations).pace for seed in SEEDS]
+        for value in values
+    }
+    paces = [statistics.fmean(of) for of in model.values()]
+    return Curve(each.radio.pace, model) if max(paces) > FLAT * min(paces) else None
+
+
+def _simulated(path: Path, parameters: Mapping[str, float], seed: int, iterations: int) -> Radio:
+    radio = "slots:" + ",".join(f"{name}={value!r}" for name, value in parameters.items())
+    words = [APP, "--config", str(path / "swarm.toml"), "--virtual", "--radio", radio]
+    options = parse([*words, "--seed", str(seed), "--iterations", str(iterations)])
+    virtual = VirtualRun(options, build(options, PLACE))
+    pace = median(iteration_times(virtual.go().trajectories))
+    if pace is None:
+        raise LocalError(f"{path}: its simulation over the slot radio does not iterate")
+    meshes = {name: robot.mesh for name, robot in virtual.world.robots.items()}
+    return _radio(pace, {name: mesh.links().links for name, mesh in meshes.items() if isinstance(mesh, VirtualMesh)})
+
+
+def _table(runs: Sequence[Recorded], beside: Sequence[Radio]) -> list[str]:
+    rows: list[Sequence[str]] = [
+        ("run", "robots", "links", "piconets", "ms an iteration", "model", "rtt median", "model", "p99 ms", "model",
+         "lost", "wrong roles"),
+    ]  # fmt: skip
+    for each, model in zip(runs, beside, strict=True):
+        radio = each.radio
+        rows.append((
+            each.path.name, str(each.robots), str(each.links), str(each.piconets), *_ms(radio.pace, model.pace),
+            *_ms(radio.rtt_median, model.rtt_median), *_ms(radio.rtt_p99, model.rtt_p99),
+            str(radio.lost), ", ".join(radio.wrong) or "none",
+        ))  # fmt: skip
+    return columns(rows)
+
+
+def _ms(*times: float | None) -> Iterator[str]:
+    return ("" if time is None else f"{1e3 * time:.0f}" for time in times)
+
+
+def _verdict(found: dict[str, FittedValue]) -> list[str]:
+    meant = {"host": "s of a frame in each host", "stay": "s that a bridge of two piconets stays in each"}
+    lines = [
+        f"{name} = {each.value:.2g} ({each.low:.2g} to {each.high:.2g}), {meant[name]}; "
+        f"model and recordings differ by a factor of {each.factor:.2f}"
+        for name, each in found.items()
+    ]
+    lines += [f"{name}: no run tells it" for name in meant if name not in found]
+    values = ",".join(f"{name}={each.value:.2g}" for name, each in found.items())
+    return [*lines, f"simulate this radio with: --radio slots:{values}"]
