@@ -47,25 +47,15 @@ def solve(matrix: Sequence[Sequence[float]], right: Sequence[float], singular: f
     return x
 
 
-def least_squares(
-    rows: Sequence[Sequence[float]], right: Sequence[float], weights: Sequence[float] | None = None
-) -> Vector:
-    """The x of least sum of weights (row . x - right)^2; raises `SingularError`.
+def least_squares(rows: Sequence[Sequence[float]], right: Sequence[float]) -> Vector:
+    """The x of least sum of (row . x - right)^2; raises `SingularError`.
 
     By the normal equations, columns scaled to unit length first: good for the few well-chosen columns used here.
     """
     if not rows or len(rows) < len(rows[0]):
         raise SingularError(f"{len(rows)} equations for {len(rows[0]) if rows else 'some'} unknowns")
     size = len(rows[0])
-    weight = [1.0] * len(rows) if weights is None else weights
     scale = [sqrt(fsum(row[j] * row[j] for row in rows)) or 1.0 for j in range(size)]
-    normal = [
-        [fsum(w * row[i] * row[j] for w, row in zip(weight, rows, strict=True)) / (scale[i] * scale[j])
-         for j in range(size)]
-        for i in range(size)
-    ]  # fmt: skip
-    moment = [
-        fsum(w * row[i] * value for w, row, value in zip(weight, rows, right, strict=True)) / scale[i]
-        for i in range(size)
-    ]
+    normal = [[fsum(row[i] * row[j] for row in rows) / (scale[i] * scale[j]) for j in range(size)] for i in range(size)]
+    moment = [fsum(row[i] * value for row, value in zip(rows, right, strict=True)) / scale[i] for i in range(size)]
     return [value / scale[i] for i, value in enumerate(solve(normal, moment))]

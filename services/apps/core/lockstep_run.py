@@ -184,9 +184,7 @@ class LockstepRun:
 
     def compute(self, todo: Compute, measurement: Measurement | None) -> tuple[bytes, bytes]:
         """Run the app's step; what it gives goes to `computed`."""
-        if self._stopping is None:
-            return self._program.step(todo.k, todo.own, todo.values, measurement)
-        size = self._program.size
+        size = self._program.size  # behind it stands the count of a rule to stop
         values = {name: value[:size] for name, value in todo.values.items()}
         return self._program.step(todo.k, todo.own[:size], values, measurement)
 
