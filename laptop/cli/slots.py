@@ -28,7 +28,7 @@ from swarm.onboard.arguments import add_json, show, whole
 from swarm.process.terminal import columns
 from swarm.recording.restore import published
 from swarm.recording.run import Run
-from swarm.recording.trajectory import iteration_times, median
+from swarm.recording.trajectory import WARM_UP, WINDOW, iteration_times, median
 
 HELP = "fit the slot radio to recorded runs of consensus"
 
@@ -36,7 +36,10 @@ APP = "consensus"
 STAYS = (0.04, 0.08, 0.15, 0.25, 0.4)
 HOSTS = (0.0005, 0.0015, 0.004, 0.008, 0.016)
 """s; the values of the two parameters that are simulated."""
+VALUES = {"host": HOSTS, "stay": STAYS}
 SEEDS = (11, 12)
+UNLIKE = 1.3
+"""Factor between model and recordings from which on the model does not describe a radio."""
 FLAT = 1.15
 """Factor by which a run's pace must depend on a parameter to say anything of it."""
 
@@ -83,8 +86,8 @@ def run(args: argparse.Namespace) -> int:
     runs = [_read(path) for path in args.runs]
     found: dict[str, FittedValue] = {}
     known: dict[str, float] = {}
-    for name, values, bridges in (("host", HOSTS, False), ("stay", STAYS, True)):
-        chosen = [each for each in runs if (each.piconets > 1) == bridges]
+    for name, values in VALUES.items():
+        chosen = [each for each in runs if (each.piconets > 1) == (name == "stay")]
         curves = [curve for each in chosen if (curve := _curve(each, name, values, known, args.iterations))]
         if curves:
             found[name] = fitted(curves)
@@ -108,13 +111,16 @@ def _read(path: Path) -> Recorded:
     config = load(path / "swarm.toml", addressed=False)
     way = links_of(config, bluetooth=True)
     links = sorted(callers(config.names, config.edges)) if way == GRAPH else physical(config.names, config.edges, way)
-    pace = median(iteration_times(recorded.trajectories()))
+    trajectories = recorded.trajectories()
+    pace = median(iteration_times(trajectories))
     if pace is None:
-        raise LocalError(f"{path}: the run is too short: expected 30 iterations or more")
+        raise LocalError(f"{path}: the run is too short: expected {WARM_UP + WINDOW} iterations or more")
+    end = max(each.newest for each in trajectories.values())
     told: dict[str, list[LinkState]] = {}
     for sample in recorded.samples("swarm/*/mesh/links"):
-        entries = published(sample.topic, sample.message)["links"]
-        told[sample.topic.split("/")[1]] = [LinkState(**entry) for entry in entries]
+        if sample.t <= end:  # afterwards robots are switched off
+            entries = published(sample.topic, sample.message)["links"]
+            told[sample.topic.split("/")[1]] = [LinkState(**entry) for entry in entries]
     return Recorded(path, len(config.names), len(links), max(piconets(links).values()), _radio(pace, told))
 
 
@@ -181,6 +187,11 @@ def _verdict(found: dict[str, FittedValue]) -> list[str]:
         f"{name} = {each.value:.2g} ({each.low:.2g} to {each.high:.2g}), {meant[name]}; "
         f"model and recordings differ by a factor of {each.factor:.2f}"
         for name, each in found.items()
+    ]
+    lines += [
+        f"{name}: the model does not describe this radio"
+        for name, each in found.items()
+        if each.factor > UNLIKE or not VALUES[name][0] < each.value < VALUES[name][-1]
     ]
     lines += [f"{name}: no run tells it" for name in meant if name not in found]
     values = ",".join(f"{name}={each.value:.2g}" for name, each in found.items())
