@@ -35,7 +35,7 @@ serial series server service services session settings shapes shell show side si
 sockets source space spec spectrum stand start state states status steps stop stopping storage store stream style sub
 supervision surroundings survey switch system tables tasks telemetry templates terminal terms text texts threads time
 timeout times tool topics tracing track tracker traffic transfers trends trips tune types units unix up values version
-versions view viewing wanted watch wire wiring wish world writer zero far manoeuvre admission spare calling
+versions view viewing wanted watch wire wiring wish world writer zero far manoeuvre spare calling
 """
 PLAIN = frozenset(_PLAIN_WORDS.split())
 """English words that mean in a module's name what they mean in English."""

@@ -11,8 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from services.mesh.core.routing.physical_links import physical
-from services.mesh.core.routing.roles import callers, piconets
+from services.mesh.core.routing.physical_links import callers, physical, piconets
 from services.mesh.mesh import links_of
 from sim.scenario.options import parse
 from sim.scenario.scenario import build

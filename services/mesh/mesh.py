@@ -18,8 +18,7 @@ from services.mesh.core.link.session import Session
 from services.mesh.core.node import MeshNode
 from services.mesh.core.overlays.robot_overlays import RobotOverlays
 from services.mesh.core.relay import KeyRelay
-from services.mesh.core.routing.physical_links import calls
-from services.mesh.core.routing.roles import CENTRAL, PERIPHERAL, callers
+from services.mesh.core.routing.physical_links import CENTRAL, PERIPHERAL, callers, calls
 from services.mesh.core.routing.topology import Ground
 from services.mesh.core.routing.wanted_links import InitialLinks
 from services.mesh.core.wire.frames import BULK

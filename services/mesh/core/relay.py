@@ -1,4 +1,5 @@
-"""Which keys leave to whom, and which may come in.
+"""Which keys leave to whom, and which may come in: by the rules of the config (`KeyRelay`), and those of the overlays
+(`Admission`).
 
 Only the own robot's keys leave, and only where a rule of the config says so. Another robot's key comes in only
 where the same rules, read from that robot's place, would have let it leave to us: so nothing a neighbour
@@ -6,14 +7,14 @@ sends can appear under another robot's name, and nothing is relayed twice. Comma
 unicast rules that name them: then, and only then, a key of another robot leaves, to that robot.
 """
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from services.mesh.core.wire.frames import FLOOD, NEIGHBOURS, PRIORITIES, UNICAST
 from swarm.config.types import RelayRule
 from swarm.errors import PayloadError
-from swarm.messages.keys import parse
+from swarm.messages.keys import is_name, parse
 
 OVERLAYS = {"neighbours": NEIGHBOURS, "flood": FLOOD, "unicast": UNICAST, "around": UNICAST}
 """Those that rules name; around is unicast to a neighbour that avoids the link with it."""
@@ -267,3 +268,48 @@ def _leg(key: str, rule: _Rule, peers: tuple[str, ...]) -> Leg:
     interval = 1.0 / config.max_rate if config.max_rate else 0.0
     priority, latest = PRIORITIES[config.priority], config.queue == "latest"
     return Leg(key, priority, latest, interval, peers, rule.overlay, rule.avoid_link)
+
+
+class Admission:
+    """Which keys a neighbour may bind a channel to, and which messages of other robots this one accepts."""
+
+    def __init__(
+        self, me: str, robots: frozenset[str], flood: Callable[[str], bool], unicast: Callable[[str, str], bool]
+    ) -> None:
+        """`flood(key)` and `unicast(sender, key)` say which keys the relay rules let in."""
+        self._me = me
+        self._robots = robots
+        self._flood = flood
+        self._unicast = unicast
+
+    def binds(self, peer: str, overlay: int, key: str) -> bool:
+        """Whether a neighbour may bind a channel of flood or unicast to this key; keys of carried values aside."""
+        try:
+            robot, service, topic = parse(key)
+        except PayloadError:
+            return False
+        if robot not in self._robots:
+            return False
+        if overlay != FLOOD:
+            return robot == peer and service == "mesh" and topic in ("unicast", "pieces")
+        if service == "mesh" and topic in ("digest", "halt", "topology"):
+            return robot == peer
+        if (service, topic) in (("mesh", "lsa"), ("mesh", "stopped"), ("mesh", "watch")):
+            return True
+        return _is_app_flood(service, topic) or self._flood(key)
+
+    def accepts(self, sender: str, key: str) -> bool:
+        """Whether a unicast message of `sender` may appear on the own bus under this key."""
+        if sender == self._me:
+            return False  # what we send ourselves crosses no link: somebody pretends to be us
+        robot, service, topic = parse(key)
+        if robot == sender and service == "app":
+            chunks = topic.split("/")
+            if len(chunks) == 3 and chunks[1:] == ["send", self._me] and is_name(chunks[0]):
+                return True
+        return (robot, service, topic) == (sender, "mesh", "view") or self._unicast(sender, key)
+
+
+def _is_app_flood(service: str, topic: str) -> bool:
+    app, _, rest = topic.partition("/")
+    return service == "app" and rest == "flood" and is_name(app)

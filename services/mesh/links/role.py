@@ -4,7 +4,7 @@ its links. Asking needs no rights; where it cannot be done, roles are not known.
 import contextlib
 from collections.abc import Callable, Mapping
 
-from services.mesh.core.routing.roles import CENTRAL, PERIPHERAL
+from services.mesh.core.routing.physical_links import CENTRAL, PERIPHERAL
 from swarm.bluetooth.adapter import Adapter
 from swarm.errors import LocalError
 

@@ -5,9 +5,9 @@ connections share (8 on the robots'). A robot that goes off thus takes the buffe
 silent towards all others (tests/lab/inside_faults.py shows it with Linux's own Bluetooth). So whoever has called sets
 a time-out below that of the mesh. It is the central's to do: the other side's controller would refuse.
 
-The caller is to be the central (`services.mesh.core.routing.roles`), and is, unless the robot that it calls has just
-knocked: the kernel then uses the connection of the knock, whose central is the robot that knocked. So the caller looks,
-and asks for a switch of roles where it is not.
+The caller is to be the central (`services.mesh.core.routing.physical_links`), and is, unless the robot that it calls
+has just knocked: the kernel then uses the connection of the knock, whose central is the robot that knocked. So the
+caller looks, and asks for a switch of roles where it is not.
 """
 
 import contextlib

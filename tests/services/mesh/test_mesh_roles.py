@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.mesh.core.routing.roles import callers, piconets, waiting
+from services.mesh.core.routing.physical_links import callers, piconets, waiting
 from swarm.core.graph import Graph
 
 

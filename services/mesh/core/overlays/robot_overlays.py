@@ -12,13 +12,13 @@ from services.mesh.core.actions import LinkAction, Transmit
 from services.mesh.core.bulk import exchange, transfers
 from services.mesh.core.link import Received
 from services.mesh.core.overlays import carried, flood, flood_store, large_messages, unicast
-from services.mesh.core.overlays.admission import Admission
 from services.mesh.core.overlays.carried import CARRY, Carrier
 from services.mesh.core.overlays.flood import FloodOverlay
 from services.mesh.core.overlays.large_messages import Large
 from services.mesh.core.overlays.requests import OverlayRequests, Request
 from services.mesh.core.overlays.stop import Register, Stops
 from services.mesh.core.overlays.unicast import Unicast
+from services.mesh.core.relay import Admission
 from services.mesh.core.routing.link_state import HOPS, AdvertisedLinks, LinkStateMap
 from services.mesh.core.routing.membership import SETTLE, Clashes, Membership, Survey
 from services.mesh.core.routing.wanted_links import InitialLinks, Linking
