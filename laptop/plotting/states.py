@@ -49,8 +49,9 @@ def states(figure: Any, run: Run, columns: Sequence[str] = (), labels: Mapping[s
         left = figure.add_subplot(grid[row, 0])
         right = figure.add_subplot(grid[row, 1], sharey=left)
         whole = all(_is_whole(path, column) for path in paths.values() if path.rows)
+        most = max(len(path.rows) for path in paths.values())
         for index, (name, path) in enumerate(paths.items()):
-            look = _look(index, len(paths), len(path.rows)) | ({"drawstyle": "steps-post"} if whole else {})
+            look = _look(index, len(paths), most) | ({"drawstyle": "steps-post"} if whole else {})
             left.plot(*_line(path, column, leaps(path)), label=name, **look)
             ks, values = _line(path, column, gaps(path))
             right.plot([path.times[k] for k in ks], values, **look)
@@ -66,7 +67,8 @@ def states(figure: Any, run: Run, columns: Sequence[str] = (), labels: Mapping[s
 
 def _marked(run: Run, panels: Sequence[_Panel]) -> list[_Panel]:
     """What the author's `plotted` names, in that order."""
-    names = [name for notes in run.notes(PLOTTED) for name in notes.get(run.app, "").split()]
+    # Each robot's file has them.
+    names = list(dict.fromkeys(name for notes in run.notes(PLOTTED) for name in notes.get(run.app, "").split()))
     shared = {panel[0] for panel in panels if not panel[1].startswith("result.")}
     once = [panel for panel in panels if panel[0].removeprefix("result.") not in shared or panel[0] in shared]
     return [panel for name in names for panel in once if panel[1].removeprefix("result.").partition("[")[0] == name]
@@ -93,8 +95,9 @@ def iterations(figure: Any, run: Run) -> None:
     figure.set_size_inches(5.2, 3.1 * len(channels))
     for panel, (channel, paths) in enumerate(channels):
         axes = figure.add_subplot(len(channels), 1, panel + 1)
+        most = max(len(path.times) for path in paths.values())
         for index, (name, path) in enumerate(paths.items()):
-            look = _look(index, len(paths), len(path.times)) | {"drawstyle": "steps-post"}
+            look = _look(index, len(paths), most) | {"drawstyle": "steps-post"}
             ks = _with_gaps(sorted(path.times), gaps(path))
             times = [path.times[k] for k in ks]
             drawn = [math.nan if again else k for k, again in zip(ks, _again(ks), strict=True)]
@@ -206,6 +209,7 @@ def _truth(axes: Any, label: str, column: str, paths: Mapping[str, Trajectory]) 
 
 
 def _look(index: int, robots: int, points: int) -> dict[str, Any]:
+    """Of one robot's line; `points`: the most that a line of the picture has."""
     dots = points <= DOTS and robots <= style.FEW
     return {
         "color": style.colour(index, robots),

@@ -6,6 +6,7 @@ import os
 import signal
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TextIO
 
@@ -132,7 +133,7 @@ class ProcessRun:
                 asked = now
                 self._monitor.ask_status()
             for robot, line in self._monitor.said():
-                self._progress.say(said(robot, line))
+                self._progress.say(said(robot, replace(line, t=line.t - self._commanded)))
             seen = self._monitor.look()
             missing = {name: robot.not_ready(self._services) for name, robot in seen.items()}
             self._progress.show(now, now - self._commanded, seen, missing)

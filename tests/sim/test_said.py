@@ -13,6 +13,7 @@ from sim.scenario.scenario import build
 from sim.virtual.run import PLACE, VirtualRun, simulate
 from swarm.app.robot import Robot
 from swarm.core.graph import Graph
+from swarm.errors import LocalError
 from swarm.messages import AppLog
 
 TALKS = """
@@ -66,6 +67,13 @@ def test_every_line_comes_with_its_robot_and_is_recorded(
         "two",
         "lines",
     ]
+
+
+def test_a_run_that_is_not_there_is_no_service_of_robots() -> None:
+    parser = argparse.ArgumentParser()
+    logs.add_arguments(parser)
+    with pytest.raises(LocalError, match="runs/none: there is no such run"):
+        logs.run(parser.parse_args(["runs/none"]))
 
 
 def test_a_sweep_is_not_flooded_by_what_apps_print(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -42,6 +42,8 @@ def run(args: argparse.Namespace) -> int:
     """Lines as they come, each with its robot's name."""
     if args.services and Path(args.services[0]).exists():
         return _of_run(args)
+    if args.services and "/" in args.services[0]:
+        raise LocalError(f"{args.services[0]}: there is no such run")
     if args.follow and args.json:
         raise LocalError("--follow and --json do not go together: there is no end to report")
     if (there := robot_command.simulated(args)) is not None:

@@ -28,8 +28,10 @@ class Marked(SyncApp):
         return {"spread": self.p[1], "count": self.count}
 
 
-def test_what_the_author_marks_comes_first_and_counts_are_steps() -> None:
-    made = simulate(Marked, robots=2, iterations=5, progress=False).plot()
+@pytest.mark.parametrize("skew", [None, "20ppm"])
+def test_what_the_author_marks_comes_first_and_counts_are_steps(skew: str | None) -> None:
+    """With clocks of their own each robot has a file, as real robots have, and each file names the marked states."""
+    made = simulate(Marked, robots=2, iterations=5, progress=False, clock_skew=skew).plot()
     left = made.axes[::2]
     assert [axes.get_ylabel() for axes in left] == ["spread", "count"]
     assert [axes.lines[0].get_drawstyle() for axes in left] == ["default", "steps-post"]
