@@ -11,8 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from services.mesh.core.routing.physical_links import callers, physical, piconets
-from services.mesh.mesh import links_of
+from services.mesh.core.routing.physical_links import callers, links_of, physical, piconets
 from sim.scenario.options import parse
 from sim.scenario.scenario import build
 from sim.slots.fitting import Curve, FittedValue, fitted

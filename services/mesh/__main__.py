@@ -8,10 +8,11 @@ from functools import partial
 from services.mesh import topology_file
 from services.mesh.bus_interface import BusInterface
 from services.mesh.core.link.calls import Local
+from services.mesh.core.routing.physical_links import calls_of
 from services.mesh.core.routing.wanted_links import InitialLinks
 from services.mesh.core.wire.frames import NONCE_SIZE
 from services.mesh.links.pipe import describe
-from services.mesh.mesh import Chance, Mesh, calls_of, dials_of, ground_of, local_of
+from services.mesh.mesh import Chance, Mesh, dials_of, ground_of, local_of
 from services.mesh.network import Network
 from services.mesh.sockets import Sockets
 from services.mesh.view_sender import ViewSender

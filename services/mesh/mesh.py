@@ -18,13 +18,13 @@ from services.mesh.core.link.session import Session
 from services.mesh.core.node import MeshNode
 from services.mesh.core.overlays.robot_overlays import RobotOverlays
 from services.mesh.core.relay import KeyRelay
-from services.mesh.core.routing.physical_links import CENTRAL, PERIPHERAL, callers, calls
+from services.mesh.core.routing.physical_links import CENTRAL, PERIPHERAL, is_bluetooth, links_of
 from services.mesh.core.routing.topology import Ground
 from services.mesh.core.routing.wanted_links import InitialLinks
 from services.mesh.core.wire.frames import BULK
 from services.mesh.surroundings import Surroundings, Transport
 from swarm.config import Config
-from swarm.config.types import AUTO_LINKS, GRAPH, TREE, RobotConfig
+from swarm.config.types import RobotConfig
 from swarm.messages import Clock, EchoRequest, HoldLink, Links, LinkState
 from swarm.messages.keys import key
 
@@ -60,33 +60,9 @@ def dials_of(
     return found
 
 
-def links_of(config: Config, *, bluetooth: bool = False) -> str:
-    """Return which links carry the topology: `graph`, or what asks for others; `bluetooth` as in `calls_of`."""
-    if config.mesh.links != AUTO_LINKS:
-        return config.mesh.links
-    others = len(config.robots) - 1
-    one_hub = len(config.edges) == others and any(len(config.neighbours(name)) == others for name in config.names)
-    return TREE if is_bluetooth(config, bluetooth=bluetooth) and not one_hub else GRAPH
-
-
-def is_bluetooth(config: Config, *, bluetooth: bool) -> bool:
-    """Return whether all links are of Bluetooth."""
-    return bluetooth or all(each.bluetooth and each.link is None for each in config.robots)
-
-
 def ground_of(config: Config, *, bluetooth: bool = False) -> Ground:
     """Return what all topologies of a configuration have in common; `bluetooth` as in `calls_of`."""
     return Ground(config.names, config.edges, auto=config.auto, links=links_of(config, bluetooth=bluetooth))
-
-
-def calls_of(config: Config, *, bluetooth: bool = False) -> Collection[tuple[str, str]]:
-    """Return who calls whom, where the configuration says it: of a fixed topology whose links are of Bluetooth, and of
-    links that are not the topology's own. `bluetooth`: as a simulation says."""
-    if links_of(config, bluetooth=bluetooth) != GRAPH:
-        return calls(config.names)
-    if config.auto or not is_bluetooth(config, bluetooth=bluetooth):
-        return ()
-    return callers(config.names, config.edges)
 
 
 def local_of(

@@ -5,7 +5,7 @@ from typing import Any
 
 from services.apps import loader
 from services.apps.builtin.localization.guard import check_step_size, limit_step_size
-from services.mesh.mesh import links_of
+from services.mesh.core.routing.physical_links import links_of
 from sim.scenario.options import LAMPS, Options
 from sim.scenario.robot_limits import lacking_modules, too_many_links
 from swarm.app.event_app import EventApp, channels_of

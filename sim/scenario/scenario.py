@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from services.apps import loader
-from services.mesh.core.routing.physical_links import physical
-from services.mesh.mesh import links_of
+from services.mesh.core.routing.physical_links import links_of, physical
 from sim.core import noise
 from sim.core.module_line import SOURCE, module_address
 from sim.disturbances import Cut, Disturbance, Kill, Off, drawn

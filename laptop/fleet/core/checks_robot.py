@@ -1,7 +1,9 @@
 """Checks of a robot's devices and radio, by what its services say of them."""
 
 from laptop.fleet.core.checkup import SIMULATED, Check, ExaminedRobot, Finding, bad, ok, skipped, warning
+from laptop.fleet.core.pairing import edges
 from services.balancer.core.devices import balboa, imu
+from services.mesh.core.routing.physical_links import calls_of
 
 LOW_SCL = 0.9
 """Of the clock that the I2C bus is told to have: below it the Pi's core clock is not the one of its full speed."""
@@ -122,12 +124,13 @@ def adapter(robot: ExaminedRobot) -> Finding:
 
 
 def pairing(robot: ExaminedRobot) -> Finding:
-    """All neighbours are paired and trusted."""
+    """All robots that may have a link with it are paired and trusted."""
     its = robot.facts["pairing"]
     if its is None or robot.config.robot(robot.name).link is not None:
         return skipped("its links are not Bluetooth's")
     known = its.get("devices") or {}
-    near = [name for name in robot.config.neighbours(robot.name) if robot.config.robot(name).link is None]
+    pairs = [edge for edge in edges(robot.config, robot.config.names) if robot.name in edge]
+    near = [b if a == robot.name else a for a, b in pairs]
     missing = []
     for name in near:
         device = known.get(robot.addresses.get(name)) or {}
@@ -138,9 +141,14 @@ def pairing(robot: ExaminedRobot) -> Finding:
     text = f"not paired with {' '.join(missing)}"
     if robot.config.mesh.rfcomm_encrypt:
         return bad(text, "swarm pair")
-    # The lower address calls (swarm pair, the mesh); bluetoothd takes calls of devices alone that it is paired with.
-    own = its.get("address", "")
-    if deaf := [name for name in missing if robot.addresses.get(name, own) < own]:
+    # bluetoothd takes calls of devices alone that it is paired with. Where the mesh does not say who calls, the lower
+    # address does.
+    own, calls = its.get("address", ""), calls_of(robot.config)
+    if deaf := [
+        name
+        for name in missing
+        if (name, robot.name) in calls or ((robot.name, name) not in calls and robot.addresses.get(name, own) < own)
+    ]:
         return bad(f"{text}: it takes no call of {' '.join(deaf)}", "swarm pair")
     return warning(f"{text}: they take no call of it", "swarm pair")
 

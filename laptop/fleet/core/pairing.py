@@ -5,7 +5,8 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import combinations
 
-from swarm.config.types import Config
+from services.mesh.core.routing.physical_links import links_of
+from swarm.config.types import GRAPH, Config
 from swarm.core.graph import Edge
 from swarm.frozen import frozen
 
@@ -19,12 +20,15 @@ class Bond:
 
 
 def edges(config: Config, robots: Collection[str]) -> list[Edge]:
-    """The Bluetooth links between these robots: those of the topology, all of them where robots find links themselves.
+    """The Bluetooth links between these robots: those of the topology, or all pairs where any robot may call another:
+    where robots find links themselves, and where hubs with successors carry the topology.
 
     A link is Bluetooth's where either end has no `link`.
     """
     radio = {robot.name for robot in config.robots if robot.link is None}
-    pairs = combinations(config.names, 2) if config.auto else config.edges
+    all_bluetooth = all(robot.link is None for robot in config.robots)  # addresses may still be unknown
+    any_pair = config.auto or links_of(config, bluetooth=all_bluetooth) != GRAPH
+    pairs = combinations(config.names, 2) if any_pair else config.edges
     return [(a, b) for a, b in pairs if {a, b} & radio and a in robots and b in robots]
 
 

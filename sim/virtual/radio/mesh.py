@@ -4,9 +4,10 @@ import random
 from functools import partial
 
 from services.mesh.bus_interface import BusInterface
+from services.mesh.core.routing.physical_links import calls_of
 from services.mesh.core.routing.wanted_links import InitialLinks
 from services.mesh.core.wire.frames import NONCE_SIZE
-from services.mesh.mesh import Chance, Mesh, calls_of, dials_of, ground_of, local_of
+from services.mesh.mesh import Chance, Mesh, dials_of, ground_of, local_of
 from sim.virtual.bus import VirtualBus
 from sim.virtual.events import Time
 from sim.virtual.radio.air import Medium, Station

@@ -15,8 +15,7 @@ from laptop.fleet.core.texts import with_block
 from laptop.fleet.core.wish import PACKAGES
 from swarm.config import parse
 
-CONFIG = parse(
-    """network = "x"
+TEXT = """network = "x"
 [topology]
 edges = [["r0", "r1"]]
 [[robots]]
@@ -31,7 +30,14 @@ x = 0.0
 y = 0.0
 [dwm]
 source = "balancer"
-""",
+"""
+CONFIG = parse(TEXT, Path("swarm.toml"))
+ROBOTS_FIND_LINKS = parse(
+    TEXT.replace('[topology]\nedges = [["r0", "r1"]]\n', 'topology = "auto"\n'), Path("swarm.toml")
+)
+R1_CALLS = parse(
+    TEXT.replace('[["r0", "r1"]]', '[["r0", "r1"], ["r1", "r2"]]')
+    + '[[robots]]\nname = "r2"\nbluetooth = "B8:27:EB:00:00:12"\n',
     Path("swarm.toml"),
 )
 
@@ -148,7 +154,12 @@ def test_a_robot_that_is_well() -> None:
             pairing={"problem": "", "address": "B8:27:EB:00:00:10", "powered": True, "devices": {}}
         ))),
         ("pairing", "bad", "not paired with r1: it takes no call of r1", replace(
-            WELL, addresses={"r1": "B8:27:EB:00:00:0F"}, system=system(
+            WELL, config=ROBOTS_FIND_LINKS, addresses={"r1": "B8:27:EB:00:00:0F"}, system=system(
+                pairing={"problem": "", "address": "B8:27:EB:00:00:10", "powered": True, "devices": {}}
+            )
+        )),
+        ("pairing", "bad", "not paired with r1: it takes no call of r1", replace(
+            WELL, config=R1_CALLS, system=system(
                 pairing={"problem": "", "address": "B8:27:EB:00:00:10", "powered": True, "devices": {}}
             )
         )),

@@ -82,3 +82,14 @@ def test_who_is_who() -> None:
     assert "is that of r2" in check(config, {"r0": "B8:27:EB:00:00:12"})["r0"]
     assert "swarm.toml says B8:27:EB:00:00:12" in check(config, {"r2": "B8:27:EB:00:00:13"})["r2"]
     assert set(check(config, {"r0": "A", "r1": "A"})) == {"r0", "r1"}
+
+
+def test_any_two_robots_are_paired_where_hubs_with_successors_carry_the_topology() -> None:
+    robots = "".join(f'[[robots]]\nname = "r{i}"\nbluetooth = "B8:27:EB:00:00:1{i}"\n' for i in range(4))
+    line = [("r0", "r1"), ("r1", "r2"), ("r2", "r3")]
+    for links, wanted in (("graph", 3), ("star", 6), ("tree", 6), ("auto", 6)):
+        text = f'network = "x"\n{robots}[topology]\nshape = "line"\n[mesh]\ninsecure = true\nlinks = "{links}"\n'
+        config = parse(text, Path("swarm.toml"))
+        found = edges(config, config.names)
+        assert len(found) == wanted
+        assert set(line) <= set(found)

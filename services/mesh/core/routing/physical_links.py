@@ -18,10 +18,34 @@ turned one by one as long as that makes waiting shorter. All robots find the sam
 from collections.abc import Collection, Sequence, Set
 from itertools import combinations
 
-from swarm.config.types import GRAPH, MAX_RFCOMM_LINKS
+from swarm.config.types import AUTO_LINKS, GRAPH, MAX_RFCOMM_LINKS, TREE, Config
 from swarm.core.graph import Edge
 
 _NEVER = float("inf")
+
+
+def links_of(config: Config, *, bluetooth: bool = False) -> str:
+    """Return which links carry the topology: `graph`, or what asks for others; `bluetooth` as in `calls_of`."""
+    if config.mesh.links != AUTO_LINKS:
+        return config.mesh.links
+    others = len(config.robots) - 1
+    one_hub = len(config.edges) == others and any(len(config.neighbours(name)) == others for name in config.names)
+    return TREE if is_bluetooth(config, bluetooth=bluetooth) and not one_hub else GRAPH
+
+
+def is_bluetooth(config: Config, *, bluetooth: bool) -> bool:
+    """Return whether all links are of Bluetooth."""
+    return bluetooth or all(each.bluetooth and each.link is None for each in config.robots)
+
+
+def calls_of(config: Config, *, bluetooth: bool = False) -> Collection[tuple[str, str]]:
+    """Return who calls whom, where the configuration says it: of a fixed topology whose links are of Bluetooth, and of
+    links that are not the topology's own. `bluetooth`: as a simulation says."""
+    if links_of(config, bluetooth=bluetooth) != GRAPH:
+        return calls(config.names)
+    if config.auto or not is_bluetooth(config, bluetooth=bluetooth):
+        return ()
+    return callers(config.names, config.edges)
 
 
 def physical(names: Sequence[str], edges: Sequence[Edge], way: str) -> tuple[Edge, ...]:
