@@ -289,7 +289,7 @@ def _dwm(base: Config, replay: Path | None, run_dir: Path) -> Dwm:
         dwm = replace(dwm, calibration=str((base.path.parent / dwm.calibration).absolute()))
     if replay is not None:
         return replace(dwm, source=f"replay:{replay.resolve()}")
-    if dwm.source == SOURCE:
+    if dwm.source == SOURCE or dwm.source.startswith("bus:"):
         return replace(dwm, target=dwm.target or TARGET)
     return replace(dwm, source=f"serial:{run_dir}/{{robot}}/dwm.tty", target=dwm.target or TARGET)
 

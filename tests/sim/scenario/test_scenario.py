@@ -35,6 +35,18 @@ def test_step_sizes_are_given_in_the_thesis_unit(tmp_path):
     assert plan.parameters["r0"]["step_size"] == pytest.approx(0.04)
 
 
+@pytest.mark.parametrize(
+    ("source", "simulated"),
+    [("bus:swarm/{robot}/mocap", "bus:swarm/{robot}/mocap"), ("serial:/dev/serial0", "serial:RUN/{robot}/dwm.tty")],
+)
+def test_poses_come_from_the_bus_where_the_config_says_so_and_else_from_simulated_modules(tmp_path, source, simulated):
+    config = build(tmp_path, "consensus").config
+    path = tmp_path / "swarm.toml"
+    path.write_text(dump(replace(config, dwm=replace(config.dwm, source=source))))
+    plan = build(tmp_path, "consensus", "--config", str(path))
+    assert plan.config.dwm.source == simulated.replace("RUN", str(tmp_path))
+
+
 def test_the_config_a_run_uses_is_a_valid_file(tmp_path):
     for robots in (1, 2, 6, 40):
         plan = build(tmp_path, "localization", "--robots", str(robots), "--topology", "loop")
