@@ -77,7 +77,7 @@ FAULTS = (
     ("right-motor", "the right motor is reversed"),
 )
 """Parts in the order in which the steps find them, and what they say. The other two ways to mount an IMU turn gravity
-over, which cannot happen to a robot that is switched on (tests/services/balancer/test_commission.py has them)."""
+over, which cannot happen to a robot that is switched on (tests/swarm/onboard/test_commission.py has them)."""
 
 
 class Person:
