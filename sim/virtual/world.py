@@ -175,12 +175,7 @@ class VirtualWorld:
             self._end(there, app)
         there.storage.forget()
         there.balancer.switch_off(falls=falls)
-        if isinstance(there.mesh, VirtualMesh):
-            there.sent_before += there.mesh.sent
-            there.mesh.kill()
-        else:
-            for peer in self._common.near[robot]:
-                self.air.cut(robot, peer, seconds)
+        self._kill_mesh(robot, seconds)
         self.time.at(self.time.now + seconds, self._switch_on, robot, begun)
 
     def kill_app(self, robot: str, app: str) -> None:
@@ -192,18 +187,22 @@ class VirtualWorld:
             self.time.at(self.time.now + RESTART_DELAY_S, self._start_again, there, begun)
 
     def kill_mesh(self, robot: str) -> None:
-        """End a robot's mesh at once; it is started again. Where there are the delays of a mesh alone, messages stay
-        away meanwhile."""
+        """End a robot's mesh at once; it is started again."""
+        there = self.robots[robot]
+        if isinstance(there.mesh, VirtualMesh) and not there.mesh.running:
+            return  # switched off already
+        self._kill_mesh(robot, RESTART_DELAY_S)
+        self.time.at(self.time.now + RESTART_DELAY_S, self._start_again, there, [])
+
+    def _kill_mesh(self, robot: str, seconds: float) -> None:
+        """End a mesh. Where there are the delays of a mesh alone, messages stay away for `seconds`."""
         there = self.robots[robot]
         if isinstance(there.mesh, VirtualMesh):
-            if not there.mesh.running:
-                return  # switched off already
             there.sent_before += there.mesh.sent
             there.mesh.kill()
         else:
             for peer in self._common.near[robot]:
-                self.air.cut(robot, peer, RESTART_DELAY_S)
-        self.time.at(self.time.now + RESTART_DELAY_S, self._start_again, there, [])
+                self.air.cut(robot, peer, seconds)
 
     @staticmethod
     def _end(there: VirtualRobot, app: str) -> None:
