@@ -269,13 +269,21 @@ def called_from(error: BaseException, source: str) -> str:
 
 
 def mend_of(error: BaseException, fields: Iterable[Field]) -> str:
-    """How to mend arithmetic with vectors that are tuples, or with what is not known yet; empty for other errors."""
+    """How to mend arithmetic with vectors that are tuples, or with what is not known yet, a change of a neighbour's
+    array, and a name that is misspelled; empty for other errors."""
     tuples = [field for field in fields if field.kind in ("vector", "matrix")]
     if tuples and isinstance(error, TypeError) and any(word in str(error) for word in ("tuple", "sequence")):
         first = tuples[0]
         return f" ({first.name} is a tuple, which cannot compute: declare `{first.name}: {first.as_array}`)"
     if isinstance(error, TypeError | AttributeError) and "NoneType" in str(error):
         return " (a pose, its heading, a distance and the mesh's time are None as long as they are not known)"
+    if isinstance(error, ValueError) and "read-only" in str(error):
+        return " (a neighbour's array cannot be changed: compute another one of it, as `n.x + 1` does)"
+    if isinstance(error, AttributeError) and error.obj is not None and error.name is not None:
+        import difflib  # of mistakes alone: robots do without it
+
+        near = difflib.get_close_matches(error.name, [name for name in dir(error.obj) if name[0] != "_"], 1)
+        return f" (is {near[0]!r} meant?)" if near else ""
     return ""
 
 

@@ -187,9 +187,19 @@ def _other_shape(self: Any, neighbours: Any) -> None:
     self.x = np.zeros(3)
 
 
+def _of_a_neighbour(self: Any, neighbours: Any) -> None:
+    neighbours[0].x += 1.0
+
+
+def _misspelled(self: Any, neighbours: Any) -> None:
+    self.robot.led(red=True)
+
+
 @pytest.mark.parametrize(
     ("step", "mend"),
     [
+        (_of_a_neighbour, "read-only .a neighbour's array cannot be changed"),
+        (_misspelled, "no attribute 'led' .is 'leds' meant"),
         (_tuples, r"v is a tuple, which cannot compute: declare `v: Array\[2\]`"),
         (_doubles, r"v: expected 2 entries, got 4.* for arithmetic declare `v: Array\[2\]`"),
         (_undeclared, r"declares no 'P'.*`P: Array\[3, 3\]` is shared.*`_P: Array\[3, 3\]` is private"),

@@ -99,6 +99,9 @@ def test_a_step_that_waits_is_named_too(tmp_path: Path, short: None, monkeypatch
     found = check.judge(findings(file), findings(file))
     assert "it hangs: a step took more than 0.3 s" in found["problems"][0]
     assert f"{file}, line 8" in found["problems"][0]
+    monkeypatch.setattr(examine, "GRAPHS", ("line", "loop"))
+    graphs = [found["graph"] for found in findings(file, graphs=("line", "loop")) if "graph" in found]
+    assert graphs == ["line"], "it would wait as long again"
 
 
 def test_one_that_diverges_is_told_from_one_that_counts(tmp_path: Path, short: None) -> None:
