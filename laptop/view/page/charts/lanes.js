@@ -9,7 +9,7 @@ const SPAN_S = { periodic: 3, event: 60, lockstep: 5 };
 const LATE = 3; // periods
 const RATE_S = 5;
 const REDRAW_MS = 200;
-const LEFT = 44, RIGHT = 104, LANE = 18, BOTTOM = 18;
+const LEFT = 44, RIGHT = 104, BOTTOM = 18;
 
 export class Lanes {
   constructor(section, store, series, focus, select) {

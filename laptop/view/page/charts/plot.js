@@ -19,10 +19,10 @@ export class Plot {
   }
 
   // `lines`: [{name, colour, points: [[x, y], ...], dash, strong}]. `scale`: {unit, factor} of what is written. `at`: what is shown now, on the x axis. `log`: a logarithmic y axis.
-  draw({ lines, scale, log = false, over = "t", at = null, selected = null, limit = null, from = null, stepped = false }) {
+  draw({ lines, scale, log = false, over = "t", at = null, selected = null, from = null, stepped = false }) {
     const [width, height] = sizeOf(this.element);
     if (!lines.length || width < 60 || height < 60) return;
-    [this.at, this.limit, this.selected, this.factor] = [at, limit, selected, scale.factor];
+    [this.at, this.selected, this.factor] = [at, selected, scale.factor];
     const own = lines.filter((each) => !each.dash);
     const drawn = own.length > MANY ? [...bands(own), ...own.filter((each) => each.name === selected), ...lines.filter((each) => each.dash)] : lines;
     this.lines = drawn;
@@ -44,7 +44,7 @@ export class Plot {
       padding: [8, own.length > MANY ? BANDS : RIGHT, 0, 0],
       legend: { show: false },
       cursor: { sync: { key: sync.key, scales: ["x", null], filters: { pub: () => true, sub: () => over === "t" } }, y: false, points: { size: 5 }, drag: { x: false } },
-      scales: { x: { time: false, range: xs }, y: log ? { distr: 3, range: (_, low, high) => decades(low, high) } : { range: (_, low, high) => room(low, high, this.limit) } },
+      scales: { x: { time: false, range: xs }, y: log ? { distr: 3, range: (_, low, high) => decades(low, high) } : { range: (_, low, high) => room(low, high) } },
       axes: [
         { ...axis, size: 22, values: (_, ticks) => ticks.map((each, index) => `${+each.toPrecision(6)}${over === "t" && index === ticks.length - 1 ? " s" : ""}`) },
         { ...axis, size: 44, space: 34, values: (_, ticks) => ticks.map((each) => (each === null ? "" : log ? short(each) : String(+each.toPrecision(4)))) },
@@ -64,16 +64,7 @@ export class Plot {
       return Number.isFinite(y) ? [{ name, colour, value: last[1] * this.factor, x, y: Math.max(top, Math.min(top + height, y)) }] : [];
     });
     c.save();
-    if (this.limit !== null) {
-      const y = plot.valToPos(this.limit * this.factor, "y", true);
-      c.strokeStyle = theme.colour("--edge");
-      c.setLineDash([3 * ratio, 3 * ratio]);
-      c.beginPath();
-      c.moveTo(left, y);
-      c.lineTo(left + width, y);
-      c.stroke();
-      c.setLineDash([]);
-    }
+    c.setLineDash([]); // of a line
     if (this.at !== null) {
       const x = plot.valToPos(this.at, "x", true);
       if (x >= left && x <= left + width + 1) {
@@ -106,12 +97,6 @@ export class Plot {
     }
     c.restore();
   }
-
-  close() {
-    this.plot?.destroy();
-    this.plot = null;
-    this.shape = "";
-  }
 }
 
 // Whether a line has so few points that they are marked.
@@ -122,9 +107,8 @@ function stroke({ colour, dash, hidden, name }, selected) {
 }
 
 // Zero is in sight where it is near.
-function room(low, high, limit) {
+function room(low, high) {
   if (low === null) return [0, 1];
-  if (limit !== null) high = Math.max(high, limit);
   const pad = 0.06 * (high - low || Math.abs(high) || 1), zero = low >= 0 && low < 0.5 * high;
   return [zero ? 0 : low - pad, high + pad];
 }

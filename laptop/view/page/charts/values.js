@@ -6,7 +6,7 @@ import { sizeOf, theme } from "../theme.js";
 import { Plot } from "./plot.js";
 
 const REDRAW_MS = 400;
-const STEPS = 120; // of the line of what robots claim
+const STEPS = 120; // of a median's line
 const SIX = 6; // lines of a run beside that are drawn each; of more their median
 
 // One chart with its title, its figures and its switches.
@@ -88,8 +88,9 @@ export class Chart {
     const until = (points) => (value.held && x === 0 && points.at(-1)[0] < now ? [...points, [now, points.at(-1)[1]]] : points);
     const lines = robots.map((name) => ({ name, colour: this.store.colour(name), points: of(until(this.series.points(entry, name))) }));
     const beside = this.series.beside ? this.series.robots(entry, "beside") : [];
-    const its = from(off && means(this.series, entry, beside, "beside"));
-    for (const name of beside.slice(0, SIX)) lines.push({ name: `B ${name}`, colour: this.store.colour(name), dash: true, points: its(this.series.points(entry, name, "beside")) });
+    const its = from(off && means(this.series, entry, beside, "beside")), drawn = beside.map((name) => [name, its(this.series.points(entry, name, "beside"))]);
+    if (drawn.length > SIX) lines.push({ name: "B median", colour: theme.colour("--ink"), dash: true, points: middle(drawn.map(([, points]) => points)) });
+    else for (const [name, points] of drawn) lines.push({ name: `B ${name}`, colour: this.store.colour(name), dash: true, points });
     return lines;
   }
 
@@ -107,6 +108,16 @@ export class Chart {
       return row;
     }));
   }
+}
+
+// The median of many lines.
+function middle(all) {
+  const first = Math.min(...all.map((points) => points[0][0])), last = Math.max(...all.map((points) => points.at(-1)[0])), found = [];
+  for (let step = 0; step <= STEPS; step += 1) {
+    const x = first + ((last - first) * step) / STEPS, known = all.map((points) => held(points, x)?.[1]).filter((each) => each !== undefined);
+    found.push([x, median(known)]);
+  }
+  return found;
 }
 
 // What the mean of all robots is at a time.
@@ -221,11 +232,7 @@ export class PlaceErrors {
   claims() {
     const series = this.series, entry = series.want(plain("dwm/pose", ["deviation_x"])), all = series.robots(entry).map((name) => series.points(entry, name));
     if (!all.length) return [];
-    const first = Math.min(...all.map((points) => points[0][0])), last = Math.max(...all.map((points) => points.at(-1)[0])), points = [];
-    for (let step = 0; step <= STEPS; step += 1) {
-      const t = first + ((last - first) * step) / STEPS, known = all.map((each) => held(each, t)?.[1]).filter((each) => each !== undefined);
-      points.push([t, SIGMAS * median(known)]);
-    }
+    const points = middle(all).map(([t, deviation]) => [t, SIGMAS * deviation]);
     // What they said before they knew their places would make all else small.
     const errors = series.want(this.focus.error()), most = Math.max(...series.robots(errors).flatMap((name) => series.points(errors, name).map(([, y]) => y)));
     const highest = Math.max(most, 1.2 * median(points.map(([, y]) => y)));
