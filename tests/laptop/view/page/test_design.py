@@ -38,6 +38,14 @@ CUT = """(() => [...document.querySelectorAll(
   .map((each) => each.textContent))()"""
 """Figures that do not fit where they stand."""
 
+LAID_OUT = """(() => {
+  const boxes = [...document.querySelectorAll("main > .panel")].filter((each) => !each.hidden)
+    .map((each) => each.getBoundingClientRect());
+  const apart = (a, b) => a.right <= b.left + 1 || b.right <= a.left + 1 || a.bottom <= b.top + 1 || b.bottom <= a.top + 1;
+  return boxes.length === 6 && boxes.every((a) => a.height > 100 && boxes.every((b) => a === b || apart(a, b)));
+})()"""
+"""Whether each of the panels has its own place."""
+
 LINKS_IN_RIMS = """(() => {
   const map = swarmView.map, {width, height} = map.canvas, {x: mx, y: my, scale} = map.shown;
   const [r, g, b] = [0xc0, 0x26, 0x2d], radius = Math.floor(1.7 * Math.max(8 * map.ratio, 0.055 * scale));
@@ -110,6 +118,7 @@ def test_nothing_is_cut_and_stop_is_on_top_on_any_screen(browser: Any, waits: Pa
         expect(page.locator("#values .plot canvas")).to_be_visible(timeout=PATIENCE_MS)
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
         assert page.evaluate(CUT) == []
+        assert page.evaluate(LAID_OUT)
         page.evaluate(ACTS)
         expect(page.locator("#stop")).to_be_visible(timeout=PATIENCE_MS)
         for act in (
