@@ -41,7 +41,8 @@ CUT = """(() => [...document.querySelectorAll(
 LAID_OUT = """(() => {
   const boxes = [...document.querySelectorAll("main > .panel")].filter((each) => !each.hidden)
     .map((each) => each.getBoundingClientRect());
-  const before = (a, b) => a.right <= b.left + 1 || a.bottom <= b.top + 1, apart = (a, b) => before(a, b) || before(b, a);
+  const before = (a, b) => a.right <= b.left + 1 || a.bottom <= b.top + 1;
+  const apart = (a, b) => before(a, b) || before(b, a);
   return boxes.length === 6 && boxes.every((a) => a.height > 100 && boxes.every((b) => a === b || apart(a, b)));
 })()"""
 """Whether each of the panels has its own place."""
