@@ -33,7 +33,7 @@ def hasty(shape: str, key: str) -> str:
 
 def star(shape: str, key: str) -> str:
     """The same over a hub: the first robot calls all others."""
-    return _config(ROBOTS, SHAPES[shape], f'{key}\nlinks = "star"')
+    return _config(ROBOTS, SHAPES[shape], key, links="star")
 
 
 def line(robots: int, key: str, extra: str = "") -> str:
@@ -41,9 +41,9 @@ def line(robots: int, key: str, extra: str = "") -> str:
     return _config(robots, LINE[: robots - 1], key) + extra
 
 
-def _config(count: int, pairs: list[tuple[int, int]], key: str, times: str = TIMES) -> str:
+def _config(count: int, pairs: list[tuple[int, int]], key: str, times: str = TIMES, links: str = "graph") -> str:
     robots = "".join(f'[[robots]]\nname = "r{i}"\nbluetooth = "{address(i)}"\n' for i in range(count))
     values = "".join(f"[apps.consensus.robots.r{i}]\nvalue = {(7 * i + 3) / 9!r}\n" for i in range(count))
     edges = [[f"r{i}", f"r{j}"] for i, j in pairs]
-    text = f'network = "lab"\n{robots}[topology]\nedges = {edges}\n[mesh]\n{key}\n{times}{values}'
+    text = f'network = "lab"\n{robots}[topology]\nedges = {edges}\n[mesh]\nlinks = "{links}"\n{key}\n{times}{values}'
     return text.replace("'", '"')

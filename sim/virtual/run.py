@@ -15,6 +15,7 @@ from services.apps import loader
 from services.apps.equipment.speaker import prints_heard
 from services.apps.host.event_host import EventHost
 from services.apps.host.observer import Observer, Source, StepRecord
+from services.mesh.core.routing.physical_links import links_of
 from services.mesh.links.radio_model import AirModel
 from sim import scene
 from sim.core import actions
@@ -91,8 +92,8 @@ class VirtualRun:
         mesh = options.mesh or (FROM_START if len(names) <= MAX_FROM_START or scenario.config.auto else SETTLED)
         if mesh == DELAY and scenario.config.auto:
             raise ConfigError("--mesh delay: an automatic topology is found by meshes, name another --topology")
-        if mesh != FROM_START and scenario.config.mesh.links != GRAPH:
-            links = scenario.config.mesh.links
+        links = links_of(scenario.config, bluetooth=options.slots is not None)
+        if mesh != FROM_START and links != GRAPH:
             raise ConfigError(f"--mesh {mesh}: links = {links!r} are made by meshes from their start")
         model = AirModel(options.latency, options.jitter, options.bandwidth, options.seed, loss=options.loss)
         self._scene_record = SceneRecord(names) if scenario.app in scene.WATCHED else None

@@ -71,9 +71,9 @@ dead = 3.0                 # and until it is closed and dialled anew; both grow 
 handshake = 8.0            # s that each half of a handshake may take; doubled after each one not answered
 patience = 60.0            # s that none of these exceeds, however slow a link is
 metric = "hops"            # the shortest way is that of fewest links, or of least measured "time"
-links = "graph"            # which links carry the topology: its own; "star": the first robot here calls all
-                           # others and hands on what they say, "tree": several do so, for more than eight;
-                           # "auto": star or tree on Bluetooth, graph elsewhere
+links = "auto"             # which links carry the topology: "graph": its own; "star": the first robot here
+                           # calls all others and hands on what they say; "tree": several do so, for more
+                           # than eight; "auto": star or tree on Bluetooth, graph elsewhere
 rfcomm_channel = 1         # of Bluetooth, 1 to 30, the same on every robot (bluetoothd -C holds 8)
 rfcomm_encrypt = false     # true: Bluetooth encrypts the links; needs bluetoothd and unasked pairing
 

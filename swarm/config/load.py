@@ -13,7 +13,17 @@ from pathlib import Path
 from swarm.config import find, sections
 from swarm.config.reader import Table, listed, shown
 from swarm.config.toml_input import read_toml
-from swarm.config.types import DEFAULT_RELAY, GRAPH, MAX_RFCOMM_LINKS, STAR, TREE, Config, RelayRule, RobotConfig
+from swarm.config.types import (
+    AUTO_LINKS,
+    DEFAULT_RELAY,
+    GRAPH,
+    MAX_RFCOMM_LINKS,
+    STAR,
+    TREE,
+    Config,
+    RelayRule,
+    RobotConfig,
+)
 from swarm.core.graph import SHAPES, Graph
 from swarm.errors import ConfigError, LocalError, PayloadError
 from swarm.messages.keys import MAX_KEY_LENGTH, ROOT, is_name
@@ -71,11 +81,12 @@ def parse(text: str, path: Path, *, addressed: bool = True) -> Config:
     robots = _robots(top)
     names = tuple(robot.name for robot in robots)
     auto = data.get("topology") == AUTO
-    graph = Graph(names, ()) if auto else _topology(top, robots, addressed)
     mesh = sections.mesh(top)
+    hubs = mesh.links in (STAR, TREE) or (mesh.links == AUTO_LINKS and all(robot.link is None for robot in robots))
+    graph = Graph(names, ()) if auto else _topology(top, robots, addressed, hubs=hubs)
     if problem := wrong_links(mesh.links, len(robots), auto=auto):
         raise top.table("mesh", None).error("links", problem)
-    if (auto or mesh.links != GRAPH) and addressed:
+    if (auto or mesh.links in (STAR, TREE)) and addressed:
         _check_addresses(top, robots, f'topology = "{AUTO}"' if auto else f'links = "{mesh.links}"')
     body, bodies = sections.bodies(top, names)
     balancing, balancings = sections.balancings(top, names)
@@ -158,7 +169,8 @@ def _robot(table: Table) -> RobotConfig:
     return RobotConfig(name, board, bluetooth.upper() if bluetooth else None, link, host, uwb, role, i2c_clock)
 
 
-def _topology(top: Table, robots: Sequence[RobotConfig], addressed: bool) -> Graph:
+def _topology(top: Table, robots: Sequence[RobotConfig], addressed: bool, *, hubs: bool) -> Graph:
+    """`hubs`: its links are not those of the radio."""
     ways = ("shape", "edges", "matrix")
     if isinstance(top.data.get("topology"), str):
         raise top.wrong("topology", f'"{AUTO}" or a table, written [topology]')
@@ -183,12 +195,15 @@ def _topology(top: Table, robots: Sequence[RobotConfig], addressed: bool) -> Gra
     if not graph.is_connected():
         parts = "; ".join(" ".join(part[:8]) + (" ..." if len(part) > 8 else "") for part in graph.components()[:8])
         raise table.error(way, f"not connected: these parts cannot reach each other: {parts}")
-    _check_radio(table, way, robots, graph, addressed)
+    _check_radio(table, way, robots, graph, addressed, hubs=hubs)
     return graph
 
 
-def _check_radio(table: Table, way: str, robots: Sequence[RobotConfig], graph: Graph, addressed: bool) -> None:
-    """Robots without a `link` of their own are reached by RFCOMM: they need an address; seven links at most.
+def _check_radio(
+    table: Table, way: str, robots: Sequence[RobotConfig], graph: Graph, addressed: bool, *, hubs: bool
+) -> None:
+    """Robots without a `link` of their own are reached by RFCOMM: they need an address, and have seven links at most
+    where no hubs carry the topology.
 
     A link counts as RFCOMM when either end has no `link`, since which end dials is not the file's affair.
     """
@@ -202,7 +217,7 @@ def _check_radio(table: Table, way: str, robots: Sequence[RobotConfig], graph: G
                 f'expected its address, like "B8:27:EB:12:34:56"',
             )
         links = len(near) if robot.name in radio else sum(other in radio for other in near)
-        if links > MAX_RFCOMM_LINKS:
+        if links > MAX_RFCOMM_LINKS and not hubs:
             raise table.error(
                 way,
                 f"{robot.name} has {links} RFCOMM links, a Bluetooth radio holds at most {MAX_RFCOMM_LINKS}",
@@ -211,7 +226,7 @@ def _check_radio(table: Table, way: str, robots: Sequence[RobotConfig], graph: G
 
 def wrong_links(links: str, robots: int, *, auto: bool) -> str:
     """Return why these links cannot carry a topology; empty where they can."""
-    if auto and links != GRAPH:
+    if auto and links not in (GRAPH, AUTO_LINKS):
         return f'topology = "{AUTO}" finds links itself: expected "{GRAPH}", got "{links}"'
     if links == STAR and robots > MAX_RFCOMM_LINKS + 1:
         return f'a hub has at most {MAX_RFCOMM_LINKS} links: expected "{TREE}" for {robots} robots, got "{STAR}"'

@@ -103,7 +103,7 @@ class MeshConfig:
     """s that none of these times exceeds, however slow a link is."""
     metric: str = "hops"
     """What makes a way short: hops, or time (measured)."""
-    links: str = GRAPH
+    links: str = AUTO_LINKS
     """Which links carry the topology: graph (its own), star (the first robot of the file calls all others), tree (the
     same with several hubs) or auto (star or tree on Bluetooth, graph elsewhere)."""
     rfcomm_channel: int = 1

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from swarm.config.find import LOOKED_IN
 from swarm.config.load import load
-from swarm.config.types import DEFAULT_RELAY, GRAPH, Config
+from swarm.config.types import DEFAULT_RELAY, STAR, TREE, Config
 from swarm.core.graph import Graph
 from swarm.onboard.arguments import add_json, show
 from swarm.process.terminal import columns
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _unaddressed(config: Config) -> list[str]:
     """Return the robots whose Bluetooth addresses a swarm lacks: so a file begins, and `swarm pair` completes it."""
-    everywhere = config.auto or config.mesh.links != GRAPH
+    everywhere = config.auto or config.mesh.links in (STAR, TREE)
     return [
         each.name
         for each in config.robots

@@ -28,6 +28,7 @@ CONFIG = (
 [topology]
 edges = {[[f"r{i}", f"r{j}"] for i, j in LOOP]}
 [mesh]
+links = "graph"
 key = "/etc/swarm/key"
 {TIMES}
 [dwm]

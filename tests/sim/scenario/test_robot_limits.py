@@ -33,7 +33,7 @@ def test_a_package_that_robots_lack_is_told_unless_the_file_names_it(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.py").write_text(APP)
-    words = ["mine.py", "--robots", "9", "--topology", "full"]
+    words = ["mine.py", "--robots", "9", "--topology", "full", "--links", "graph"]
     notes = scenario.build(options.parse(words), tmp_path).notes
     assert [note.partition(":")[0] for note in notes] == [
         "real robots would refuse this topology",

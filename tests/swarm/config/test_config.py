@@ -130,6 +130,9 @@ def test_what_the_example_leaves_out_is_right_too():
 
 def test_seven_radio_links_are_the_limit_only_where_radio_is_used():
     assert len(parse(radio(8, 'shape = "full"'), FILE).edges) == 28
+    for links in ("auto", "tree"):
+        carried = radio(9, 'shape = "full"').replace("[mesh]\n", f'[mesh]\nlinks = "{links}"\n')
+        assert len(parse(carried, FILE).edges) == 36, "hubs carry it"
     text = 'network = "lab"\n' + "".join(
         f'[[robots]]\nname = "r{i}"\nlink = "tcp:localhost:{7000 + i}"\n' for i in range(12)
     )

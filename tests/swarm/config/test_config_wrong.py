@@ -103,7 +103,7 @@ from swarm.errors import ConfigError
         (swap('shape = "line"', "matrix = [0, 1]"), "[topology] matrix: expected a list of rows of 0 and 1"),
         (swap('shape = "line"', "matrix = 1"), "[topology] matrix: expected a list of rows of 0 and 1"),
         (
-            radio(9, 'shape = "full"'),
+            radio(9, 'shape = "full"').replace("[mesh]\n", '[mesh]\nlinks = "graph"\n'),
             "[topology] shape: r0 has 8 RFCOMM links, a Bluetooth radio holds at most 7",
         ),
         # Mesh.

@@ -28,9 +28,12 @@ def links_of(config: Config, *, bluetooth: bool = False) -> str:
     """Return which links carry the topology: `graph`, or what asks for others; `bluetooth` as in `calls_of`."""
     if config.mesh.links != AUTO_LINKS:
         return config.mesh.links
+    if config.auto:
+        return GRAPH  # robots look for links themselves
     others = len(config.robots) - 1
     one_hub = len(config.edges) == others and any(len(config.neighbours(name)) == others for name in config.names)
-    return TREE if is_bluetooth(config, bluetooth=bluetooth) and not one_hub else GRAPH
+    fits = one_hub and others <= MAX_RFCOMM_LINKS
+    return TREE if is_bluetooth(config, bluetooth=bluetooth) and not fits else GRAPH
 
 
 def is_bluetooth(config: Config, *, bluetooth: bool) -> bool:
