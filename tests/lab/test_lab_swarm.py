@@ -43,6 +43,8 @@ SEEDS = 12
 CONFIG = f"""network = "lab"
 [topology]
 shape = "full"
+[mesh]
+links = "graph"
 [dwm]
 source = "serial:/run/lab/{{robot}}/dwm.tty"
 target = "C933"

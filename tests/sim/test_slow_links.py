@@ -74,7 +74,7 @@ def test_no_plain_link_that_carries_is_given_up(graph, latency, jitter, bandwidt
 @pytest.mark.parametrize("stay", [0.05, 0.1])
 def test_no_link_of_the_slot_radio_that_carries_is_given_up(graph, stay):
     iterations = 100
-    ran = Ran(graph, iterations, "--radio", f"slots:stay={stay}")
+    ran = Ran(graph, iterations, "--radio", f"slots:stay={stay}", "--links", "graph")
     assert ran.outcome.problems == ()
     assert ran.lost == 0
     assert ran.outcome.messages <= 1.3 * needed(graph, iterations)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from swarm.core.graph import Graph
-from swarm.messages import Clock, GraphRobot, Links, LinkState
+from swarm.messages import Clock, GraphRobot, Links, LinkState, Topology
 from swarm.onboard.buses.ask import AWAY
 
 UP = ("up", "suspect")
@@ -18,11 +18,12 @@ class MeshView:
     links: Links | None = None
     clock: Clock | None = None
     counters: dict[str, int] | None = None
+    topology: Topology | None = None
 
     @property
     def complete(self) -> bool:
         """Whether nothing is missing."""
-        return self.links is not None and self.clock is not None and self.counters is not None
+        return None not in (self.links, self.clock, self.counters, self.topology)
 
 
 @dataclass
@@ -45,6 +46,13 @@ class CollectedMesh:
             if view.links is not None:
                 for link in view.links.links:
                     yield name, link
+
+    @cached_property
+    def carried(self) -> tuple[tuple[str, ...], ...]:
+        """The neighbours of the swarm where the links are not theirs, by the newest topology that is known."""
+        told = [view.topology for view in self.views.values() if view.topology is not None]
+        newest = max(told, key=lambda each: (each.version, each.step, each.issuer), default=None)
+        return newest.edges if newest is not None and newest.links else ()
 
     @cached_property
     def clashes(self) -> dict[str, str]:

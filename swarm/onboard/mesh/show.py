@@ -11,7 +11,7 @@ from swarm import clock
 from swarm.bus.protocol import OnSample
 from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError, PayloadError
-from swarm.messages import Clock, Links, Status, read
+from swarm.messages import Clock, Links, Status, Topology, read
 from swarm.messages.keys import key, parse
 from swarm.onboard.arguments import add_json, show
 from swarm.onboard.buses import buses
@@ -64,6 +64,8 @@ def collect(directories: Mapping[str, Path]) -> CollectedMesh:
                     view.clock = message
                 elif isinstance(message, Status):
                     view.counters = message.counters
+                elif isinstance(message, Topology):
+                    view.topology = message
                 graphs.changed.notify_all()
 
     with opened(directories) as opened_buses:
@@ -84,7 +86,7 @@ def collect(directories: Mapping[str, Path]) -> CollectedMesh:
 
 def _ask(name: str, bus: Bus, graphs: Views, take: OnSample) -> None:
     graphs.ask(name, bus, PATIENCE)
-    for topic in ("clock", "status"):
+    for topic in ("clock", "status", "topology"):
         bus.ask(key(name, "mesh", topic), take, timeout_s=PATIENCE)
 
 
@@ -104,6 +106,7 @@ def as_json(mesh: CollectedMesh) -> dict[str, object]:
     return {
         "robots": robots,
         "edges": edges,
+        "carried": [list(ends) for ends in mesh.carried],
         "clashes": mesh.clashes,
         "parts": [list(part) for part in mesh.graph.components()],
     }

@@ -144,7 +144,13 @@ def graph(mesh: CollectedMesh) -> list[str]:
             f"{row}: " + ", ".join(f"{peer} {cell}" for (end, peer), cell in sorted(cells.items()) if end == row)
             for row in names
         ]
-    return [*lines, "", _summary(mesh)]
+    carried = [f"these links carry the topology: {pairs(mesh.carried)}"] if mesh.carried else []
+    return [*lines, "", _summary(mesh), *carried]
+
+
+def pairs(edges: Sequence[Sequence[str]]) -> str:
+    """Links as `swarm mesh topology set` takes them."""
+    return " ".join(f"{a}-{b}" if "-" not in a + b else f"{a}:{b}" for a, b in edges)
 
 
 def ms(seconds: float | None) -> str:

@@ -16,6 +16,7 @@ from swarm.messages.keys import is_name
 from swarm.onboard.arguments import add_json, number, show
 from swarm.onboard.buses import buses
 from swarm.onboard.buses.ask import PATIENCE, Answers, new_ticket, opened, request
+from swarm.onboard.mesh.tables import pairs
 from swarm.process.terminal import columns
 
 HELP = "show or change the topology while the swarm runs"
@@ -89,14 +90,10 @@ def table(answers: Answers[Topology]) -> list[str]:
         lists = (" ".join(each.up), " ".join(down), " ".join(each.kept), ", ".join(missing))
         rows.append((name, _version(each), each.issuer or "-", *(text or "-" for text in lists)))
     newest = max(answers.newest.values(), key=lambda each: (each.version, each.step, each.issuer))
-    end = [f"version {_version(newest)}{', automatic' if newest.auto else ''}: {_pairs(newest.edges) or 'none yet'}"]
+    end = [f"version {_version(newest)}{', automatic' if newest.auto else ''}: {pairs(newest.edges) or 'none yet'}"]
     if newest.links:
-        end.append(f"carried by: {_pairs(newest.links)}")
+        end.append(f"carried by: {pairs(newest.links)}")
     return [*columns(rows), "", *end]
-
-
-def _pairs(edges: tuple[tuple[str, ...], ...]) -> str:
-    return " ".join(f"{a}-{b}" if "-" not in a + b else f"{a}:{b}" for a, b in edges)
 
 
 def _version(topology: Topology) -> str:

@@ -14,7 +14,7 @@ from laptop.cli import mesh as mesh_command
 from laptop.cli.mesh import places
 from swarm.core.graph import Graph
 from swarm.errors import LocalError
-from swarm.messages import Clock, GraphRobot, Links, LinkState
+from swarm.messages import Clock, GraphRobot, Links, LinkState, Topology
 from swarm.onboard.mesh import show, tables
 from swarm.onboard.mesh.collected import CollectedMesh, MeshView
 
@@ -55,6 +55,16 @@ def test_one_robot_knows_all_and_tells_what_it_measured_from_what_it_heard() -> 
     assert matrix[-1] == (
         "4 robots, 2 of 2 links up, median round trip 70.5 ms; 2 parts: r0 r1 r2; r3; away: r3 (gone)"
     )
+
+
+def test_where_hubs_carry_the_topology_its_neighbours_are_named() -> None:
+    edges = (("r0", "r1"), ("r1", "r2"), ("r2", "r3"))
+    told = Topology(1.0, 0, 0, "", False, 0.0, edges, ("r1",), ("r1",), (), {}, (("r0", "r1"), ("r0", "r2")))
+    asked = view(link("r1"), link("r2"))
+    asked.topology = told
+    assert tables.graph(CollectedMesh({"r0": asked}))[-1] == "these links carry the topology: r0-r1 r1-r2 r2-r3"
+    asked.topology = replace(told, links=())
+    assert "carry" not in tables.graph(CollectedMesh({"r0": asked}))[-1]
 
 
 def test_a_link_counts_where_both_ends_tell_of_it_and_nobody_says_it_is_down() -> None:
