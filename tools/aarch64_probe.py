@@ -18,7 +18,6 @@ WATCHED_S = 10.0
 """Seconds over which rates are taken."""
 PER_SECOND = 1e9
 """Instructions in a second of the machine's clock."""
-ITERATIONS = (50, 150)
 found: dict[str, str] = {}
 
 
@@ -92,7 +91,7 @@ def units() -> None:
 
 
 def instructions() -> None:
-    """How much a tick takes, and an iteration."""
+    """How much a tick takes, and what the services take besides."""
     last: dict[str, BalancerState] = {}
     with Bus.of(Path("/run/swarm")) as bus:
         bus.wait_connected(60.0)
@@ -115,32 +114,6 @@ def instructions() -> None:
             for unit in SERVICES:
                 rate = (busy(unit) - before[unit]) / took * PER_SECOND
                 found[f"{mode}: {unit}"] = f"{rate / 1e6:.1f} million instructions a second"
-    iterations()
-
-
-def iterations() -> None:
-    """How much an iteration takes, of two simulated robots with all of their processes and bodies."""
-    subprocess.run(["systemctl", "stop", "swarm.target", "lab-parts.service"], check=True)
-    took_s = []
-    for number in ITERATIONS:
-        words = [
-            "sim",
-            "consensus",
-            "--robots",
-            "2",
-            "--topology",
-            "line",
-            "--latency",
-            "0ms",
-            "--iterations",
-            str(number),
-        ]
-        before_s = os.times()
-        subprocess.run([sys.executable, "-m", "laptop.cli", *words], check=True, stdout=subprocess.DEVNULL, cwd="/run")
-        after = os.times()
-        took_s.append(after.children_user + after.children_system - before_s.children_user - before_s.children_system)
-    each = (took_s[1] - took_s[0]) / (ITERATIONS[1] - ITERATIONS[0]) / 2
-    found["an iteration of a robot, all processes"] = f"{each * PER_SECOND / 1e6:.1f} million instructions"
 
 
 def main() -> None:
