@@ -16,10 +16,8 @@ from services.mesh.core.overlays import large_messages
 from services.mesh.core.overlays.completion import Completion, decode_known
 from services.mesh.core.overlays.echo import FloodId, Waves
 from services.mesh.core.overlays.flood_store import NEW, OLD, CatchUp, Store
-from services.mesh.core.overlays.large_messages import LargeFloods
 from services.mesh.core.wire import packets
-from services.mesh.core.wire.frames import BULK, FLOOD
-from services.mesh.core.wire.frames import MAX_MESSAGE as MAX_LARGE
+from services.mesh.core.wire.frames import BULK, FLOOD, MAX_MESSAGE
 from services.mesh.core.wire.packets import Spread
 from swarm.errors import FrameError
 from swarm.messages.keys import parse
@@ -111,7 +109,7 @@ class FloodOverlay:
             me, names,
             emit=self._emit_wave, links=self._links, expected=expected, graph=graph, complete=self._complete,
         )  # fmt: skip
-        self.large = LargeFloods(
+        self.large = large_messages.LargeFloods(
             me, self._store, self._waves, self._completion, pass_on=self._pass_on, deliver=deliver, counters=counters
         )
 
@@ -399,4 +397,4 @@ class FloodOverlay:
 
 def limit_of(priority: int, *, all_know: bool) -> int:
     """Bytes that a flood of a class may have."""
-    return MAX_LARGE if priority == BULK else packets.room(all_know=all_know)
+    return MAX_MESSAGE if priority == BULK else packets.room(all_know=all_know)
