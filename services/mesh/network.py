@@ -40,7 +40,7 @@ class Network:
         callers = [peer for peer, we_dial in local.dials.items() if not we_dial]
         me = config.robot(local.robot)
         # One that only calls listens, too, where a robot without any link knocks at those that should call it.
-        own = link_address.of_robot(me) if callers or local.pages else None
+        own = link_address.of_robot(me) if callers or (local.pages and local.dials) else None
         listen = config.mesh.listen
         near = {peer: link_address.of_robot(robots[peer]) for peer in callers if has_address(robots[peer])}
         hosts = {address.host for address in near.values() if isinstance(address, link_address.Tcp)}

@@ -1,6 +1,5 @@
 """One Bluetooth adapter of this robot, over a raw HCI socket: what the kernel has no other call for."""
 
-import fcntl
 import socket
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -15,6 +14,13 @@ TIMEOUT = 1.0
 Open = Callable[[], socket.socket]
 Ioctl = Callable[[Any, int, bytearray], object]
 Answer = TypeVar("Answer")
+
+
+def kernel_ioctl(sock: Any, request: int, data: bytearray) -> object:
+    """Call the kernel's ioctl with `data`, which it fills."""
+    import fcntl  # here, since simulations on Windows import this module and have no adapter
+
+    return fcntl.ioctl(sock, request, data)
 
 
 def open_socket() -> socket.socket:
@@ -33,7 +39,7 @@ def check(status: int) -> None:
 class Adapter:
     """The adapter with an address. Errors of the kernel are OSError, of which `hci` says what they mean."""
 
-    def __init__(self, address: str, *, open_socket: Open = open_socket, ioctl: Ioctl = fcntl.ioctl) -> None:
+    def __init__(self, address: str, *, open_socket: Open = open_socket, ioctl: Ioctl = kernel_ioctl) -> None:
         """Raises `LocalError` where no adapter here has that address."""
         self._ioctl = ioctl
         self._socket = open_socket()

@@ -219,7 +219,27 @@ def test_a_kernel_without_bluetooth_is_named(runtime: Path) -> None:
         Network(parse(CONFIG, Path("swarm.toml")), local("r0"), runtime, open_bluetooth=nothing)
 
 
+def test_a_robot_alone_in_its_file_needs_no_bluetooth(runtime: Path) -> None:
+    def nothing() -> socket.socket:
+        raise OSError(97, "Address family not supported by protocol")
+
+    network = Network(parse(ALONE, Path("swarm.toml")), local("r0", ALONE, pages=True), runtime, open_bluetooth=nothing)
+    assert network.listeners == []
+    network.close()
+
+
 # -- meshes over it --
+
+ALONE = f"""\
+network = "lab"
+[[robots]]
+name = "r0"
+bluetooth = "{A}"
+[topology]
+edges = []
+[mesh]
+insecure = true
+"""
 
 CONFIG = f"""\
 network = "lab"
