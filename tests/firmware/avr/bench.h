@@ -55,6 +55,14 @@ void bench_uart_feed(bench_t *b, const uint8_t *bytes, size_t count);
 size_t bench_uart_take(bench_t *b, uint8_t *bytes, uint64_t *when, size_t most);   /* what the firmware sent */
 int bench_uart_busy(const bench_t *b);
 
+/* usb.c: the USB host. Results: bytes sent or read, or one of these */
+enum { USB_BUSY = -2, USB_REFUSED = -3 };
+void bench_usb_power(bench_t *b, int on);                       /* 5 V on the cable */
+void bench_usb_bus_reset(bench_t *b);
+int bench_usb_setup(bench_t *b, const uint8_t *request);        /* 8 bytes */
+int bench_usb_out(bench_t *b, uint8_t endpoint, const uint8_t *bytes, size_t count);
+int bench_usb_in(bench_t *b, uint8_t endpoint, uint8_t *bytes, size_t most);
+
 /* twi.c: the I2C master. Results: bytes acknowledged or read, or one of these */
 enum { I2C_NO_ADDRESS = -1, I2C_STRETCHED_TOO_LONG = -2, I2C_CRASHED = -3, I2C_BUS_HELD = -4 };
 typedef struct {

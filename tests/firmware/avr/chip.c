@@ -3,12 +3,16 @@
 #include "internal.h"
 
 #include <simavr/avr_extint.h>
+#include <simavr/avr_flash.h>
 #include <simavr/sim_elf.h>
 
 #include <stdlib.h>
 #include <string.h>
 
 #define R_MCUSR 0x54
+#define R_MCUCR 0x55
+#define IVSEL 2            /* in MCUCR: interrupt vectors are those of the bootloader */
+#define BOOT_SECTION 0x7000
 
 static void quiet(avr_t *avr, const int level, const char *format, va_list list)
 {
@@ -19,6 +23,25 @@ static void quiet(avr_t *avr, const int level, const char *format, va_list list)
 static void no_sleep(avr_t *avr, avr_cycle_count_t cycles)
 {
     (void)avr, (void)cycles;
+}
+
+/* simavr 1.6 has 0x00FF where no word was filled in for a page: an erased word is 0xFFFF. */
+static void on_page_write(avr_t *avr, avr_io_addr_t address, uint8_t value, void *param)
+{
+    avr_flash_t *flash = param;
+    (void)address;
+    if (value & (1 << flash->pgwrt.bit))
+        for (int i = 0; i < flash->spm_pagesize / 2; i++)
+            if (!flash->tmppage_used[i])
+                flash->tmppage[i] = 0xFFFF;
+    avr->data[flash->r_spm] = value;
+}
+
+static void flash_attach(avr_t *avr)
+{
+    for (avr_io_t *io = avr->io_port; io; io = io->next)
+        if (!strcmp(io->kind, "flash"))
+            avr_register_io_write(avr, ((avr_flash_t *)io)->r_spm, on_page_write, io);
 }
 
 /* Called in the middle of avr_reset, which goes on to set things to zero: the rest is done by settle(). */
@@ -80,6 +103,7 @@ bench_t *bench_new(const char *elf, uint8_t mcusr)
     uart_attach(b);
     board_attach(b);
     encoders_attach(b);
+    flash_attach(avr);
     b->own_reset = 1;
     settle(b);
     b->own_reset = 0;
@@ -134,6 +158,9 @@ int bench_step(bench_t *b)
     int state = avr_run(avr);
     if (b->was_reset)
         settle(b);
+    /* simavr has interrupt vectors at 0 only. A bootloader that wants its own goes nowhere else below itself. */
+    if (avr->data[R_MCUCR] & IVSEL && avr->pc < BOOT_SECTION)
+        avr->pc += BOOT_SECTION;
     watch(b);
     return state == cpu_Done || state == cpu_Crashed ? -1 : 0;
 }
