@@ -88,7 +88,7 @@ class Loop:
                 sleep(wait)
             started = now()
             self._lateness.add(started - deadline)
-            stopped = self._look_for_stop(started)
+            stopped = self._look_for_stop()
             step(started)
             self.ticks += 1
             deadline += PERIOD_S
@@ -101,12 +101,13 @@ class Loop:
                 self.missed += skipped
                 deadline += skipped * PERIOD_S
 
-    def _look_for_stop(self, now: float) -> bool:
+    def _look_for_stop(self) -> bool:
         """Obey a stop before the control step, whose motor command is then zero; True where it is a new one."""
         stop = self._bridge.stop()
         if stop is None:
             return False
-        self._stopped_at = now
+        # Not the time at which the tick began: it may have stood still since, and have been given commands meanwhile.
+        self._stopped_at = clock.now()
         return halt(self._balancer, stop)
 
     def _use_slack(self, until: float) -> None:

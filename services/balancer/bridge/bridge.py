@@ -17,7 +17,15 @@ import sys
 import threading
 
 from services.balancer.bridge.bus_side import BusSide
-from services.balancer.bridge.link import MAX_DATAGRAM, LoopCommand, LoopMessage, pack, pack_command, unpack
+from services.balancer.bridge.link import (
+    COMMANDS_A_TICK,
+    MAX_DATAGRAM,
+    LoopCommand,
+    LoopMessage,
+    pack,
+    pack_command,
+    unpack,
+)
 from services.balancer.core.devices.screen import Composer
 from services.balancer.core.inbox import Inbox, WaitingCommand
 from swarm import clock
@@ -33,8 +41,6 @@ _POLL_S = 0.25
 """How soon a SIGTERM is seen."""
 _TURN_S = 0.01
 """Least time between two times that commands are handed to the loop: its period."""
-_COMMANDS_A_TURN = 8
-"""As many as the loop takes in a tick (`services.balancer.bridge.child`)."""
 
 
 class _Relay:
@@ -132,7 +138,7 @@ class _Relay:
         if not select.select([], [self._loop], [], 0.0)[1]:
             return  # the loop is stuck: commands wait for it, as long as there is room
         with self._lock:
-            commands, dropped = self._inbox.take(_COMMANDS_A_TURN), self._inbox.dropped()
+            commands, dropped = self._inbox.take(COMMANDS_A_TICK), self._inbox.dropped()
         for name, count in dropped.items():
             self._side.refuse(name, "dropped", f"{name}: {count} commands, more than the control loop takes", count)
         for name, payload, heard in commands:

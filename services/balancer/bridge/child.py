@@ -8,7 +8,7 @@ import signal
 import socket
 import sys
 
-from services.balancer.bridge.link import MAX_DATAGRAM, LoopMessage, pack, unpack, unpack_command
+from services.balancer.bridge.link import COMMANDS_A_TICK, MAX_DATAGRAM, LoopMessage, pack, unpack, unpack_command
 from swarm.errors import PayloadError
 from swarm.messages import Stop
 
@@ -16,8 +16,6 @@ MODULE = "services.balancer.bridge.bridge"
 RESTART_S = 1.0
 """Least time between two starts."""
 _GRACE_S = 2.0
-_COMMANDS_AT_ONCE = 8
-"""A flood of commands may not eat up the slack of a tick."""
 _STOPS_AT_ONCE = 64
 """Stops that are taken from the socket in a tick; all but the first are not looked at."""
 _NOT_FOR_THE_BRIDGE = ("NOTIFY_SOCKET", "WATCHDOG_PID", "WATCHDOG_USEC")
@@ -72,7 +70,7 @@ class Bridge:
     def commands(self) -> list[tuple[float, LoopMessage]]:
         """The commands that the bridge sent since the last call, a few at most, and when it had heard each, s."""
         received: list[tuple[float, LoopMessage]] = []
-        while len(received) < _COMMANDS_AT_ONCE and (datagram := self._receive(self._socket)) is not None:
+        while len(received) < COMMANDS_A_TICK and (datagram := self._receive(self._socket)) is not None:
             try:
                 received.append(unpack_command(datagram))
             except PayloadError as error:

@@ -75,6 +75,10 @@ LoopMessage = Told | LoopCommand
 TELEMETRY_S = 0.04
 """Seconds between two messages of state and odometry."""
 
+COMMANDS_A_TICK = 8
+"""Commands that the loop takes in a tick, and that the bridge hands over in as much time: a flood of commands may not
+eat up the slack of a tick."""
+
 _KINDS: dict[bytes, type[LoopMessage]] = {bytes((n,)): kind for n, kind in enumerate(get_args(LoopMessage))}
 """Numbered as they stand above: loop and bridge are always of one version, since one starts the other."""
 _BYTES: dict[type[LoopMessage], bytes] = {kind: byte for byte, kind in _KINDS.items()}

@@ -306,6 +306,27 @@ def test_a_command_that_the_bridge_heard_before_a_stop_moves_nothing(monkeypatch
     assert loop.rig.balancer.mode == "standing_up"
 
 
+def test_a_command_from_before_a_stop_moves_nothing_where_the_tick_stood_still_before_it_looked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    loop = VirtualLoop(monkeypatch, upright().run(1))
+    loop.run(1)
+    look = loop.bridge.stop
+
+    def look_late() -> Stop | None:
+        """Commands, then a stop, come while the tick has begun and stands still."""
+        loop.bridge.stop = look
+        loop.rig.now += 0.5
+        loop.bridge.heard = loop.rig.now - 0.1
+        loop.bridge.incoming = [SetMode("stand"), SetVelocity(0.1, 0.0, 1.0), Stop(1.0, "r1", "")]
+        return look()
+
+    loop.bridge.stop = look_late
+    loop.run(10)
+    assert loop.rig.balancer.mode == "fault"
+    assert ["void" in notice.text for notice in loop.bridge.of(Notice)] == [True, True]
+
+
 def test_what_only_the_loop_says_is_no_command(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

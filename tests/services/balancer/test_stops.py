@@ -2,11 +2,13 @@
 
 import os
 import signal
+import subprocess
 
 import msgpack
 from conftest import Processes, wait_until
 from test_balancer_processes import Watcher, watcher
 
+from services.balancer.bridge.link import COMMANDS_A_TICK
 from swarm.messages import SetLeds, SetMode, SetVelocity, Stop, read
 
 __all__ = ["watcher"]
@@ -23,13 +25,20 @@ PAYLOADS = {
 }
 
 
+def lying(processes: Processes, watcher: Watcher) -> "subprocess.Popen[str]":
+    """A robot that lies on its front and waits for a command. One that stands could fall by itself on a busy machine,
+    and the fault would be that."""
+    body = processes.start_ready("-m", "sim.body", SWARM_SIM_LYING="front")
+    watcher.wait_mode("idle")
+    return body
+
+
 class Held:
-    """A balancing robot whose loop is held, so that what the bridge hands over waits for it."""
+    """A robot whose loop is held, so that what the bridge hands over waits for it."""
 
     def __init__(self, processes: Processes, watcher: Watcher) -> None:
-        self.body = processes.start_ready("-m", "sim.body")
+        self.body = lying(processes, watcher)
         self.watcher = watcher
-        watcher.wait_mode("balancing")
         self.body.send_signal(signal.SIGSTOP)
         os.waitid(os.P_PID, self.body.pid, os.WSTOPPED)
 
@@ -57,6 +66,9 @@ def test_a_stop_overtakes_a_flood_of_velocity_commands(processes: Processes, wat
 
 def test_a_command_from_before_a_stop_moves_nothing_after_it(processes: Processes, watcher: Watcher) -> None:
     held = Held(processes, watcher)
+    # It may be held after its look for a stop and before it takes commands: then it first takes these.
+    for _ in range(COMMANDS_A_TICK):
+        watcher.command("leds", SetLeds(False, False, True, 60.0))
     watcher.command("mode", SetMode("stand"))
     watcher.command("velocity", SetVelocity(0.1, 0.0, 10.0))
     watcher.command("leds", SetLeds(True, True, False, 60.0))
@@ -70,7 +82,7 @@ def test_a_command_from_before_a_stop_moves_nothing_after_it(processes: Processe
 
 
 def test_any_sample_of_the_stop_key_stops_the_robot(processes: Processes, watcher: Watcher) -> None:
-    processes.start_ready("-m", "sim.body")
+    lying(processes, watcher)
     for payload, why in PAYLOADS.values():
         watcher.command("mode", SetMode("stand"))
         wait_until(lambda: watcher.last() is not None and watcher.last().mode in ("standing_up", "balancing"))
