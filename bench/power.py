@@ -5,20 +5,21 @@ each wheel of a simulated robot that its balancer balances and drives under virt
 
     current of a motor = stall current x (duty - speed / free speed),   its share of the battery's current = duty x that
 
-A motor that brakes gives nothing back. What is left out: load on the Pi's cores beyond idling, the driver's own losses.
+The simulated wheels turn almost without friction. A real motor takes its no-load current to turn at all, so a wheel
+that turns adds what is missing of that current, and the duty that drives it. A motor that brakes gives nothing back.
+What is left out: load on the Pi's cores beyond idling, the hardware's backlash and noise, the driver's own losses.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from statistics import fmean
 
 from bench.rows import Row
 from bench.timed_robot import TimedRobot
-from services.balancer.core.control.body import body_model
 from services.balancer.core.control.lqr import PERIOD_S
 from services.balancer.core.devices.battery import CAPACITY_WH, USABLE, BatteryGuard
 from services.balancer.core.devices.battery import FULL as FULL_V
-from swarm.config.types import Body
 
 BATTERY_V = 7.54
 """At which the thesis measured (section 2.4)."""
@@ -33,6 +34,10 @@ MODULE_W = 0.100
 """DWM1001, average (thesis table 1.6, from its data sheet)."""
 STALL_A, STALL_AT_V = 1.5, 6.0
 """Of one motor (Pololu, micro metal gearmotor HPCB 6 V); in proportion to the voltage."""
+NO_LOAD_A = 0.16
+"""Of one motor that turns freely: 80 mA of the 12 V type (Pololu, product 5215), which takes half the current."""
+DUTIES = (0.5, 1.0)
+"""Of wheels in the air: the thesis measured "at different speeds", and does not say which."""
 SETTLE_S = 2.0
 
 THESIS_W = {"Balboa": (0.249, 0.249), "Raspberry Pi": (1.05, 1.43), "Decawave": (1.73, 1.73), "actuators": (2.26, 3.16)}
@@ -62,7 +67,9 @@ def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     with_module = with_pi + MODULE_W / EFFICIENCY
     for column, watts in (("Balboa", board), ("Raspberry Pi", with_pi), ("Decawave", with_module)):
         yield _row(f"with {column}", watts, THESIS_W[column])
-    yield _row("with actuators, wheels free at full duty", with_module + free_w(), THESIS_W["actuators"])
+    for duty in DUTIES:
+        name = f"with actuators, wheels free at {100 * duty:.0f} % of duty"
+        yield _row(name, with_module + free_w(duty), THESIS_W["actuators"])
     balancing = with_module + motors_w(0.0, 0.0, sizes.seconds)
     driving = with_module + motors_w(SPEED, TURN_RATE, sizes.seconds)
     for state, watts in (("balancing in its place", balancing), ("driving a curve", driving)):
@@ -77,10 +84,9 @@ def rows(sizes: Sizes = FULL) -> Iterator[Row]:
         yield Row(f"autonomy by this model, {state}", USABLE * CAPACITY_WH / watts, "h", fmean(THESIS_H), None)
 
 
-def free_w() -> float:
-    """Both motors at full duty with the wheels in the air, as the thesis measured: they overcome friction alone."""
-    model = body_model("zero2w", Body(), battery=BATTERY_V)
-    return 2 * BATTERY_V * STALL_A * BATTERY_V / STALL_AT_V * model.friction / model.stall_torque
+def free_w(duty: float) -> float:
+    """Both motors with the wheels in the air, as the thesis measured: they take their no-load current, W."""
+    return 2 * BATTERY_V * duty * NO_LOAD_A
 
 
 def motors_w(speed: float, turn_rate: float, seconds: float) -> float:
@@ -101,11 +107,13 @@ def motors_w(speed: float, turn_rate: float, seconds: float) -> float:
 def _power(robot: TimedRobot) -> float:
     """What both motors take from the battery at this moment, W."""
     body, model = robot.body, robot.body.model
+    stall = STALL_A * BATTERY_V / STALL_AT_V
+    lost = NO_LOAD_A / stall - model.friction / model.stall_torque
     watts = 0.0
-    for side, duty in zip((-1, 1), robot.robot.atmega.motors, strict=True):
+    for side, simulated in zip((-1, 1), robot.robot.atmega.motors, strict=True):
         wheel = (body.speed + side * body.turn_rate * model.track / 2) / model.wheel_radius - body.tilt_rate
-        current = STALL_A * BATTERY_V / STALL_AT_V * (duty - wheel / model.free_speed)
-        watts += max(0.0, BATTERY_V * duty * current)
+        duty = simulated + math.copysign(lost, wheel)
+        watts += max(0.0, BATTERY_V * duty * stall * (duty - wheel / model.free_speed))
     return watts
 
 
