@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 
 from laptop.foxglove import scene
-from laptop.foxglove.messages import Message, frames
+from laptop.foxglove.messages import Message, frames, log
 from laptop.view.feeds.picture import Picture
 from swarm.config.types import Config
 from swarm.errors import SwarmError
@@ -25,6 +25,7 @@ class RecordedScenes:
         self._epoch_ns = epoch_ns
         self._picture = Picture()
         self._last = -math.inf
+        self._event = 0
 
     def after(self, sample: RecordedSample) -> Iterator[Message]:
         """What is to be shown behind a sample; most are followed by nothing, and so is one that cannot be read."""
@@ -34,8 +35,11 @@ class RecordedScenes:
         except SwarmError:
             return
         self._picture.put(robot, f"{service}/{topic}", message, sample.t)
+        log_time = self._epoch_ns + round(sample.t * 1e9)
+        if events := self._picture.events_since(self._event):
+            self._event = events[-1].number
+            yield from log(events, log_time)
         if sample.t >= self._last + PERIOD:
             self._last = sample.t
-            log_time = self._epoch_ns + round(sample.t * 1e9)
             yield frames(scene.places(self._picture, self._config), log_time)
             yield scene.scene(self._picture, self._config, log_time)

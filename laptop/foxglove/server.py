@@ -40,6 +40,8 @@ class FoxgloveServer:
         self._context = foxglove.Context()
         self._channels: dict[str, foxglove.Channel] = {}
         self._version = 0
+        self._late = threading.Event()
+        """Somebody has subscribed since the last look."""
         self._event = 0
         try:
             self._server = foxglove.start_server(
@@ -93,7 +95,7 @@ class FoxgloveServer:
 
     def on_subscribe(self, client: Any, channel: Any) -> None:
         """Who comes late is told what was said before: much of it is said on change only."""
-        self._version = 0
+        self._late.set()
 
     def on_unsubscribe(self, client: Any, channel: Any) -> None:
         """The SDK keeps who wants what."""
@@ -129,6 +131,9 @@ class FoxgloveServer:
         messages: list[Message] = []
         with feed.lock:
             picture = feed.picture
+            if self._late.is_set():
+                self._late.clear()
+                self._version = 0
             if config is None or picture.version == self._version:
                 return []
             since, self._version = self._version, picture.version

@@ -349,7 +349,8 @@ def _news(topic: str, value: object) -> Iterator[tuple[str, str, str]]:
                 text += f" and {len(waiting) - MAX_NAMED} more"
         if value.get("reason"):
             text += f": {value['reason']}"
-        yield {"fault": "error", "waiting": "warning"}.get(str(phase), "info"), text, f"{service} phase"
+        waits = "warning" if value.get("k") else "info"  # before the first iteration robots only come together
+        yield {"fault": "error", "waiting": waits}.get(str(phase), "info"), text, f"{service} phase"
     elif topic == "balancer/fault":
         name = value.get("name")
         yield "error" if name else "info", f"fault {name}: {value.get('reason')}" if name else "no fault", "fault"

@@ -53,7 +53,8 @@ export class Focus {
     if (!app) return [];
     const parent = app.split("/").slice(0, 2).join("/");
     const kept = this.kind === "event"; // told when it changes, and what it was until then
-    const add = (value, label, unit = "") => found.has(value.name) || found.set(value.name, { ...value, label, unit, held: kept });
+    const steps = this.kind === "periodic"; // each robot's own, that say nothing of the others'
+    const add = (value, label, unit = "") => found.has(value.name) || found.set(value.name, { ...value, label, unit, held: kept, steps });
     const sample = (topic) => store.names.map((name) => store.get(name, topic)).find((value) => value !== undefined);
     const told = sample(`${app}/state`) ?? {}, result = told.result ?? {};
     const target = this.target(), seen = store.names.some((name) => Math.abs(store.get(name, `${app}/state`)?.result?.x) < FAR);

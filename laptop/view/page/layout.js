@@ -45,12 +45,12 @@ export class Layout {
     const shown = before ?? this.names.filter((name) => !["runs", "difference", "control"].includes(name) || !this.main.querySelector(`[data-panel=${name}]`).hidden).map((name) => [name, ...SPANS[name]]);
     let panels = [...shown.map(([name, ...spans]) => ({ name, spans, on: true })), ...this.names.filter((name) => !shown.some(([each]) => each === name)).map((name) => ({ name, spans: SPANS[name], on: false }))];
     const chosen = () => panels.filter(({ on }) => on).map(({ name, spans }) => [name, ...spans]);
-    const form = document.createElement("form"), rows = document.createElement("div"), end = document.createElement("div"), name = document.createElement("input");
+    const form = document.createElement("form"), head = document.createElement("div"), rows = document.createElement("div"), end = document.createElement("div"), name = document.createElement("input");
     const button = (text, act, label) => Object.assign(document.createElement("button"), { type: "button", textContent: text, onclick: act, ariaLabel: label ?? text });
     const draw = () => {
       rows.replaceChildren(...panels.map((panel, index) => {
         const row = document.createElement("div"), on = Object.assign(document.createElement("input"), { type: "checkbox", checked: panel.on, ariaLabel: `show ${panel.name}` }), title = document.createElement("span");
-        title.textContent = panel.name;
+        title.textContent = this.main.querySelector(`[data-panel=${panel.name}]`).ariaLabel;
         on.onchange = () => {
           panel.on = on.checked;
           this.apply(chosen());
@@ -85,7 +85,9 @@ export class Layout {
       this.dialog.close();
     });
     this.dialog.addEventListener("close", () => (this.told = null), { once: true });
-    form.append(rows, end);
+    head.className = "row muted";
+    head.append(...["panel", "columns", "rows"].map((each) => Object.assign(document.createElement("span"), { textContent: each })));
+    form.append(head, rows, end);
     this.dialog.replaceChildren(form);
     draw();
     this.dialog.show();

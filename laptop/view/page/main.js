@@ -7,7 +7,7 @@ import { Focus } from "./focus.js";
 import { Layout } from "./layout.js";
 import { goals } from "./map/goals.js";
 import { SwarmMap } from "./map/map.js";
-import { scaled, short, write } from "./numbers.js";
+import { column, largest, scaled, write } from "./numbers.js";
 import { Answers } from "./panels/answers.js";
 import { Controls } from "./panels/controls.js";
 import { Events } from "./panels/events.js";
@@ -32,7 +32,7 @@ const PLAYER_MS = 100;
 const WORTHS = 12; // robots up to which values stand behind all names on the map
 const NEWS_MS = 250; // what happens, and what came of acts
 const NUMBERS = 2; // looks at the news of which one is at numbers, too: nobody reads faster, and each such look paints most of the page
-const TITLES = { periodic: ["Steps", "each robot's own, the last 3 s"], event: ["Handled", "changes of state, the last minute"], lockstep: ["Steps", ""] };
+const TITLES = { periodic: ["Steps", "each robot's own"], event: ["Handled", "changes of state"], lockstep: ["Steps", ""] };
 
 const find = (selector) => document.querySelector(selector);
 const store = new Store();
@@ -52,9 +52,9 @@ const lockstepChart = new LockstepChart(find("#lockstep"), store, select);
 const lanes = new Lanes(find("#lanes"), store, series, focus, select);
 const values = new Values(find("#values"), store, series, focus);
 const errors = new PlaceErrors(find("#error"), store, series, focus);
-const answers = new Answers(find("#answers"), { store, series, focus, values, lockstepChart, lanes });
 const robots = new Robots(find("#robots"), { store, series, focus, values, select });
-const events = new Events(find("#events"));
+const events = new Events(find("#events"), store);
+const answers = new Answers(find("#answers"), { store, series, focus, values, lockstepChart, lanes, events });
 const keys = new Keys(find("#keys"), store, (topic, path) => values.open(topic, path));
 const controls = new Controls(store, ask, focus);
 const strip = new Strip(find("#player"), store, series, values);
@@ -63,7 +63,7 @@ const player = new Player(find("#player"), store, ask, strip);
 const present = new Present(find("#player"), store, ask, strip, () => socket.close());
 const pace = new Pace(find("#virtual"), store, ask);
 const layout = new Layout(find("main"), find("#layout"), find("#arrange"), store, ask);
-const runs = new Runs(find("#runs"), find("#difference"), { store, series, values, ask });
+const runs = new Runs(find("#runs"), find("#difference"), { store, series, focus, values, ask });
 const keep = new Keep(find("#keep"), { store, bracket, values, tell: (text, bad) => controls.tell(text, bad) });
 map.place = ({ robot, x, y }) => controls.act({ act: "place", robot, x, y });
 const time = () => (store.swarm?.recording ? player : present);
@@ -173,7 +173,7 @@ function numbers(now) {
   if (lockstep) lockstepChart.draw(selected);
   else {
     write(find("#lanes h2"), TITLES[kindOf][0]);
-    write(find("#lanes .unit"), TITLES[kindOf][1]);
+    write(find("#lanes .unit"), `${TITLES[kindOf][1]}, the last ${lanes.span} s`);
     lanes.draw(now, selected);
   }
   runs.draw(now);
@@ -192,8 +192,9 @@ function numbers(now) {
 function label() {
   const value = values.first, entry = value && series.want(value), at = store.swarm?.recording || store.looking ? store.t : Infinity;
   const newest = new Map(entry ? series.robots(entry).map((name) => [name, held(series.points(entry, name), at)?.[1]]) : []);
-  const { unit, factor } = scaled(value?.unit ?? "", Math.max(0, ...[...newest.values()].map((each) => Math.abs(each ?? 0))));
-  const texts = new Map([...newest].map(([name, each]) => [name, each === undefined ? "" : `${short(each * factor)}${unit && ` ${unit}`}`]));
+  const { unit, factor } = scaled(value?.unit ?? "", largest([...newest.values()].map((each) => Math.abs(each ?? 0))));
+  const text = column([...newest.values()].map((each) => each * factor));
+  const texts = new Map([...newest].map(([name, each]) => [name, each === undefined ? "" : `${text(each * factor)}${unit && ` ${unit}`}`]));
   map.worth = (name) => (store.names.length <= WORTHS || name === selected ? texts.get(name) ?? "" : "");
   map.goals = goals(store);
   map.waiting = new Set(answers.waiting().keys());
@@ -246,7 +247,7 @@ for (const button of document.querySelectorAll("#map [data-layer]")) {
     map.wake();
   });
 }
-new ResizeObserver(([{ target }]) => document.documentElement.style.setProperty("--foot", `${target.offsetHeight}px`)).observe(find("footer"));
+for (const [name, part] of [["--foot", find("footer")], ["--halt", find("#halt")]]) new ResizeObserver(() => document.documentElement.style.setProperty(name, `${part.offsetHeight}px`)).observe(part);
 
 // For whoever measures or takes pictures.
 window.swarmView = { store, series, focus, map, lockstepChart, lanes, values, errors, answers, player, present, bracket, layout, runs, show, settled, select, get selected() { return selected; } };

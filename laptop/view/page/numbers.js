@@ -4,10 +4,24 @@ export const SIGMAS = 2.45; // deviations that hold 95 % in a plane; twice the d
 
 export const short = (value) => (typeof value !== "number" || !Number.isFinite(value) ? "-" : Math.abs(value) >= 1e5 || (value !== 0 && Math.abs(value) < 1e-3) ? value.toExponential(1) : String(+value.toPrecision(3)));
 
+// Writes the numbers of a column with the decimals that its largest one has in three digits, so that they compare at a glance.
+// One that would be zero then keeps its own digits.
+export function column(values) {
+  const known = values.filter(Number.isFinite), most = largest(known.map(Math.abs));
+  if (!(most > 0 && most < 1e5) || known.every(Number.isInteger)) return short;
+  const digits = Math.min(3, Math.max(0, 2 - Math.floor(Math.log10(most))));
+  return (value) => (!Number.isFinite(value) || (value !== 0 && Math.abs(value) < 0.5 * 10 ** -digits) ? short(value) : (value + 0).toFixed(digits));
+}
+
+// A spread call takes some hundred thousand arguments at most; a crowd's series hold more.
+export const largest = (values) => values.reduce((most, each) => Math.max(most, each), 0);
+
 // Metres below one are read as centimetres.
 export function scaled(unit, most) {
   return unit === "m" && most < 2 ? { unit: "cm", factor: 100 } : { unit, factor: 1 };
 }
+
+export const some = (names) => (names.length > 4 ? `${names.slice(0, 4).join(" ")} and ${names.length - 4} more` : names.join(" "));
 
 export const median = (values) => {
   const sorted = [...values].sort((a, b) => a - b), middle = sorted.length >> 1;

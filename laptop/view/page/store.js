@@ -24,6 +24,7 @@ export class Store {
     this.swarm = null;
     this.layouts ??= null; // that the server keeps
     this.besidePlaces = null; // of the robots of the run beside this one
+    this.measures = false; // whether an app measures its distance to a target
     this.apps = new Map(); // name -> [topic of a state of an app, ...], e.g. "app/consensus"
     this.edges = []; // [[a, b], ...]: links that are to be, as the newest topology has them
     this.topology = -1; // its version
@@ -87,6 +88,7 @@ export class Store {
   index(name, topic) {
     const app = /^(app\/.+)\/state$/.exec(topic)?.[1];
     if (app) this.apps.set(name, [...(this.apps.get(name) ?? []), app]);
+    if (/^app\/.+\/measurement$/.test(topic)) this.measures = true;
   }
 
   // The links may be changed while the swarm runs.
@@ -100,10 +102,16 @@ export class Store {
     return this.edges.filter((edge) => edge.includes(name)).map(([a, b]) => (a === name ? b : a));
   }
 
-  // Since when a link is as it is, by what robots have told, s; null where they have not.
-  since(a, b, state) {
-    const told = this.events.filter(({ robot, text }) => (robot === a && text.startsWith(`link to ${b} ${state}`)) || (robot === b && text.startsWith(`link to ${a} ${state}`)));
-    return told.length ? told.at(-1).t : null;
+  // Since when a link is not up, by what its robots have told, s; null where they have not.
+  since(a, b) {
+    const from = new Map();
+    for (const { t, robot, text } of this.events) {
+      const peer = robot === a ? b : robot === b ? a : null;
+      if (peer === null || !text.startsWith(`link to ${peer} `)) continue;
+      if (text.startsWith(`link to ${peer} up`)) from.delete(robot);
+      else if (!from.has(robot)) from.set(robot, t);
+    }
+    return from.size ? Math.min(...from.values()) : null;
   }
 
   // Links that are not as they should be, the worst first: [{a, b, state}].

@@ -120,7 +120,8 @@ def test_a_merged_recording_has_the_topics_that_are_served_live(tmp_path: Path) 
         main(["export", str(run), "--mcap", str(tmp_path / "all.mcap")])
     with (tmp_path / "all.mcap").open("rb") as file:
         found = {channel.topic: (schema, message) for schema, channel, message in make_reader(file).iter_messages()}
-    assert {"/scene", "/tf", "swarm/r0/app/localization/state"} <= found.keys()
+    assert {"/scene", "/tf", "/log", "swarm/r0/app/localization/state"} <= found.keys()
+    assert json.loads(found["/log"][1].data)["name"] in ("r0", "r1", "r2")
     schema, message = found["/scene"]
     assert schema.name == "foxglove.SceneUpdate"
     drawn = {entity["id"]: entity for entity in json.loads(message.data)["entities"]}

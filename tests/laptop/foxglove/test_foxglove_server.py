@@ -2,9 +2,10 @@
 
 import asyncio
 import json
+import re
 import struct
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -25,6 +26,7 @@ from swarm.messages.codec import encode
 
 HEAD = struct.Struct("<BIQ")
 """Of a message: opcode 1, subscription, log time in ns."""
+UNKNOWN = re.compile(r"Unknown channel ID: (\d+)")
 
 
 class Bus:
@@ -105,11 +107,15 @@ class Client:
         value = json.loads(message.data)
         self.said[value["op"]] = value
         if value["op"] == "advertise":
-            wanted = []
-            for channel in value["channels"]:
-                self.channels[channel["id"]] = channel
-                wanted.append({"id": channel["id"], "channelId": channel["id"]})
-            await self._socket.send_json({"op": "subscribe", "subscriptions": wanted})
+            self.channels |= {channel["id"]: channel for channel in value["channels"]}
+            await self._subscribe(channel["id"] for channel in value["channels"])
+        elif value["op"] == "status" and (unknown := UNKNOWN.search(value["message"])):
+            # The SDK 0.30 advertises a new channel before it takes subscriptions to it.
+            await self._subscribe([int(unknown[1])])
+
+    async def _subscribe(self, channels: Iterable[int]) -> None:
+        wanted = [{"id": channel, "channelId": channel} for channel in channels]
+        await self._socket.send_json({"op": "subscribe", "subscriptions": wanted})
 
 
 def talk(port: int, act: Any) -> None:

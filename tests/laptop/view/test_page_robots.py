@@ -80,7 +80,7 @@ def test_robots_that_live_obey_leave_and_are_out_of_reach(swarm: Swarm) -> None:
         gain.press("Enter")
         expect(said).to_have_class("bad", timeout=PATIENCE_MS)
         expect(said).to_contain_text("r0: ")
-        assert page.locator("#controls button", has_text=re.compile("press|push|lay")).count() == 0
+        assert page.locator("#controls").get_by_role("button", name=re.compile("press|push|lay")).count() == 0
 
         page.locator("#stop").click()
         expect(page.locator("#stop")).to_have_text("STOPPED 3/3", timeout=PATIENCE_MS)

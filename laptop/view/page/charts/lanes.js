@@ -6,6 +6,7 @@ import { plain } from "../series.js";
 import { FONT, sharp, theme } from "../theme.js";
 
 const SPAN_S = { periodic: 3, event: 60, lockstep: 5 };
+const [OFTEN, OFTEN_S] = [40, 5]; // changes of one robot in a minute above which fewer seconds are shown
 const LATE = 3; // periods
 const RATE_S = 5;
 const REDRAW_MS = 200;
@@ -30,6 +31,13 @@ export class Lanes {
 
   get now() {
     return this.store.t;
+  }
+
+  // Seconds that are shown.
+  get span() {
+    const kind = this.focus.kind, entry = this.entry;
+    const often = kind === "event" && entry && this.series.robots(entry).some((name) => this.of(name, SPAN_S.event).length > OFTEN);
+    return often ? OFTEN_S : SPAN_S[kind];
   }
 
   // Steps a second of the middle robot, over the last seconds.
@@ -79,7 +87,7 @@ export class Lanes {
 
   paint(names, selected, ratio) {
     const c = this.canvas.getContext("2d"), width = this.canvas.width / ratio, height = this.canvas.height / ratio;
-    const kind = this.focus.kind, span = SPAN_S[kind], period = this.focus.period, late = new Set(this.late());
+    const kind = this.focus.kind, span = this.span, period = this.focus.period, late = new Set(this.late());
     const lane = (this.lane = Math.min(26, Math.max(4, (height - BOTTOM) / names.length))), x = (t) => LEFT + (width - LEFT - RIGHT) * (1 - (this.now - t) / span);
     c.setTransform(ratio, 0, 0, ratio, 0, 0);
     c.clearRect(0, 0, width, height);
@@ -121,7 +129,7 @@ export class Lanes {
     c.textAlign = "center";
     c.font = `11px ${FONT}`;
     c.fillStyle = theme.colour("--muted");
-    for (let back = 0; back <= span; back += span / 3) c.fillText(back ? `−${+back.toFixed(1)} s` : this.store.looking || this.store.swarm?.recording ? "then" : "now", x(this.now - back), height - 8);
+    for (let back = 0; back <= span + 0.01; back += span / 3) c.fillText(back ? `−${+back.toFixed(1)} s` : this.store.looking || this.store.swarm?.recording ? "then" : "now", x(this.now - back), height - 8);
   }
 }
 

@@ -1,7 +1,7 @@
 // A chart of lines, one for each robot: drawn by uPlot (vendor/), with names and values at the lines' ends. Of many robots
 // there are bands: half of them, nearly all, extremes.
 
-import { short } from "../numbers.js";
+import { column, short } from "../numbers.js";
 import { FONT, sizeOf, theme } from "../theme.js";
 
 const MANY = 30; // robots from which on there are bands
@@ -18,11 +18,12 @@ export class Plot {
     this.shape = "";
   }
 
-  // `lines`: [{name, colour, points: [[x, y], ...], dash, strong}]. `scale`: {unit, factor} of what is written. `at`: what is shown now, on the x axis. `log`: a logarithmic y axis.
-  draw({ lines, scale, log = false, over = "t", at = null, selected = null, from = null, stepped = false }) {
+  // `lines`: [{name, colour, points: [[x, y], ...], dash, strong}]. `scale`: {unit, factor} of what is written. `at`: what is shown now, on the x axis. `log`: a logarithmic y axis. `top`: the largest y of a linear axis; what is above it leaves the chart.
+  draw({ lines, scale, log = false, over = "t", at = null, selected = null, from = null, stepped = false, top = null }) {
     const [width, height] = sizeOf(this.element);
     if (!lines.length || width < 60 || height < 60) return;
-    [this.at, this.selected, this.factor] = [at, selected, scale.factor];
+    [this.at, this.selected, this.factor, this.log] = [at, selected, scale.factor, log];
+    this.top = top === null ? Infinity : top * scale.factor;
     const own = lines.filter((each) => !each.dash);
     const drawn = own.length > MANY ? [...bands(own), ...own.filter((each) => each.name === selected), ...lines.filter((each) => each.dash)] : lines;
     this.lines = drawn;
@@ -44,7 +45,7 @@ export class Plot {
       padding: [8, own.length > MANY ? BANDS : RIGHT, 0, 0],
       legend: { show: false },
       cursor: { sync: { key: sync.key, scales: ["x", null], filters: { pub: () => true, sub: () => over === "t" } }, y: false, points: { size: 5 }, drag: { x: false } },
-      scales: { x: { time: false, range: xs }, y: log ? { distr: 3, range: (_, low, high) => decades(low, high) } : { range: (_, low, high) => room(low, high) } },
+      scales: { x: { time: false, range: xs }, y: log ? { distr: 3, range: (_, low, high) => decades(low, high) } : { range: (_, low, high) => room(low, high === null ? high : Math.min(high, Math.max(low, this.top))) } },
       axes: [
         { ...axis, size: 22, values: (_, ticks) => ticks.map((each, index) => `${+each.toPrecision(6)}${over === "t" && index === ticks.length - 1 ? " s" : ""}`) },
         { ...axis, size: 44, space: 34, values: (_, ticks) => ticks.map((each) => (each === null ? "" : log ? short(each) : String(+each.toPrecision(4)))) },
@@ -74,6 +75,7 @@ export class Plot {
     }
     c.textBaseline = "middle";
     c.textAlign = "left";
+    const text = this.log ? short : column(found.map(({ value }) => value));
     const step = LABEL * ratio, room = Math.max(1, Math.floor(height / step));
     const shown = spread(found.length > room ? found.filter((each) => each.name === this.selected) : found, step, top, top + height);
     for (const { name, colour, value, x, y, at } of shown) {
@@ -93,7 +95,7 @@ export class Plot {
       const wide = c.measureText(`${name} `).width;
       c.font = `${11 * ratio}px ${FONT}`;
       c.fillStyle = theme.colour("--muted");
-      c.fillText(short(value), end + 13 * ratio + wide, at);
+      c.fillText(text(value), end + 13 * ratio + wide, at);
     }
     c.restore();
   }

@@ -1,12 +1,14 @@
 // Panels with charts of series: the app's own values, and how wrong robots are about their place.
 
-import { median, scaled, short, SIGMAS, write } from "../numbers.js";
+import { column, largest, median, scaled, short, SIGMAS, write } from "../numbers.js";
 import { held, isDistance, plain } from "../series.js";
 import { sizeOf, theme } from "../theme.js";
 import { Plot } from "./plot.js";
 
 const REDRAW_MS = 400;
 const STEPS = 120; // of a median's line
+const CLAIM = ["dwm/pose", ["deviation_x"]]; // how far off robots say they may be
+const START_S = 3; // of a run
 const SIX = 6; // lines of a run beside that are drawn each; of more their median
 
 // One chart with its title, its figures and its switches.
@@ -18,6 +20,7 @@ export class Chart {
     this.plot = new Plot(this.body);
     this.log = false;
     this.over = "t";
+    this.also = null; // a series of what stands beside the robots' lines
     this.seen = true;
     new IntersectionObserver(([entry]) => (this.seen = entry.isIntersecting || this.body.hidden)).observe(this.body);
     for (const button of panel.querySelectorAll("[data-log]")) button.addEventListener("click", () => this.set("log", button.dataset.log === "log"));
@@ -49,23 +52,23 @@ export class Chart {
       write(this.note, "");
       return;
     }
-    const counts = robots.every((name) => typeof this.series.points(entry, name).at(-1)[2] === "number");
-    for (const button of this.panel.querySelectorAll("[data-over]")) button.disabled = !counts;
+    const counts = !value.held && !value.steps && robots.every((name) => typeof this.series.points(entry, name).at(-1)[2] === "number");
+    for (const button of this.panel.querySelectorAll("[data-over]")) button.hidden = !counts;
     const recording = this.store.swarm?.recording, at = recording || this.store.looking ? this.store.t : null;
     const off = this.log && !isDistance(value); // what is no distance is drawn as one
     const newest = new Map(robots.map((name) => [name, (at === null ? this.series.points(entry, name).at(-1) : held(this.series.points(entry, name), at))?.[1]]).filter(([, each]) => each !== undefined));
-    const said = hero(newest), scale = scaled(value.unit ?? "", Math.max(...[...newest.values()].map(Math.abs), 0));
+    const said = hero(newest), scale = scaled(value.unit ?? "", largest([...newest.values()].map(Math.abs)));
     write(this.hero, said.value === null ? "-" : short(said.value * scale.factor));
     write(this.note, ` ${scale.unit} ${said.text(scale)}`);
     write(this.unit, [`${scale.unit}${value.truth ? " against truth" : ""}`, off && "distance from the mean", value.truth || (counts && this.over === "k" ? "over iterations" : "over time")].filter((each) => each && each !== true).join(", "));
     if (!this.table.hidden) this.rows(entry, robots, newest, scale);
-    const over = counts ? this.over : "t", shape = `${entry.version} ${value.held || recording ? this.store.zoom : ""} ${at} ${this.log} ${over} ${selected} ${sizeOf(this.body)}`;
+    const over = counts ? this.over : "t", shape = `${entry.version} ${this.also?.version} ${value.held || recording ? this.store.zoom : ""} ${at} ${this.log} ${over} ${selected} ${sizeOf(this.body)}`;
     if (!this.seen || (shape === this.drawn && this.version === document.documentElement.dataset.theme)) return;
     [this.drawn, this.version] = [shape, document.documentElement.dataset.theme];
     const shift = over === "k" && at !== null ? held(this.series.points(entry, robots[0]), at)?.[2] ?? null : at;
     const lines = [...this.lines(entry, robots, counts && this.over === "k" ? 2 : 0, value, off), ...claims()];
     const from = over === "t" ? this.store.zoom : recording && this.zoomed ? this.counted(entry, robots, this.store.zoom) : null;
-    this.plot.draw({ lines, scale, log: this.log, over, at: shift, selected, from, stepped: value.held });
+    this.plot.draw({ lines, scale, log: this.log, over, at: shift, selected, from, stepped: value.held, top: this.top?.(entry, robots) ?? null });
   }
 
   // Whether charts show a part of the recording; all of it may be shorter than the run beside.
@@ -95,10 +98,11 @@ export class Chart {
   }
 
   rows(entry, robots, newest, { factor }) {
-    const text = robots.map((name) => {
+    const numbers = robots.map((name) => {
       const ys = this.series.points(entry, name).map(([, y]) => y * factor);
-      return [name, ...[newest.get(name) * factor, Math.min(...ys), Math.max(...ys)].map(short)];
+      return [newest.get(name) * factor, Math.min(...ys), Math.max(...ys)];
     });
+    const written = column(numbers.flat()), text = numbers.map((cells, index) => [robots[index], ...cells.map(written)]);
     const shape = JSON.stringify(text);
     if (shape === this.told) return;
     this.told = shape;
@@ -215,12 +219,24 @@ export class PlaceErrors {
     this.chart = new Chart(panel, store, series);
     [this.focus, this.series] = [focus, series];
     this.drawn = -Infinity;
+    this.chart.top = (entry, robots) => {
+      const most = this.settled(entry, robots);
+      return most === null ? null : Math.max(most, this.claimed ?? 0);
+    };
+  }
+
+  // The largest error after the first seconds, in which filters find their places and would make all else small; null of short runs.
+  settled(entry, robots) {
+    const all = robots.flatMap((name) => ["rows", "beside"].map((of) => this.series.points(entry, name, of))).filter((points) => points.length);
+    const later = all.map((points) => largest(points.filter(([t]) => t > points[0][0] + START_S).map(([, y]) => y)));
+    return all.some((points) => points.at(-1)[0] > points[0][0] + 2 * START_S) ? 1.1 * largest(later) : null;
   }
 
   draw(now, selected) {
     if (now < this.drawn + REDRAW_MS) return;
     this.drawn = now;
     const value = this.focus.error(), claimed = value?.truth && !this.series.beside; // the lines of a run beside are dashed, too
+    this.chart.also = claimed ? this.series.want(plain(...CLAIM)) : null;
     const why = this.focus.store.swarm?.kind === "virtual" ? "No estimates: virtual time is watched without the robots' filters" : "No estimates of places: no dwm service tells one";
     this.chart.draw(value, selected, why, (newest) => {
       const [name, most] = worst(newest);
@@ -230,12 +246,13 @@ export class PlaceErrors {
 
   // What robots say themselves that their errors are within, the middle one of them.
   claims() {
-    const series = this.series, entry = series.want(plain("dwm/pose", ["deviation_x"])), all = series.robots(entry).map((name) => series.points(entry, name));
+    const series = this.series, entry = series.want(plain(...CLAIM)), all = series.robots(entry).map((name) => series.points(entry, name));
     if (!all.length) return [];
     const points = middle(all).map(([t, deviation]) => [t, SIGMAS * deviation]);
     // What they said before they knew their places would make all else small.
-    const errors = series.want(this.focus.error()), most = Math.max(...series.robots(errors).flatMap((name) => series.points(errors, name).map(([, y]) => y)));
-    const highest = Math.max(most, 1.2 * median(points.map(([, y]) => y)));
+    const errors = series.want(this.focus.error()), most = this.settled(errors, series.robots(errors)) ?? largest(series.robots(errors).flatMap((name) => series.points(errors, name).map(([, y]) => y)));
+    this.claimed = 1.2 * median(points.map(([, y]) => y));
+    const highest = Math.max(most, this.claimed);
     return [{ name: "95 %", colour: theme.colour("--edge"), points: points.filter(([, y]) => y <= highest), dash: true }];
   }
 }

@@ -7,6 +7,7 @@ export function goals(store) {
   const found = [];
   for (const name of store.names) {
     for (const app of store.apps.get(name) ?? []) {
+      if (store.services[name]?.[app] === false) continue; // it has ended
       const result = store.get(name, `${app}/state`)?.result ?? {}, told = store.get(name, `${app}/out/goal`)?.values;
       for (const [x, y] of [[result.goal_x, result.goal_y], [told?.x, told?.y]]) if (Math.abs(x) < FAR && Math.abs(y) < FAR) found.push({ name, x, y, next: true });
       const points = waypoints(store.get(name, `${app}/parameters`)?.parameters?.waypoints?.value);

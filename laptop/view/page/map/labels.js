@@ -16,8 +16,9 @@ export class Labels {
   }
 
   // `items`: [{name, x, y, r, width, height}], the most important first; `links`: [[[x, y], [x, y]], ...], as they are
-  // drawn. Returns the boxes [left, top, right, bottom] by name.
-  place(items, links, width, height, now) {
+  // drawn; `kept`: [x, y, radius] of what else should be seen. Returns the boxes [left, top, right, bottom] by name.
+  place(items, links, width, height, now, kept = []) {
+    this.kept = kept;
     if (now >= this.looked + LOOK_MS || now < this.looked || items.some(({ name }) => !this.chosen.has(name))) this.look(items, links, width, height, now);
     return new Map(items.map((item) => [item.name, box(item, PLACES[this.chosen.get(item.name).place])]));
   }
@@ -49,6 +50,7 @@ export class Labels {
     let sum = 0;
     for (const other of put) if (overlap(mine, other)) sum += COST.name;
     for (const { name, x, y, r } of items) if (name !== item.name && overlap(mine, [x - r, y - r, x + r, y + r])) sum += COST.robot;
+    for (const [x, y, r] of this.kept) if (overlap(mine, [x - r, y - r, x + r, y + r])) sum += COST.link;
     for (const [from, to] of links) if (crosses(mine, from, to)) sum += COST.link;
     if (mine[0] < 2 || mine[1] < 2 || mine[2] > width - 2 || mine[3] > height - 2) sum += COST.edge;
     return sum;

@@ -108,13 +108,14 @@ export class SwarmMap {
     return found;
   }
 
-  // Where the target really is: where it is told to be where it moves, else where the configuration has it.
+  // Where the target really is: where it is told to be where it moves, else where the configuration has it, if an app looks for it.
   target() {
     for (const name of this.store.names) {
       const told = this.store.get(name, "sim/target");
       if (told) return { name: "target", x: told.x, y: told.y };
     }
-    return this.store.swarm?.target;
+    const apps = [...this.store.apps.values()].flat(), looked = this.store.measures || apps.some((app) => /localization|target/.test(app));
+    return looked || !apps.length ? this.store.swarm?.target : null;
   }
 
   // Every robot's estimate of the target, where its app reports x and y.
@@ -267,7 +268,7 @@ export class SwarmMap {
       const [px, py] = pen.at(x, y);
       items.push({ name: `at ${name}`, text: name, x: px, y: py, r: 9 * ratio, width: pen.wide(name, pen.plain), height: 12 * ratio });
     }
-    this.boxes = this.labels.place(items, links.flatMap(({ ends }) => (ends ? [ends] : [])), width, height, now);
+    this.boxes = this.labels.place(items, links.flatMap(({ ends }) => (ends ? [ends] : [])), width, height, now, this.goals.map(({ x, y }) => [...pen.at(x, y), 6 * ratio]));
     for (const { name, value, text } of items) pen.label(this.boxes.get(name), text ? "" : name, text ?? value, { faint: !text && store.gone(name) });
   }
 

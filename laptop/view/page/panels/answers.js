@@ -1,7 +1,7 @@
 // The five questions, answered in words: is everyone alive, does it converge, who holds us up, how wrong are places, what
 // happened. An answer is a button to the panel that explains it.
 
-import { ago, median, scaled, short, SIGMAS, write } from "../numbers.js";
+import { ago, median, scaled, short, SIGMAS, some, write } from "../numbers.js";
 import { held, isDistance } from "../series.js";
 
 const BACK_S = 8; // what converging is judged by
@@ -12,8 +12,8 @@ const SETTLED = 0.01; // of the largest spread
 const LOW_S = 45 * 60;
 
 export class Answers {
-  constructor(section, { store, series, focus, values, lockstepChart, lanes }) {
-    Object.assign(this, { section, store, series, focus, values, lockstepChart, lanes });
+  constructor(section, { store, series, focus, values, lockstepChart, lanes, events }) {
+    Object.assign(this, { section, store, series, focus, values, lockstepChart, lanes, events });
     this.buttons = new Map([...section.querySelectorAll("button")].map((button) => [button.dataset.answer, button]));
     for (const button of this.buttons.values()) button.addEventListener("click", () => this.go(button.dataset.panel));
     this.speaker = section.querySelector("[role=status]");
@@ -72,15 +72,15 @@ export class Answers {
       return ys.length ? Math.max(...ys) - (positive ? 0 : Math.min(...ys)) : NaN;
     };
     const last = spread(t), most = Math.max(...points.map((each) => Math.max(...each.map(([, y]) => y)))) - (positive ? 0 : Math.min(...points.map((each) => Math.min(...each.map(([, y]) => y)))));
-    const scale = scaled(value.unit, last), now = `${positive ? "worst" : "spread"} ${short(last * scale.factor)}${scale.unit ? ` ${scale.unit}` : ""}`;
+    const scale = scaled(value.unit, last), now = `${value.label}: ${positive ? "worst" : "spread"} ${short(last * scale.factor)}${scale.unit ? ` ${scale.unit}` : ""}`;
     const agreed = held(points[0], t)?.[1];
     if (this.focus.kind === "event" && last === 0 && agreed !== undefined) return { value: `All at ${short(agreed)}`, note: `${value.label} of ${robots.length} robots` };
-    if (this.focus.kind === "event") return { value: now, note: `${value.label} of ${robots.length} robots` };
-    if (this.focus.kind === "lockstep" && this.waiting().size && this.still()) return { value: "Held", note: `${now}; ${value.label}`, kind: "warn" };
+    if (this.focus.kind === "event") return { value: now.slice(value.label.length + 2), note: `${value.label} of ${robots.length} robots` };
+    if (this.focus.kind === "lockstep" && this.waiting().size && this.still()) return { value: "Held", note: now, kind: "warn" };
     const rate = slope(spread, t, Math.min(BACK_S, t - Math.min(...points.map((each) => each[0][0]))));
-    if (!(last > SETTLED * most)) return { value: "Yes, settled", note: `${now}; ${value.label}` };
-    if (rate < -STILL) return { value: `Yes, halves in ${short(Math.LN2 / -rate)} s`, note: `${now}; ${value.label}` };
-    return rate > STILL ? { value: "No, it grows", note: `${now}; ${value.label}`, kind: "warn" } : { value: "It stays", note: `${now}; ${value.label}` };
+    if (!(last > SETTLED * most)) return { value: "Yes, settled", note: now };
+    if (rate < -STILL) return { value: `Yes, halves in ${+(Math.LN2 / -rate).toPrecision(2)} s`, note: now };
+    return rate > STILL ? { value: "No, it grows", note: now, kind: "warn" } : { value: "It stays", note: now };
   }
 
   waiting() {
@@ -96,7 +96,7 @@ export class Answers {
     const store = this.store, [worst] = store.troubled(), waits = this.waiting();
     const waiting = waits.size ? `${waits.size === store.names.length ? `all ${waits.size}` : waits.size} ${waits.size === 1 ? "waits" : "wait"}` : "";
     if (worst && (worst.state !== "connecting" || waits.size)) {
-      const since = store.since(worst.a, worst.b, worst.state), lasts = since === null ? "" : `, ${ago(Math.max(0, store.t - since))}`;
+      const since = store.since(worst.a, worst.b), lasts = since === null ? "" : `, ${ago(Math.max(0, store.t - since))}`;
       const more = store.troubled().length - 1;
       return { value: `Link ${worst.a}–${worst.b} ${worst.state}${lasts}`, note: [waiting || "nobody waits for it", more ? `${more} more links` : ""].filter(Boolean).join("; "), kind: worst.state === "down" ? "bad" : "warn" };
     }
@@ -127,15 +127,13 @@ export class Answers {
   }
 
   event() {
-    const events = this.store.events, last = events.at(-1);
+    const last = this.events.newest;
     if (!last) return { value: "Nothing yet", note: "links, faults and services are told here" };
-    const count = (level) => events.filter((each) => each.level === level).length, [warnings, errors] = [count("warning"), count("error")];
+    const [warnings, errors] = ["warning", "error"].map((level) => this.events.count(level));
     const trouble = [errors ? `${errors} error${errors > 1 ? "s" : ""}` : "", warnings ? `${warnings} warning${warnings > 1 ? "s" : ""}` : ""].filter(Boolean).join(", ");
-    return { value: `${last.robot} ${last.text}`, note: [`${ago(Math.max(0, this.store.t - last.t))} ago`, trouble].filter(Boolean).join(" · "), kind: last.level === "error" ? "bad" : last.level === "warning" ? "warn" : "" };
+    return { value: last.text, note: [`${ago(Math.max(0, this.store.t - last.t))} ago`, trouble].filter(Boolean).join(" · "), kind: last.level === "error" ? "bad" : last.level === "warning" ? "warn" : "" };
   }
 }
-
-const some = (names) => (names.length > 4 ? `${names.slice(0, 4).join(" ")} and ${names.length - 4} more` : names.join(" "));
 
 // How fast something goes up or down, 1/s: the slope of its logarithm (least squares).
 function slope(f, t, back) {

@@ -139,18 +139,26 @@ export class Controls {
   // What can be done to a robot. Real ones have buttons of their own, and hands of people.
   laid(robot, peers, apps, services) {
     const of = (act, each, buttons) => (this.can(act) ? each.flatMap(buttons) : []);
-    return [
-      ...of("drive", WAYS, (each) => this.way(each, robot)),
-      ...of("press", ["A", "B", "C"], (each) => button(`press ${each}`, () => this.act({ act: "press", robot, button: each }))),
-      ...of("push", [0.1], (impulse) => button("push", () => this.act({ act: "push", robot, impulse }))),
-      ...of("lay", ["front", "back"], (side) => button(`lay on ${side}`, () => this.act({ act: "lay", robot, side }))),
-      ...of("cut", peers, (peer) => [
+    const rows = {
+      drive: of("drive", WAYS, (each) => this.way(each, robot)),
+      press: of("press", ["A", "B", "C"], (each) => button(each, () => this.act({ act: "press", robot, button: each }), { ariaLabel: `press ${each}` })),
+      body: [
+        ...of("push", [0.1], (impulse) => button("push", () => this.act({ act: "push", robot, impulse }))),
+        ...of("lay", ["front", "back"], (side) => button(`lay on ${side}`, () => this.act({ act: "lay", robot, side }))),
+      ],
+      links: of("cut", peers, (peer) => [
         button(`cut ${peer}`, () => this.act({ act: "cut", robot, peer, seconds: CUT_S })),
         button(`mend ${peer}`, () => this.act({ act: "cut", robot, peer, seconds: 0 })),
       ]),
-      ...of("start", apps, ([app, runs]) => this.app(app, runs, robot)),
-      ...of("kill", services, (service) => button(`kill ${service}`, () => this.act({ act: "kill", robot, service }), { className: "bad" })),
-    ];
+      apps: of("start", apps, ([app, runs]) => this.app(app, runs, robot)),
+      kill: of("kill", services, (service) => button(service, () => this.act({ act: "kill", robot, service }), { className: "bad", ariaLabel: `kill ${service}` })),
+    };
+    return Object.entries(rows).filter(([, buttons]) => buttons.length).map(([what, buttons]) => {
+      const row = element("div", { className: "acts" }), all = element("div");
+      all.append(...buttons);
+      row.append(element("span", { textContent: what }), all);
+      return row;
+    });
   }
 
   // Parameters of robots' apps that may change while these run: [[app, name, parameter], ...].
@@ -159,6 +167,7 @@ export class Controls {
     for (const robot of robots) {
       for (const [topic, value] of this.store.robots.get(robot) ?? []) {
         const app = /^app\/([^/]+)\/parameters$/.exec(topic)?.[1];
+        if (app && this.store.services[robot]?.[`app/${app}`] === false) continue; // it has ended
         for (const [name, each] of Object.entries((app && value?.parameters) ?? {})) if (each?.live && !found.has(`${app} ${name}`)) found.set(`${app} ${name}`, [app, name, each]);
       }
     }

@@ -57,7 +57,7 @@ export class Finder {
     return [
       ...this.store.names.map((name) => ({ text: `robot ${name}`, act: done(() => this.select(name)) })),
       ...PANELS.filter((name) => !document.querySelector(`[data-panel=${name}].panel`).hidden).map((name) => ({ text: `panel ${name}`, act: done(() => this.answers.go(name)) })),
-      ...[...document.querySelectorAll("#stop, #control button, #virtual button")].filter((each) => each.offsetParent).map((each) => ({ text: each.textContent, act: done(() => each.click()) })),
+      ...[...document.querySelectorAll("#stop, #control button, #virtual button")].filter((each) => each.offsetParent).map((each) => ({ text: each.ariaLabel ?? each.textContent, act: done(() => each.click()) })),
       { text: "light or dark", act: done(() => this.toggleTheme()) },
       { text: "arrange panels", act: done(() => this.layout.arrange()) },
     ];

@@ -1,6 +1,6 @@
 // A row a robot: the app's own value first, what it does, its body and its way to the others.
 
-import { scaled, short } from "../numbers.js";
+import { column, largest, scaled } from "../numbers.js";
 import { held } from "../series.js";
 
 const SPARK_MS = 400;
@@ -57,20 +57,23 @@ export class Robots {
       this.rows.delete(name);
     }
     const at = this.store.swarm?.recording || this.store.looking ? this.store.t : Infinity;
-    const newest = (entry, name) => (entry ? held(this.series.points(entry, name), at)?.[1] : undefined);
-    const scales = [[own, value], [wrong, error]].map(([entry, of]) => (entry ? scaled(of.unit, Math.max(0, ...names.map((name) => Math.abs(newest(entry, name) ?? 0)))) : { unit: "", factor: 1 }));
-    this.head("value", value ? `${value.label}${scales[0].unit ? `, ${scales[0].unit}` : ""}` : "value");
-    this.head("place error", `place ${error && !error.truth ? "deviation" : "error"}, ${scales[1].unit || "m"}`);
+    const columns = [[own, value], [wrong, error]].map(([entry, of]) => {
+      const newest = names.map((name) => (entry ? held(this.series.points(entry, name), at)?.[1] : undefined));
+      const { unit, factor } = scaled(of?.unit ?? "", largest(newest.map((each) => Math.abs(each ?? 0))));
+      const told = newest.map((each) => (each === undefined ? each : each * factor)), text = column(told);
+      return { unit, cells: told.map((each) => (each === undefined ? "-" : text(each))) };
+    });
+    this.head("value", value ? `${value.label}${columns[0].unit ? `, ${columns[0].unit}` : ""}` : "value");
+    this.head("place error", `place ${error && !error.truth ? "deviation" : "error"}, ${columns[1].unit || "m"}`);
     this.head("step", this.focus.kind === "lockstep" ? "iteration" : this.focus.kind === "periodic" ? "step" : "changes");
     this.table.dataset.kind = this.focus.kind;
-    for (const name of names) {
+    names.forEach((name, index) => {
       const row = this.rows.get(name) ?? this.row(name);
       const chosen = String(name === selected), title = row.called;
       if (row.ariaSelected !== chosen) row.ariaSelected = chosen;
       const text = this.store.get(name, "view/reach")?.by === "mesh" ? `${name} (mesh)` : name;
       if (title.data !== text) title.data = text;
-      const [mine, off] = [newest(own, name), newest(wrong, name)];
-      const cells = [[mine === undefined ? "-" : short(mine * scales[0].factor), "b"], [off === undefined ? "-" : short(off * scales[1].factor)], ...this.cells(name)];
+      const cells = [[columns[0].cells[index], "b"], [columns[1].cells[index]], ...this.cells(name)];
       const worst = ["bad", "warn"].find((kind) => cells.some(([, each = ""]) => each.split(" ")[0] === kind)) ?? "";
       if (row.dataset.kind !== worst) row.dataset.kind = worst;
       cells.forEach(([text, kind = ""], index) => {
@@ -80,7 +83,7 @@ export class Robots {
         const head = this.heads.get(COLUMNS[index][0]).textContent;
         if (cell.dataset.label !== head) cell.dataset.label = head; // for cards
       });
-    }
+    });
     if (own && now > this.sparked + SPARK_MS && names.length <= 30) {
       this.sparked = now;
       for (const [name, row] of this.rows) this.spark(row, this.series.points(own, name), this.store.colour(name), at, value.held);

@@ -1,10 +1,14 @@
 // The recordings of a folder: one is shown (A), another one may stand beside it (B), and what they differ in.
 
-import { median, short, write } from "../numbers.js";
+import { largest, median, scaled, short, write } from "../numbers.js";
+import { held, isDistance } from "../series.js";
+
+const STEPS = 500; // of a run, of which each is looked at
+const SMALL = 0.05;
 
 export class Runs {
-  constructor(panel, difference, { store, series, values, ask }) {
-    Object.assign(this, { panel, difference, store, series, values, ask });
+  constructor(panel, difference, { store, series, focus, values, ask }) {
+    Object.assign(this, { panel, difference, store, series, focus, values, ask });
     this.list = panel.querySelector(".scroll");
     this.main = document.querySelector("main");
     this.button = document.querySelector("#runs-open");
@@ -73,19 +77,33 @@ export class Runs {
 
   // Parameters that differ, how long, and the value that is charted at the end of each.
   rows(beside) {
-    const a = this.store.swarm.parameters ?? {}, b = beside.parameters ?? {}, both = (x, y) => (typeof x === "number" && typeof y === "number" ? y - x : "");
+    const a = this.store.swarm.parameters ?? {}, b = beside.parameters ?? {}, compared = (x, y) => [x, y, typeof x === "number" && typeof y === "number" ? y - x : ""];
     const differ = [...new Set([...Object.keys(a), ...Object.keys(b)])].filter((name) => JSON.stringify(a[name]) !== JSON.stringify(b[name]));
-    const rows = differ.map((name) => [name, a[name], b[name], both(a[name], b[name])]);
+    const rows = differ.map((name) => [name, ...compared(a[name], b[name])]);
     const long = ({ first, last }) => last - first;
-    rows.push(["length, s", long(this.store.swarm.recording), long(beside), both(long(this.store.swarm.recording), long(beside))]);
-    const value = this.values.shown, entry = value && this.series.want(value);
-    if (entry) {
-      const ends = (of) => this.series.robots(entry, of).map((name) => this.series.points(entry, name, of).at(-1)[1]);
-      const [mine, its] = [ends("rows"), ends("beside")];
+    const tenths = (value) => +value.toFixed(1);
+    rows.push(["length, s", ...compared(tenths(long(this.store.swarm.recording)), tenths(long(beside)))]);
+    const shown = this.values.shown;
+    for (const value of [shown, this.focus.error()]) {
+      const entry = value && this.series.want(value), [mine, its] = ["rows", "beside"].map((of) => (entry ? this.series.robots(entry, of).map((name) => this.series.points(entry, name, of)) : []));
+      if (!mine.length || !its.length) continue;
+      if (value === shown) rows.push([`${value.label}, stays below 5 % of its most after, s`, ...compared(settled(mine, value), settled(its, value))]);
+      const [a, b] = [mine, its].map((all) => all.map((points) => points.at(-1)[1])), { unit, factor } = scaled(value.unit, largest([...a, ...b].map(Math.abs)));
       for (const [what, f] of [["largest", (ys) => Math.max(...ys)], ["median", median], ["spread", (ys) => Math.max(...ys) - Math.min(...ys)]]) {
-        if (mine.length && its.length) rows.push([`${value.label}, ${what} at the end${value.unit ? `, ${value.unit}` : ""}`, f(mine), f(its), both(f(mine), f(its))]);
+        rows.push([`${value.label}, ${what} at the end${unit ? `, ${unit}` : ""}`, ...compared(f(a) * factor, f(b) * factor)]);
       }
     }
     return rows;
   }
+}
+
+// When the worst of all robots, or how far they are apart, stays below a small share of its most, s; null: never.
+function settled(all, value) {
+  const first = Math.min(...all.map((points) => points[0][0])), last = Math.max(...all.map((points) => points.at(-1)[0])), rows = [];
+  for (let step = 0; step <= STEPS; step += 1) {
+    const t = first + ((last - first) * step) / STEPS, ys = all.map((points) => held(points, t)?.[1]).filter((each) => each !== undefined);
+    if (ys.length) rows.push([t, Math.max(...ys) - (isDistance(value) ? 0 : Math.min(...ys))]);
+  }
+  const bound = SMALL * largest(rows.map(([, y]) => y)), index = rows.findLastIndex(([, y]) => y > bound) + 1;
+  return index < rows.length ? +rows[index][0].toFixed(1) : null;
 }

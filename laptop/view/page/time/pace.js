@@ -24,7 +24,7 @@ export class Pace {
       this.speed.value = speed;
     }
     const behind = pace.speed !== null && pace.actual < 0.9 * pace.speed && !pace.paused && this.store.live;
-    const text = `${this.store.t.toFixed(2)} s${pace.paused || !this.store.live ? "" : `, ${+pace.actual.toPrecision(2)} s a second`}${behind ? ": as fast as it computes" : ""}`;
+    const text = pace.paused || !this.store.live ? "" : `${+pace.actual.toPrecision(2)} s a second${behind ? ", as fast as it computes" : ""}`;
     if (this.output.textContent !== text) this.output.textContent = text;
   }
 }

@@ -61,7 +61,7 @@ def test_nothing_violates_wcag_aa(page: Any) -> None:
     page.evaluate(ACTS)
     page.evaluate("swarmView.select('r1')")
     expect(page.locator("#control")).to_be_visible(timeout=PATIENCE_MS)
-    until(page, "document.querySelector('#controls').children.length > 4")
+    until(page, "document.querySelectorAll('#controls button').length > 4")
     assert found(page) == []
     page.evaluate("swarmView.layout.arrange()")
     assert found(page, "#arrange") == []

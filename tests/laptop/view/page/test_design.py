@@ -1,6 +1,7 @@
 """The design's acceptance checks, in a real browser: what is in sight without a click, and on which screens."""
 
 import itertools
+import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,8 +29,9 @@ INSIDE = """(selector) => [...document.querySelectorAll(selector)].every((each) 
 })"""
 
 ON_TOP = """(() => {
-  const {left, top, width, height} = document.querySelector("#stop").getBoundingClientRect();
-  return document.elementFromPoint(left + width / 2, top + height / 2)?.id === "stop" && width >= 44 && height >= 34;
+  const {left, right, top, width, height} = document.querySelector("#stop").getBoundingClientRect();
+  const found = document.elementFromPoint(left + width / 2, top + height / 2)?.id;
+  return found === "stop" && width >= 44 && height >= 34 && left >= 0 && right <= innerWidth;
 })()"""
 
 CUT = """(() => [...document.querySelectorAll(
@@ -91,6 +93,8 @@ def test_five_answers_and_six_panels_are_in_sight_and_a_cut_link_is_named(waitin
     held = waiting.locator("[data-answer=held] b")
     expect(held).to_contain_text("Link r2–r3 down", timeout=PATIENCE_MS)
     expect(waiting.locator("[data-answer=held] small")).to_contain_text("all 6 wait")
+    lasts = float(re.search(r"down, ([\d.]+) s", held.text_content())[1])
+    assert lasts > 3, "since nothing was heard on it, not since the last word about it"
     expect(waiting.locator("[data-answer=converging] b")).to_have_text("Held")
     for selector in ("#answers button", "#bar", "footer", *(f"#{each}" for each in SIX)):
         assert waiting.evaluate(INSIDE, selector), selector
@@ -122,6 +126,7 @@ def test_nothing_is_cut_and_stop_is_on_top_on_any_screen(browser: Any, waits: Pa
         assert page.evaluate(LAID_OUT)
         page.evaluate(ACTS)
         expect(page.locator("#stop")).to_be_visible(timeout=PATIENCE_MS)
+        page.evaluate("for (const known of swarmView.store.robots.values()) known.set('mesh/stopped', {stopped: true})")
         for act in (
             "scrollTo(0, 0)",
             "scrollTo(0, document.body.scrollHeight)",
@@ -171,6 +176,36 @@ def test_a_name_that_would_cover_another_one_moves_at_once(waiting: Any) -> None
 
 
 @pytest.mark.slow
+def test_what_several_robots_tell_at_once_is_one_line_of_events(waiting: Any) -> None:
+    told = [
+        *((0.1, f"r{n}", "info", f"link to r{n + by} up") for n in range(1, 4) for by in (-1, 1)),
+        *((0.3 + 0.1 * n, f"r{n}", "info", "app/consensus running") for n in range(6)),
+        *((5.0, robot, "warning", f"link to {peer} suspect") for robot, peer in (("r3", "r2"), ("r2", "r3"))),
+        (7.0, "r2", "warning", "link to r3 down: silent for 3 s"),
+        (8.0, "r1", "warning", "app/consensus waiting for r2"),
+        (8.2, "r4", "warning", "app/consensus waiting for r3"),
+        (9.5, "r5", "warning", "app/consensus waiting for r4"),
+    ]
+    lines = waiting.evaluate(
+        """async (told) => {
+          const { Events } = await import("/page/panels/events.js");
+          const panel = document.querySelector("#events").cloneNode(true), events = new Events(panel, swarmView.store);
+          events.draw(told.map(([t, robot, level, text], at) => ({ number: at + 1, t, robot, level, text })));
+          return [...panel.querySelectorAll("li")].map((line) => line.lastChild.textContent);
+        }""",
+        told,
+    )
+    assert lines == [
+        "r5 consensus waiting for r4",
+        "r1 r4 consensus waiting for r2 r3",
+        "r2–r3 link down: silent for 3 s",
+        "r2–r3 link suspect",
+        "all consensus running",
+        "4 links up",
+    ]
+
+
+@pytest.mark.slow
 def test_a_run_beside_is_at_the_same_instant_and_its_differences_are_told(
     browser: Any, waits: Path, forms: Path
 ) -> None:
@@ -178,7 +213,8 @@ def test_a_run_beside_is_at_the_same_instant_and_its_differences_are_told(
         seek(page, 4)
         page.keyboard.press("r")
         page.get_by_role("button", name="put waits beside").click(timeout=PATIENCE_MS)
-        expect(page.locator("#difference tbody")).to_contain_text("length, s", timeout=PATIENCE_MS)
+        for measure in ("length, s", "Position error, median at the end, cm"):
+            expect(page.locator("#difference tbody")).to_contain_text(measure, timeout=PATIENCE_MS)
         seek(page, 5)
         until(page, "Object.keys(swarmView.store.besidePlaces ?? {}).length === 6")
         page.get_by_role("button", name="show waits").click()
@@ -197,6 +233,9 @@ def test_both_of_two_runs_are_distances_from_their_means_on_a_logarithmic_axis(b
         page.locator("#values [data-log=log]").click()
         until(page, f"{lines}.length === 13 && {lines}[1][0] < 3")  # from the mean, which is 2.6, not from zero
         assert page.evaluate(f"JSON.stringify({lines}.slice(1, 7)) === JSON.stringify({lines}.slice(7))")
+        settled = page.locator("#difference tr", has_text="stays below 5 % of its most after, s").locator("td")
+        expect(settled.last).to_have_text("0", timeout=PATIENCE_MS)
+        assert 0.3 < float(settled.nth(1).text_content()) < 5
 
 
 @pytest.mark.slow
