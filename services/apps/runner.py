@@ -34,8 +34,6 @@ BUILT_IN = "services.apps.builtin."
 class AppRunner:
     """What runners of all kinds of apps share: the app's state and result, and its faults in words."""
 
-    __slots__ = ("_columns", "app", "k", "metrics", "schema", "source")
-
     def __init__(self, app: BaseApp, source: str) -> None:
         """`source`: path of the app's file; a fault is reported with the line in it."""
         self.app = app
@@ -134,8 +132,6 @@ def metrics_of(kind: type[BaseApp]) -> tuple[str, ...]:
 
 class Runner(AppRunner):
     """Drives one app of the synchronous kind from state to state."""
-
-    __slots__ = ("_changes", "_step", "_tolerance", "changed")
 
     app: SyncApp
 

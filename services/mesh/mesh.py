@@ -99,28 +99,6 @@ class Mesh:
     """The mesh of one robot. Only one call at a time may run: other threads use its methods through
     `Surroundings.entry`."""
 
-    __slots__ = (
-        "_bus",
-        "_changed",
-        "_clock_key",
-        "_deadline",
-        "_dials",
-        "_heard",
-        "_keep",
-        "_keeping",
-        "_links_key",
-        "_look",
-        "_node",
-        "_reporting",
-        "_role_of",
-        "_surroundings",
-        "_topology_key",
-        "_transport",
-        "robot",
-        "running",
-        "subscriptions",
-    )
-
     def __init__(
         self,
         config: Config,

@@ -51,8 +51,6 @@ class Watched:
     """What the reading thread waits for, by descriptor. Made when it changes: a robot with five neighbours is woken 130
     times a second, and would else ask each of them every time."""
 
-    __slots__ = ("_blocked", "_calm", "_readers", "pipes", "restless")
-
     def __init__(self, always: Sequence[int], pipes: Mapping[Session, Pipe], blocked: Mapping[Session, Pipe]) -> None:
         """`always`: descriptors besides the pipes'; `blocked`: pipes whose socket is full."""
         self.pipes = {pipe.fileno(): (session, pipe) for session, pipe in pipes.items()}

@@ -22,8 +22,6 @@ SMALL = 12
 class Call:
     """One attempt to make a link."""
 
-    __slots__ = ("called", "caller", "done", "link", "step", "timeout")
-
     def __init__(self, caller: str, called: str, timeout: float, done: Callable[[RadioLink | None, str], None]) -> None:
         self.caller, self.called, self.timeout = caller, called, timeout
         self.done = done

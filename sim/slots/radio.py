@@ -49,8 +49,6 @@ class Clock(Protocol):
 
 
 class _Frame:
-    __slots__ = ("arrived", "left", "size")
-
     def __init__(self, size: int, arrived: Callable[[], None]) -> None:
         self.size = self.left = size
         self.arrived = arrived
@@ -58,8 +56,6 @@ class _Frame:
 
 class LinkEnd:
     """What one end of a link has to send."""
-
-    __slots__ = ("delivered_at", "device", "got", "heard", "held", "ready_at", "waiting")
 
     def __init__(self, device: "Device", now: float) -> None:
         self.device = device
@@ -85,9 +81,6 @@ class LinkEnd:
 class RadioLink:
     """One link of the baseband."""
 
-    __slots__ = ("central", "lost", "misses", "more", "peripheral", "polled", "supervision", "up", "used",
-                 "watch")  # fmt: skip
-
     def __init__(self, central: LinkEnd, peripheral: LinkEnd, now: float) -> None:
         self.central, self.peripheral = central, peripheral
         self.supervision = 0.0
@@ -110,9 +103,6 @@ class RadioLink:
 
 class Device:
     """The controller of one robot."""
-
-    __slots__ = ("busy", "central_of", "held", "links", "name", "polled", "ready", "roles", "scanning", "serving",
-                 "switching", "tuned", "turn", "until")  # fmt: skip
 
     def __init__(self, name: str) -> None:
         self.name = name

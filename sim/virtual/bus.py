@@ -64,15 +64,6 @@ class VirtualSubscription:
 class VirtualBus:
     """One session of a robot's bus."""
 
-    __slots__ = (
-        "_closed",
-        "_packer",
-        "_router",
-        "_time",
-        "counters",
-        "targets",
-    )
-
     connected = True
 
     def __init__(self, router: VirtualRouter) -> None:

@@ -13,8 +13,6 @@ from sim.virtual.events import Time
 class PeriodicPublisher:
     """Calls at fixed intervals; falls asleep where nobody hears its keys, and goes on in step when somebody does."""
 
-    __slots__ = ("_bus", "_call", "_keys", "_last", "_period", "_time")
-
     def __init__(
         self, time: Time, bus: VirtualBus, keys: tuple[str, ...], period: float, first: float, call: Callable[[], None]
     ) -> None:

@@ -22,8 +22,6 @@ _LOG.propagate = False
 class VirtualRuntime:
     """See `swarm.process.runtime.Runtime`. Each service of a robot has one of its own, as it has a process."""
 
-    __slots__ = ("_time", "at", "bus", "robot", "soon")
-
     log = _LOG
 
     def __init__(self, robot: str, time: Time, bus: VirtualBus) -> None:

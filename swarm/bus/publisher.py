@@ -11,8 +11,6 @@ _CERTAIN_S = 1.0
 class Audience:
     """Whether anybody listens to a key, as far as the router has told."""
 
-    __slots__ = ("certain_at", "there")
-
     def __init__(self) -> None:
         self.doubt()
 
@@ -32,8 +30,6 @@ class Publisher:
     Zenoh would not send that either. But what decides so is not in the processor's caches when a message comes: a
     twentieth of a mesh's CPU time was in Zenoh's library for what nobody heard.
     """
-
-    __slots__ = ("_listener", "_publisher", "audience")
 
     def __init__(self, session: zenoh.Session, key: str, *, urgent: bool) -> None:
         """Raises `zenoh.ZError` where the bus does not take the key."""

@@ -79,8 +79,6 @@ _TOLD_OF_ALL = ("/status", "/progress")
 class _Packed:
     """A sample as it came, and what it says once somebody has asked."""
 
-    __slots__ = ("payload", "value")
-
     def __init__(self, payload: bytes) -> None:
         self.payload = payload
         self.value: object = None

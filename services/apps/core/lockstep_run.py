@@ -54,29 +54,6 @@ Action = lockstep_actions.Action | epoch_actions.Action | Renew
 class LockstepRun:
     """What a driver asks, tells and carries out; see the module's text for its two sides."""
 
-    __slots__ = (
-        "_began_at",
-        "_first_save",
-        "_graph",
-        "_heard",
-        "_history",
-        "_lockstep",
-        "_me",
-        "_program",
-        "_progress_at",
-        "_stopping",
-        "channel",
-        "computed_at",
-        "epochs",
-        "lost",
-        "new",
-        "phase",
-        "reason",
-        "rtt",
-        "terms",
-        "waiting",
-    )
-
     def __init__(
         self,
         me: str,

@@ -80,18 +80,6 @@ class LoopLink(Protocol):
 class BusSide:
     """The bus side of one balancer."""
 
-    __slots__ = (
-        "_keys",
-        "_logged",
-        "_loop",
-        "_mode",
-        "_notices",
-        "_notices_since",
-        "_now",
-        "_process",
-        "_throttle",
-    )
-
     def __init__(self, process: Process, now: Now, loop: LoopLink) -> None:
         self._process = process
         self._now = now

@@ -114,16 +114,6 @@ class _Rule(NamedTuple):
 class KeyRelay:
     """The rules of one robot."""
 
-    __slots__ = (
-        "_held",
-        "_me",
-        "_peers",
-        "_robots",
-        "_routes",
-        "_rules",
-        "subscriptions",
-    )
-
     def __init__(
         self, me: str, peers: Sequence[str], rules: Sequence[RelayRule], robots: Collection[str] | None = None
     ) -> None:

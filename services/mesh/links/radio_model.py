@@ -88,8 +88,6 @@ class AirModel:
 class DelayLine:
     """One direction of one link."""
 
-    __slots__ = ("_chunks", "_last_arrival", "_model", "_numbers", "free_at")
-
     def __init__(self, model: AirModel, numbers: Numbers | None) -> None:
         """`numbers` are seeded for this direction of this link; None where the model draws none."""
         self._model = model

@@ -26,8 +26,6 @@ class NoSnapshots:
 class MemorySnapshots:
     """See `services.apps.persistence.storage.Snapshots`."""
 
-    __slots__ = ("_kept",)
-
     def __init__(self, count: int) -> None:
         self._kept: deque[bytes] = deque(maxlen=count)
 
@@ -45,8 +43,6 @@ class MemorySnapshots:
 
 class MemoryVotes:
     """See `services.apps.persistence.storage.Votes`."""
-
-    __slots__ = ("_kept",)
 
     lost = False
 
@@ -67,8 +63,6 @@ class MemoryVotes:
 
 class MemoryStorage:
     """See `services.apps.persistence.storage.Storage`. Of one robot."""
-
-    __slots__ = ("_snapshots", "_votes")
 
     def __init__(self, *, snapshots: bool = False) -> None:
         """`snapshots`: whether a process may end, so that the next one wants them."""

@@ -15,8 +15,6 @@ class TrajectoryBuilder:
     two in eight and so on, so that iterations can still be measured over a window.
     """
 
-    __slots__ = ("_breaks", "_every", "_keep", "_ks", "_last", "_lines", "_source", "_times")
-
     def __init__(self, *, keep: bool) -> None:
         self._keep = keep
         self._ks, self._times = array("q"), array("d")

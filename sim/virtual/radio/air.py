@@ -57,8 +57,6 @@ class ConnectionEnd:
     """One end of a connection, and the ways from and to it: who sends has no need to look at the other end, nor who
     receives. In a large swarm each look is one into memory that no cache holds."""
 
-    __slots__ = ("alive", "due", "inward", "line", "other", "session", "socket", "station", "waits")
-
     def __init__(self, station: "Station", line: DelayLine, inward: DelayLine, due: Due) -> None:
         self.station = station
         self.line = line
@@ -79,8 +77,6 @@ class ConnectionEnd:
 
 class Station:
     """The connections of one robot's mesh; see `services.mesh.surroundings.Transport`."""
-
-    __slots__ = ("_air", "_ends", "_mesh", "_timer", "robot", "time")
 
     def __init__(self, robot: str, time: Time, air: Medium) -> None:
         self.robot = robot

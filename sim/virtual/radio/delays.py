@@ -33,18 +33,6 @@ Message = tuple[tuple[OnSample, ...], str, bytes]
 class DelayMesh:
     """What carries one robot's messages to its neighbours."""
 
-    __slots__ = (
-        "_bus",
-        "_cuts",
-        "_due",
-        "_lines",
-        "_meshes",
-        "_relay",
-        "_time",
-        "robot",
-        "sent",
-    )
-
     def __init__(
         self, config: Config, robot: str, peers: tuple[str, ...], model: AirModel, time: EventQueue, bus: VirtualBus
     ) -> None:

@@ -48,8 +48,6 @@ class Common:
 class VirtualMesh(Mesh):
     """One robot's mesh."""
 
-    __slots__ = ("_station",)
-
     def __init__(
         self,
         common: Common,

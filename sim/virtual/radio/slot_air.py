@@ -15,8 +15,6 @@ from swarm.bluetooth.hci import SUPERVISION_SHARE
 class SlotEnd:
     """One end of a connection."""
 
-    __slots__ = ("alive", "backlog", "link", "other", "session", "station")
-
     def __init__(self, station: Station, link: RadioLink) -> None:
         self.station = station
         self.link = link

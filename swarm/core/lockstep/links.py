@@ -11,8 +11,6 @@ _NEVER = float("inf")
 class SilentLinks:
     """Learns from questions and from what comes over links; whatever comes over one ends its silence."""
 
-    __slots__ = ("_asked", "around", "due")
-
     def __init__(self) -> None:
         self._asked: tuple[str, ...] = ()
         """Who was asked, and has said nothing over its link since."""

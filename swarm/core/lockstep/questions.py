@@ -18,8 +18,6 @@ WANT_AFTER_MOST = 1.0
 class QuestionTimes:
     """The time of the next question. It learns how long iterations take."""
 
-    __slots__ = ("_asked_at", "_late_after", "_recent", "due", "interval")
-
     def __init__(self) -> None:
         self.due = 0.0
         """When to ask."""

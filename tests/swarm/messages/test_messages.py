@@ -3,8 +3,6 @@
 import dataclasses
 import math
 import re
-import subprocess
-import sys
 import types
 import typing
 from pathlib import Path
@@ -15,7 +13,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarm import messages
 from swarm.errors import PayloadError
 from swarm.messages import AppState, SetLeds, SetMode, Status, Stop, read, topics, type_of
 from swarm.messages.codec import decode, encode
@@ -173,30 +170,6 @@ def test_type_of(text: str, kind: type | None) -> None:
 def test_every_topic_is_found_under_its_key() -> None:
     for (service, topic), kind in topics().items():
         assert type_of(key("r0", service.replace("*", "mesh"), topic.replace("*", "max"))) is kind
-
-
-def test_every_name_is_to_be_had_though_nothing_is_imported_before() -> None:
-    source = Path(str(messages.__file__)).read_text().partition("if TYPE_CHECKING")[2].partition("_NAMES =")[0]
-    imported = re.findall(r"^    from swarm\.messages\.(\w+) import (?:\(([^)]*)\)|(.*))$", source, re.MULTILINE)
-    assert {module: sorted(re.findall(r"\w+", names + more)) for module, names, more in imported} == {
-        module: sorted(names.split()) for module, names in messages._NAMES.items()
-    }
-    for name in messages._HOMES:
-        found = vars(messages).get(name) or messages.__getattr__(name)
-        assert found.__name__ == name
-    with pytest.raises(AttributeError, match="no attribute 'Nonsense'"):
-        messages.__getattr__("Nonsense")
-
-
-def test_a_process_makes_only_the_messages_that_it_speaks() -> None:
-    code = "import sys, services.bus.__main__; print(*sorted(m for m in sys.modules if m.startswith('swarm.messages')))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == [
-        "swarm.messages",
-        "swarm.messages.codec",
-        "swarm.messages.keys",
-        "swarm.messages.service",
-    ]
 
 
 def test_an_unknown_key_is_refused_by_name() -> None:

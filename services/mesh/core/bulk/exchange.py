@@ -6,6 +6,7 @@ come: one that asks for a piece which is not there yet gets it when it is.
 """
 
 from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass, field
 
 from services.mesh.core.bulk import pieces
 from services.mesh.core.bulk.pieces import GONE, PIECE, SIZE, WANT, Fetch, MessageId, Pace, Packet
@@ -27,15 +28,13 @@ COUNTERS = ("pieces_sent", "pieces_repeated", "pieces_useless", "large_incomplet
 _NEVER = float("inf")
 
 
+@dataclass(eq=False)
 class _Source:
     """A robot that we fetch from."""
 
-    __slots__ = ("fetches", "pace", "timeouts")
-
-    def __init__(self) -> None:
-        self.pace = Pace()
-        self.fetches: dict[MessageId, Fetch] = {}
-        self.timeouts = 0
+    pace: Pace = field(default_factory=Pace)
+    fetches: dict[MessageId, Fetch] = field(default_factory=dict)
+    timeouts: int = 0
 
     @property
     def asked(self) -> int:

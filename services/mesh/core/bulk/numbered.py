@@ -7,6 +7,7 @@ keeps it, and repeats it as the overlay says. Small messages of unicast (`overla
 
 from collections import OrderedDict, deque
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Generic, NamedTuple, TypeVar
 
 INCARNATIONS = 4
@@ -18,8 +19,6 @@ _NEVER = float("inf")
 class SeenNumbers:
     """Sequence numbers from 1 up, in any order, in constant memory: the highest, and one bit for each of those just
     below it. What is too old to tell counts as seen."""
-
-    __slots__ = ("_bits", "highest", "size")
 
     def __init__(self, size: int) -> None:
         self.size = size
@@ -65,22 +64,20 @@ class SeenLives:
         return seen
 
 
+@dataclass(eq=False)
 class Outgoing:
     """An own message until its end."""
 
-    __slots__ = ("deadline", "key", "next_at", "number", "payload", "to", "token", "wait")
-
-    def __init__(self, token: object, to: str, key: str, payload: bytes, deadline: float) -> None:
-        self.token = token
-        self.to = to
-        self.key = key
-        self.payload = payload
-        self.deadline = deadline
-        self.number = 0
-        """0 while it waits for its turn."""
-        self.wait = 0.0
-        self.next_at = _NEVER
-        """When it is to be repeated."""
+    token: object
+    to: str
+    key: str
+    payload: bytes
+    deadline: float
+    number: int = 0
+    """0 while it waits for its turn."""
+    wait: float = 0.0
+    next_at: float = _NEVER
+    """When it is to be repeated."""
 
 
 class Limits(NamedTuple):
@@ -98,13 +95,11 @@ class Limits(NamedTuple):
 M = TypeVar("M", bound=Outgoing)
 
 
+@dataclass(eq=False)
 class _Receiver(Generic[M]):
-    __slots__ = ("next_number", "under_way", "waiting")
-
-    def __init__(self) -> None:
-        self.next_number = 1
-        self.under_way: dict[int, M] = {}
-        self.waiting: deque[M] = deque()
+    next_number: int = 1
+    under_way: dict[int, M] = field(default_factory=dict)
+    waiting: deque[M] = field(default_factory=deque)
 
 
 class Outbound(Generic[M]):

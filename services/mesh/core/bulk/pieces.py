@@ -282,9 +282,6 @@ REORDERED = 3
 class Fetch:
     """One message on its way here, from one robot at a time."""
 
-    __slots__ = ("_again", "_asked", "_next", "_parts", "_repeated", "_serial", "began", "count", "have", "heard", "id",
-                 "source", "sources", "total")  # fmt: skip
-
     def __init__(self, id: MessageId, total: int, now: float) -> None:
         self.id = id
         self.total = total

@@ -10,6 +10,7 @@ apart in a window, so that a late or repeated offer leads to the same answer and
 
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from services.mesh.core.bulk import pieces
 from services.mesh.core.bulk.exchange import BulkExchange, total_of
@@ -48,18 +49,15 @@ COUNTERS = ("unicast_large_later",)
 _NEVER = float("inf")
 
 
+@dataclass(eq=False)
 class Parcel(Outgoing):
     """An own message until its end."""
 
-    __slots__ = ("done", "heard")
-
-    def __init__(self, token: object, to: str, key: str, payload: bytes, deadline: float) -> None:
-        super().__init__(token, to, key, payload, deadline)
-        self.done = 0
-        """Bytes the receiver has, as it says."""
-        self.heard = 0.0
-        """When the receiver last said something."""
-        self.wait = FIRST_WAIT
+    done: int = 0
+    """Bytes the receiver has, as it says."""
+    heard: float = 0.0
+    """When the receiver last said something."""
+    wait: float = FIRST_WAIT
 
 
 class Transfers:

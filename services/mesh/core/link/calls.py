@@ -20,7 +20,7 @@ was set up wrongly dials with a back-off of its own, and who forges its address 
 
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.auth import newest_common
@@ -217,13 +217,11 @@ LONGEST_FAR, LONGEST_NEAR = 30.0, 300.0
 _NEVER = float("inf")
 
 
+@dataclass(eq=False)
 class _Target:
-    __slots__ = ("failures", "far", "next_at")
-
-    def __init__(self, far: bool, next_at: float) -> None:
-        self.far = far
-        self.failures = 0
-        self.next_at = next_at
+    far: bool
+    next_at: float
+    failures: int = 0
 
 
 class Search:

@@ -14,6 +14,7 @@ mean delays stays as an error of each hop, and cannot be observed.
 import math
 import struct
 from collections import deque
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from services.mesh.core.link.round_trips import MAX_APART
@@ -168,8 +169,6 @@ class ClockFit(NamedTuple):
 class LinkClock:
     """Offset between a neighbour's monotonic clock and ours."""
 
-    __slots__ = ("_samples", "_unfitted", "fit")
-
     def __init__(self) -> None:
         self._samples: deque[tuple[float, float, float]] = deque(maxlen=_MAX_SAMPLES)
         self._unfitted = 0
@@ -212,16 +211,14 @@ class LinkClock:
         return ClockFit(at, mean, skew, math.sqrt(rest / count), skew_error)
 
 
+@dataclass(eq=False)
 class _Neighbour:
     """What one neighbour told, and how its clock compares."""
 
-    __slots__ = ("advanced", "claim", "link")
-
-    def __init__(self) -> None:
-        self.link = LinkClock()
-        self.claim: ClockClaim | None = None
-        self.advanced = -math.inf
-        """When it last told a new epoch of the root that it claims."""
+    link: LinkClock = field(default_factory=LinkClock)
+    claim: ClockClaim | None = None
+    advanced: float = -math.inf
+    """When it last told a new epoch of the root that it claims."""
 
 
 class ClockSync:

@@ -19,6 +19,7 @@ half as soon as a link is busy, without a byte in any queue, and a window steere
 
 import struct
 from collections import Counter
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from services.mesh.core.link.round_trips import RoundTrips
@@ -86,27 +87,19 @@ def decode_fragment(body: bytes) -> Fragment:
     return Fragment(channel, number, last, total, body[size:])
 
 
+@dataclass(eq=False)
 class _Incomplete:
     """What has come of one message."""
 
-    __slots__ = ("data", "heard", "next", "total")
-
-    def __init__(self, total: int) -> None:
-        self.total = total
-        self.data = bytearray()
-        """What has come. Not a list of fragments: each of a few bytes would cost fifty."""
-        self.next = 0
-        self.heard = 0.0
+    total: int
+    data: bytearray = field(default_factory=bytearray)
+    """What has come. Not a list of fragments: each of a few bytes would cost fifty."""
+    next: int = 0
+    heard: float = 0.0
 
 
 class Reassembly:
     """The incomplete messages of one peer, on one connection."""
-
-    __slots__ = (
-        "_bytes",
-        "_counters",
-        "_messages",
-    )
 
     def __init__(self, counters: Counter[str]) -> None:
         """Counts in `incomplete` the messages it drops."""
@@ -220,8 +213,6 @@ def decode_ack(body: bytes) -> int:
 class Receipts:
     """The receiving side of one connection: which bytes are to be acknowledged."""
 
-    __slots__ = ("_acknowledged", "bulk", "taken")
-
     def __init__(self) -> None:
         self.taken = 0
         """Bytes taken off the stream so far."""
@@ -245,22 +236,6 @@ class Receipts:
 
 class SendWindow:
     """The sending side of one connection."""
-
-    __slots__ = (
-        "_busy_until",
-        "_from",
-        "_marks",
-        "_next_trial",
-        "_rate",
-        "_relieved",
-        "_rest",
-        "_round_trips",
-        "_since",
-        "_trial",
-        "acknowledged",
-        "limit",
-        "sent",
-    )
 
     def __init__(self) -> None:
         self.limit = float(FIRST_WINDOW)

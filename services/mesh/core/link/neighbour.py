@@ -48,24 +48,6 @@ class Holds:
 class Link:
     """One robot that this one has a link with, or is to have."""
 
-    __slots__ = (
-        "attempt",
-        "connection",
-        "dialler",
-        "dropped",
-        "lasting",
-        "peer",
-        "reason",
-        "received",
-        "received_bytes",
-        "refused",
-        "sent",
-        "sent_bytes",
-        "session",
-        "since",
-        "unanswered",
-    )
-
     def __init__(self, peer: str) -> None:
         self.peer = peer
         self.dialler: Dialler | None = None

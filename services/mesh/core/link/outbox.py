@@ -40,11 +40,6 @@ class Channels:
     """Our handles for the keys we send on one connection; when all are taken, the least recently used one is bound
     anew. Until then nobody looks who was used when."""
 
-    __slots__ = (
-        "_handles",
-        "_size",
-    )
-
     def __init__(self, size: int = MAX_CHANNELS) -> None:
         self._size = size
         self._handles: dict[str, int] = {}
@@ -112,19 +107,6 @@ class OutgoingPart(NamedTuple):
 
 class Outbox:
     """The queue of one connection."""
-
-    __slots__ = (
-        "_begun",
-        "_bulk",
-        "_counters",
-        "_credit",
-        "_latest",
-        "_sizes",
-        "_turns",
-        "_urgent",
-        "dropped",
-        "waiting",
-    )
 
     def __init__(self, counters: Counter[str]) -> None:
         """Counts in `overflowed` what was dropped because its class was full, in `pushed_back` what was refused for

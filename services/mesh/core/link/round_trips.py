@@ -35,8 +35,6 @@ deviation forgets within seconds that a link has been slow."""
 class RoundTrips:
     """Smoothed round-trip time, how far samples are from it, and the shortest one of late, all in s."""
 
-    __slots__ = ("_least", "_least_until", "deviation", "smoothed")
-
     def __init__(self) -> None:
         self.smoothed = 0.0
         """0 while none was measured."""
@@ -64,18 +62,6 @@ class RoundTrips:
 
 class Pulse:
     """One end of a connection, from heartbeat to heartbeat."""
-
-    __slots__ = (
-        "_peer_stamp",
-        "_peer_stamp_at",
-        "_rated",
-        "_round_trips",
-        "expected",
-        "received_rate",
-        "rtt",
-        "rtts",
-        "sent_rate",
-    )
 
     def __init__(self, now: float) -> None:
         self.rtt: float | None = None

@@ -16,6 +16,7 @@ its second try or before, that those who are left are all: this word (`final`) g
 import struct
 from collections import OrderedDict, deque
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from services.mesh.core.actions import Emit, Transmit
@@ -57,27 +58,25 @@ def decode_known(data: bytes) -> Known:
     return Known(incarnation, sequence, robots, bool(flags))
 
 
+@dataclass(eq=False)
 class _Flood:
     """One flood of which all are to know. Sets of robots are bits: bit i is robot i of all names, sorted."""
 
-    __slots__ = ("complete", "disturbed", "ends", "final", "goal", "key", "priority", "robots", "shared")
-
-    def __init__(self, key: str, priority: int, goal: int, ends: float) -> None:
-        self.key = key
-        self.priority = priority
-        self.goal = goal
-        """Who could be reached when it came here: who joins later is not waited for."""
-        self.ends = ends
-        """When it is forgotten."""
-        self.robots = 0
-        """Who has it, as far as is known here."""
-        self.shared: dict[str, int] = {}
-        """Of whom each neighbour has told us, or has been told."""
-        self.disturbed = False
-        self.complete = False
-        """Whether that was told here."""
-        self.final: set[str] | None = None
-        """Neighbours that have said or been told the origin's word; None without it."""
+    key: str
+    priority: int
+    goal: int
+    """Who could be reached when it came here: who joins later is not waited for."""
+    ends: float
+    """When it is forgotten."""
+    robots: int = 0
+    """Who has it, as far as is known here."""
+    shared: dict[str, int] = field(default_factory=dict)
+    """Of whom each neighbour has told us, or has been told."""
+    disturbed: bool = False
+    complete: bool = False
+    """Whether that was told here."""
+    final: set[str] | None = None
+    """Neighbours that have said or been told the origin's word; None without it."""
 
 
 class Completion:

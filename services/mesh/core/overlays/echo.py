@@ -43,8 +43,6 @@ class FloodId(NamedTuple):
 class Wave:
     """This robot's part in one confirmed flood."""
 
-    __slots__ = ("echoed_at", "ends", "key", "lost", "orphan", "parent", "pending", "priority", "robots", "spoken")
-
     def __init__(
         self, key: str, priority: int, parent: str | None, pending: set[str], robots: Collection[str], ends: float
     ) -> None:

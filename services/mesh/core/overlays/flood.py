@@ -9,6 +9,7 @@ link comes up and every 30 s, and hand each other what is missing.
 
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 
 from services.mesh.core.actions import Emit, Transmit
 from services.mesh.core.bulk import pieces
@@ -38,30 +39,25 @@ COUNTERS = ("flood_sent", "flood_duplicates", "flood_old", "flood_retries", "flo
 _NEVER = float("inf")
 
 
+@dataclass(eq=False)
 class Attempt:
     """An own flood whose end is awaited."""
 
-    __slots__ = ("all_know", "deadline", "first", "goal", "key", "patience", "payload", "priority", "robots", "settle",
-                 "token", "tries")  # fmt: skip
-
-    def __init__(
-        self, token: object, key: str, payload: bytes, priority: int, patience: float, settle: float, *, all_know: bool
-    ) -> None:
-        self.token = token
-        self.key = key
-        self.payload = payload
-        self.priority = priority
-        self.patience = patience
-        self.settle = settle
-        """s that echoes may still come after all edges have spoken."""
-        self.all_know = all_know
-        """Whether all are to learn that all have it, not this robot alone by an echo."""
-        self.first = 0
-        self.tries = 0
-        self.deadline = 0.0
-        self.robots: set[str] = set()
-        self.goal: set[str] = set()
-        """Who could be reached when it began."""
+    token: object
+    key: str
+    payload: bytes
+    priority: int
+    patience: float
+    settle: float
+    """s that echoes may still come after all edges have spoken."""
+    all_know: bool
+    """Whether all are to learn that all have it, not this robot alone by an echo."""
+    first: int = 0
+    tries: int = 0
+    deadline: float = 0.0
+    robots: set[str] = field(default_factory=set)
+    goal: set[str] = field(default_factory=set)
+    """Who could be reached when it began."""
 
 
 class FloodOverlay:

@@ -12,6 +12,7 @@ waits here, and is offered to it again.
 import zlib
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from services.mesh.core.actions import Emit, Transmit
@@ -51,19 +52,17 @@ class Kept(NamedTuple):
         return len(self.payload) + _OVERHEAD
 
 
+@dataclass(eq=False)
 class Origin:
     """What is known of one robot's floods."""
 
-    __slots__ = ("checksum", "floor", "incarnation", "latest", "window")
-
-    def __init__(self, incarnation: int) -> None:
-        self.incarnation = incarnation
-        self.window = SeenNumbers(WINDOW)
-        self.latest: dict[str, Kept] = {}
-        self.floor = 0
-        """Values up to this sequence were forgotten and are not to come back."""
-        self.checksum = 0
-        """Of keys and sequences of the kept values, in any order."""
+    incarnation: int
+    window: SeenNumbers = field(default_factory=lambda: SeenNumbers(WINDOW))
+    latest: dict[str, Kept] = field(default_factory=dict)
+    floor: int = 0
+    """Values up to this sequence were forgotten and are not to come back."""
+    checksum: int = 0
+    """Of keys and sequences of the kept values, in any order."""
 
 
 class Store:
@@ -216,19 +215,17 @@ COUNTERS = ("flood_lost", "repaired")
 _NEVER = float("inf")
 
 
+@dataclass(eq=False)
 class Neighbour:
     """What is under way to one neighbour."""
 
-    __slots__ = ("answered_at", "backlog", "backlog_bytes", "compare_at", "missing", "repair_at")
-
-    def __init__(self, compare_at: float) -> None:
-        self.compare_at = compare_at
-        self.answered_at = -_NEVER
-        self.missing: dict[tuple[str, str], None] = {}
-        """Values to be sent, by origin and key."""
-        self.backlog: deque[Transmit] = deque()
-        self.backlog_bytes = 0
-        self.repair_at = _NEVER
+    compare_at: float
+    answered_at: float = -_NEVER
+    missing: dict[tuple[str, str], None] = field(default_factory=dict)
+    """Values to be sent, by origin and key."""
+    backlog: deque[Transmit] = field(default_factory=deque)
+    backlog_bytes: int = 0
+    repair_at: float = _NEVER
 
 
 class CatchUp:

@@ -9,6 +9,7 @@ joins the echo when it has the whole message, so a complete flood means that.
 
 from collections import Counter, OrderedDict, deque
 from collections.abc import Callable, Collection
+from dataclasses import dataclass, field
 
 from services.mesh.core.bulk import pieces
 from services.mesh.core.bulk.exchange import BulkExchange, total_of
@@ -47,30 +48,26 @@ def patience(size: int) -> float:
     return size / SLOWEST
 
 
+@dataclass(eq=False)
 class _Coming:
     """A message on its way here."""
 
-    __slots__ = ("key", "packet", "waves")
-
-    def __init__(self, key: str, packet: Spread) -> None:
-        self.key = key
-        self.packet = packet
-        self.waves: deque[WaveId] = deque(maxlen=MAX_WAVES)
-        """The tries that wait for it. `Waves` forgets the oldest of more, so this does, too."""
+    key: str
+    packet: Spread
+    waves: deque[WaveId] = field(default_factory=lambda: deque(maxlen=MAX_WAVES))
+    """The tries that wait for it. `Waves` forgets the oldest of more, so this does, too."""
 
 
+@dataclass(eq=False)
 class _Held:
     """A message that others may fetch."""
 
-    __slots__ = ("have", "key", "payload", "until")
-
-    def __init__(self, payload: bytes, until: float, key: str) -> None:
-        self.payload = payload
-        self.until = until
-        self.key = key
-        """Of a latest value; empty otherwise."""
-        self.have: dict[str, int] = {}
-        """Pieces that those who ask for more have."""
+    payload: bytes
+    until: float
+    key: str
+    """Of a latest value; empty otherwise."""
+    have: dict[str, int] = field(default_factory=dict)
+    """Pieces that those who ask for more have."""
 
 
 class LargeFloods:

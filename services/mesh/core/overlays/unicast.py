@@ -14,6 +14,7 @@ the way. It has no number, so nobody acknowledges, repeats or keeps it.
 
 from collections import Counter, deque
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
 from services.mesh.core.actions import Emit, Transmit
@@ -77,18 +78,15 @@ class Hop(NamedTuple):
     """Of an own message: what it was sent with."""
 
 
+@dataclass(eq=False)
 class Flight(Outgoing):
     """An own message until its end."""
 
-    __slots__ = ("began", "priority", "tries", "via")
-
-    def __init__(self, token: object, to: str, key: str, payload: bytes, priority: int, deadline: float) -> None:
-        super().__init__(token, to, key, payload, deadline)
-        self.priority = priority
-        self.began = 0.0
-        self.tries = 0
-        self.via: str | None = None
-        """The neighbour it was handed to; None where there was no route."""
+    priority: int = field(kw_only=True)
+    began: float = 0.0
+    tries: int = 0
+    via: str | None = None
+    """The neighbour it was handed to; None where there was no route."""
 
 
 class FindRoute(Protocol):
@@ -172,7 +170,7 @@ class Unicast:
         elif not self._own.has_room(len(payload)):
             self._ended(token, to, "too many messages wait for their answers")
         else:
-            self._own.add(Flight(token, to, key, payload, priority, now + timeout), now)
+            self._own.add(Flight(token, to, key, payload, now + timeout, priority=priority), now)
 
     def send_once(self, to: str, key: str, payload: bytes, priority: int) -> None:
         """Send over other robots than the link with the receiver, once, without an answer. Payloads have at most

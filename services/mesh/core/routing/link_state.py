@@ -8,6 +8,7 @@ if both ends report it; of our own links we know better. An LSA that was not rep
 
 import math
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 from services.mesh.core.routing.topology import (
@@ -55,8 +56,6 @@ _NEVER = float("inf")
 class Level:
     """A measured time in steps, with hysteresis."""
 
-    __slots__ = ("_level",)
-
     def __init__(self) -> None:
         self._level: int | None = None
 
@@ -81,27 +80,23 @@ class Level:
         return changed
 
 
+@dataclass(eq=False)
 class _Own:
     """One of our links that is up."""
 
-    __slots__ = ("level", "new", "since")
-
-    def __init__(self, since: float) -> None:
-        self.since = since
-        self.new = True
-        """Whether it counts without the other end's word."""
-        self.level = Level()
+    since: float
+    new: bool = True
+    """Whether it counts without the other end's word."""
+    level: Level = field(default_factory=Level)
 
 
+@dataclass(eq=False)
 class AdvertisedLinks:
     """What another robot says of its links."""
 
-    __slots__ = ("advertisement", "heard", "incarnation")
-
-    def __init__(self, incarnation: int, advertisement: Advertisement, heard: float) -> None:
-        self.incarnation = incarnation
-        self.advertisement = advertisement
-        self.heard = heard
+    incarnation: int
+    advertisement: Advertisement
+    heard: float
 
 
 @lru_cache(maxsize=1024)

@@ -193,8 +193,6 @@ switched on at the same time. An older link stays: what members tell cannot end 
 class _Signs:
     """What speaks for a second robot of one name."""
 
-    __slots__ = ("first", "last", "process", "text")
-
     def __init__(self, process: int, now: float) -> None:
         self.process = process
         """The one that is refused, or doubted. Another one each time is a robot that is started again and again."""

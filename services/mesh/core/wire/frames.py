@@ -171,13 +171,6 @@ class Bind(NamedTuple):
 class FrameDecoder:
     """Takes a byte stream apart into frames, however it was cut. Holds at most one incomplete frame."""
 
-    __slots__ = (
-        "_at",
-        "_buffer",
-        "limit",
-        "tag",
-    )
-
     def __init__(self, limit: int = MAX_HANDSHAKE) -> None:
         self.limit = limit
         """Largest `length` accepted; the session raises it when the handshake is over."""
