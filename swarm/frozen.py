@@ -15,7 +15,8 @@ T = TypeVar("T")
 
 @dataclass_transform(frozen_default=True, field_specifiers=(field,))
 def frozen(cls: type[T]) -> type[T]:
-    """What `dataclass(frozen=True, slots=True)` makes of a class; all fields are compared, none is `kw_only`."""
+    """Make a class what `dataclass(frozen=True, slots=True)` makes of it; all fields are compared, none is
+    `kw_only`."""
     cls.__doc__ = cls.__doc__ or cls.__name__  # or the standard library would write one, at length
     made = dataclass(init=False, repr=False, eq=False, slots=True)(cls)
     own: Any = made  # mypy minds methods that are set
@@ -76,7 +77,7 @@ def _representation(names: list[str]) -> Any:
 
 
 def _values(names: list[str]) -> Any:
-    """A function of an object to the tuple of its fields' values."""
+    """Return a function that gives the tuple of an object's field values."""
     if len(names) > 1:
         return attrgetter(*names)
     return lambda self: tuple(getattr(self, name) for name in names)
@@ -87,7 +88,7 @@ def _refuse(self: object, name: str, value: object = None) -> NoReturn:
 
 
 def _state(self: object) -> list[object]:
-    """What is pickled: by the fields, since there is no `__dict__`."""
+    """Return the values of the fields for pickle, since there is no `__dict__`."""
     return [getattr(self, each.name) for each in fields(self)]  # type: ignore[arg-type]
 
 

@@ -50,7 +50,7 @@ _log = logging.getLogger("devices")
 
 @frozen
 class PoseView:
-    """Where the robot is, by its UWB module (docs/reference/robot/uwb-module.md), in the frame of the anchors."""
+    """The pose of a robot by its UWB module (docs/reference/robot/uwb-module.md), in the frame of the anchors."""
 
     x: float
     """m."""
@@ -95,7 +95,7 @@ class Devices:
 
     @property
     def pose(self) -> PoseView | None:
-        """Where the robot is; None as long as that is not known, or where it is too long ago."""
+        """Return the robot's pose; None while it is unknown, or older than `POSE_LOST`."""
         self._watch("pose", "dwm", Pose, self._take_pose)
         pose, now = self._pose, self._now()
         if pose is None or pose.quality == 0 or now - pose.t > POSE_LOST:
@@ -123,7 +123,7 @@ class Devices:
 
     @property
     def buttons(self) -> tuple[str, ...]:
-        """Those held at this moment, of "a", "b" and "c"."""
+        """Return the buttons that are held now, of "a", "b" and "c"."""
         self._watch("buttons", "balancer", Buttons, self._take_buttons)
         return self._held
 
@@ -178,13 +178,13 @@ class Devices:
         self._claimed()
 
     def mode(self, mode: str) -> None:
-        """`stand` or `lie`."""
+        """Command the mode `stand` or `lie`."""
         self._command("mode", SetMode(mode))
 
     # -- time
 
     def next_deadline(self) -> float | None:
-        """When `handle_timer` is to be called."""
+        """Return the time at which the host must call `handle_timer`; None while no timer runs."""
         due = min(self._leds_at, self._display_at, self._drive_at)
         return None if due == math.inf else due
 

@@ -193,7 +193,7 @@ class ChannelDeclaration:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of all its parameters and shared fields."""
+        """Return the names of all parameters and shared fields of the channel."""
         spec = self.kind.spec
         return (*spec.parameters, *spec.schema.names)
 

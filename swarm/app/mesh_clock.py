@@ -56,7 +56,8 @@ class MeshClock:
         return None if self.state is None else self.state.root
 
     def monotonic(self, mesh: float) -> float | None:
-        """When, on the robot's monotonic clock, it will be that mesh time."""
+        """Return the robot's monotonic time at which the mesh clock shows `mesh`; None while the mesh clock is
+        unknown."""
         state = self.state
         return None if state is None else monotonic_time(state, mesh)
 

@@ -44,7 +44,7 @@ OnPayload = Callable[[str, bytes], None]
 
 
 class Message(NamedTuple):
-    """What the same app on another robot has flooded, or sent to this one."""
+    """A message that the same app on another robot has flooded, or sent to this robot."""
 
     sender: str
     payload: bytes
@@ -124,7 +124,7 @@ class Handle(Generic[A]):
 
 
 class Overlays:
-    """What one process, under an app's name, floods and sends."""
+    """The requests of one process, under the name of its app, to flood and to send messages."""
 
     def __init__(self, bus: BusLike, robot: str, app: str, *, now: Now = clock.now, prefix: str | None = None) -> None:
         """`app` is what both ends call themselves: payloads reach the processes of that name. Tickets begin with
@@ -151,12 +151,12 @@ class Overlays:
         bus.on_change(self._on_bus)
 
     def flood(self, payload: bytes, *, priority: str = "bulk", announce: bool = False) -> Handle[Flooded]:
-        """To all robots. With `announce` all of them learn when all have it."""
+        """Send `payload` to all robots. With `announce` all of them learn when all have it."""
         request = FloodRequest(self._ticket(), self._app, payload, priority, announce)
         return self._open(request, self._flood_key)
 
     def send(self, to: str, payload: bytes, *, priority: str = "bulk", timeout: float = 30.0) -> Handle[Sent]:
-        """To one robot. After `timeout` s the mesh gives it up, if not sooner."""
+        """Send `payload` to one robot. The mesh gives it up after `timeout` s, if not sooner."""
         request = SendRequest(self._ticket(), self._app, to, payload, priority, timeout)
         return self._open(request, self._send_key)
 
@@ -168,12 +168,12 @@ class Overlays:
         return answer
 
     def collect(self) -> None:
-        """From now on keep what the same app on other robots floods and sends, for `messages`."""
+        """Begin to keep what the same app on other robots floods and sends, for `messages`."""
         self.on_flood(lambda origin, payload: self._take(Message(origin, payload, flooded=True)))
         self.on_message(lambda sender, payload: self._take(Message(sender, payload, flooded=False)))
 
     def messages(self) -> list[Message]:
-        """What has come since the last call, in the order of its coming; `collect` comes first."""
+        """Return the messages since the last call, in the order of their arrival. Call `collect` before."""
         with self._lock:
             found = list(self._collected)
             self._collected.clear()
@@ -247,7 +247,7 @@ class Overlays:
                 self._collected_bytes -= len(self._collected.popleft().payload)
 
     def _on_bus(self, connected: bool) -> None:
-        """What was asked while the bus was away is lost."""
+        """Repeat all requests that wait when the bus is back: what was asked while it was away is lost."""
         if connected:
             with self._lock:
                 waiting = [handle for handle in self._handles.values() if not handle.done]
@@ -287,7 +287,7 @@ class Overlays:
 
 
 def _nothing() -> None:
-    """What is done to repeat a request that was answered."""
+    """Do nothing: the way to repeat a request that was answered."""
 
 
 def _decoded(kind: type[B], name: str, payload: bytes) -> B | None:

@@ -29,7 +29,7 @@ class Parameter:
     """float, int, bool or str: the annotation."""
 
     def expected(self) -> str:
-        """What a value must be, in words."""
+        """Return in words what a value must be."""
         if self.choices:
             return " or ".join(map(repr, self.choices))
         words = {float: "a finite number", int: "an integer", bool: "true or false", str: "a text"}[self.kind]
@@ -70,7 +70,7 @@ class Parameter:
 
 
 def value_of(text: str) -> Value:
-    """A value as people write it on a command line: 1, 0.5, true, [1,2] or a text. `AppError` for half a list."""
+    """Parse a value of a command line: 1, 0.5, true, [1,2] or a text. Raises `AppError` for an incomplete list."""
     if text in ("true", "false"):
         return text == "true"
     if text.startswith("[") and text.endswith("]"):

@@ -32,7 +32,7 @@ NEEDS_BUS = "needs a bus: an app has one when it runs on a robot, real or simula
 
 @dataclass
 class Robot:
-    """What an app sees of the robot it runs on.
+    """The robot that an app runs on, as the app sees it.
 
     Values of sensors and clocks differ in each run. A `SyncApp` that puts them into its state loses the promise that
     runs are equal to the bit; it may use them in what it publishes or does.
@@ -99,7 +99,8 @@ class Robot:
 
     @property
     def random(self) -> random.Random:
-        """A generator of random numbers. Seed, robot and iteration set it, so a repeated step gets the same numbers."""
+        """Return a generator of random numbers. Seed, robot and iteration set it, so a repeated step gets the same
+        numbers."""
         if self._random is None:
             self._random = random.Random(f"{self.seed}/{self.name}/{self._label}")
         return self._random
@@ -168,8 +169,8 @@ class Robot:
 
     @property
     def posture(self) -> str:
-        """How the robot stands or lies: "standing", "standing_up", "lying_down", "front" or "back" (it lies on that
-        side), "upright" (somebody holds it), "leaning", or "unknown" before the first message of the balancer."""
+        """Tell how the robot stands or lies: "standing", "standing_up", "lying_down", "front" or "back" (it lies on
+        that side), "upright" (somebody holds it), "leaning", or "unknown" before the first message of the balancer."""
         return self._devices().posture
 
     @property

@@ -25,7 +25,7 @@ WAIT, DROP = "wait", "drop"
 
 @frozen
 class RunOptions:
-    """When a lockstep run ends, and what it does about absent robots."""
+    """The options of a run: when a lockstep run ends, and what it does about absent robots."""
 
     last: int | None = None
     """The last iteration; None if the run has no fixed length."""

@@ -21,7 +21,7 @@ class Setting:
 
     @property
     def text(self) -> str:
-        """As people write it; `parse` reads it."""
+        """Return the setting as text that `parse` reads."""
         value = self.value
         if isinstance(value, bool):
             shown = str(value).lower()
@@ -33,7 +33,7 @@ class Setting:
 
 
 def parse(text: str) -> Setting:
-    """A setting as people write it; raises `AppError`."""
+    """Parse a setting such as `r2.value=3`; raises `AppError`."""
     name, equals, value = text.partition("=")
     robot, dot, parameter = name.rpartition(".")
     if not equals or not parameter.isidentifier() or (dot and not robot):

@@ -25,7 +25,7 @@ PLATFORM_MODULES = ("swarm.app.sync_app", "swarm.app.event_app")
 
 @frozen
 class Spec:
-    """What a class declares: found out when the class is made."""
+    """The declarations of an app's class, read once when the class is made."""
 
     schema: Schema
     private: tuple[str, ...]

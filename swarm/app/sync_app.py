@@ -32,7 +32,7 @@ WEIGHTS = ("metropolis", "row")
 
 
 class BaseApp:
-    """What all kinds of apps have in common: SyncApp, EventApp and PeriodicApp are derived from it.
+    """The base class of all kinds of apps: SyncApp, EventApp and PeriodicApp.
 
     Annotated class attributes are the state. A field is shared with the neighbours, or private if its name starts with
     an underscore (the robot never sends it). A shared field starts with its default value in the class, or at zero.
@@ -146,11 +146,11 @@ class BaseApp:
         return found
 
     def told_parameters(self) -> dict[str, tuple[Parameter, Value]]:
-        """All parameters by name, as they are declared and as they are now: what the host tells of them."""
+        """Return the declaration and the present value of each parameter by name, for the host to publish."""
         return {name: (declared, getattr(self, name)) for name, declared in type(self).spec.parameters.items()}
 
     def layouts(self) -> dict[str, str]:
-        """How the shared state lies in frames, by an empty name: see `AppParameters.states`."""
+        """Return the layout of the shared state in frames, under an empty name (see `AppParameters.states`)."""
         schema = type(self).spec.schema
         return {"": schema.layout} if schema.fields else {}
 

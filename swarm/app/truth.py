@@ -43,7 +43,7 @@ class TruthWatch:
         bus.subscribe([key(robot, "sim", "truth"), key(robot, "sim", "target")], self._take)
 
     def __call__(self) -> RobotTruth | None:
-        """What is known now; None before a simulation has told something."""
+        """Return what the simulation has told so far; None before its first message."""
         pose = self._pose
         return None if pose is None else RobotTruth(pose.x, pose.y, pose.heading, self._target, self._told)
 
@@ -59,6 +59,6 @@ class TruthWatch:
 
 
 def told(config: Config, app: str) -> dict[str, Mapping[str, Value]]:
-    """By robot: what the configuration tells an app."""
+    """Return by robot the values that the configuration gives an app."""
     known = config.app(app)
     return {name: known.of(name) for name in config.names}

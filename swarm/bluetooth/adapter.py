@@ -24,7 +24,7 @@ def kernel_ioctl(sock: Any, request: int, data: bytearray) -> object:
 
 
 def open_socket() -> socket.socket:
-    """A raw HCI socket; `LocalError` where this interpreter was built without."""
+    """Open a raw HCI socket. Raises `LocalError` where Python was built without Bluetooth."""
     if not hasattr(socket, "AF_BLUETOOTH"):
         raise LocalError("this Python was built without Bluetooth sockets; Debian's python3 has them")
     return socket.socket(socket.AF_BLUETOOTH, socket.SOCK_RAW, socket.BTPROTO_HCI)
@@ -56,7 +56,8 @@ class Adapter:
         self._socket.close()
 
     def handle(self, peer: str) -> int:
-        """That of the connection to the Bluetooth address `peer`; `LocalError` where there is none."""
+        """Return the handle of the connection with the Bluetooth address `peer`. Raises `LocalError` where there is
+        none."""
         return hci.connection_handle(self._connection(peer))
 
     def is_central(self, peer: str) -> bool:
@@ -76,8 +77,8 @@ class Adapter:
         check(self.ask(hci.switch_role(address, hci.CENTRAL), lambda packet: hci.switched_role(packet, address)))
 
     def read(self, what: int, peer: str) -> int | None:
-        """A status parameter of that connection, by its opcode; None where the adapter does not know the command.
-        `LocalError` where there is no connection, or no answer."""
+        """Read a status parameter of the connection with `peer` by its opcode; None where the adapter does not know
+        the command. Raises `LocalError` without a connection or an answer."""
         handle = self.handle(peer)
 
         def answer(packet: bytes) -> hci.Reading | None:

@@ -200,6 +200,6 @@ def is_central(filled: bytes | bytearray) -> bool:
 
 
 def explained(error: OSError) -> str:
-    """What an error of a raw HCI socket means, in words."""
+    """Explain an error of a raw HCI socket in words."""
     text, hint = error.strerror or str(error), HINTS.get(error.errno or 0)
     return f"{text}: {hint}" if hint else text

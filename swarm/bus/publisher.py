@@ -9,7 +9,7 @@ _CERTAIN_S = 1.0
 
 
 class Audience:
-    """Whether anybody listens to a key, as far as the router has told."""
+    """The knowledge of whether anybody listens to a key, as far as the router has told."""
 
     def __init__(self) -> None:
         self.doubt()
@@ -55,7 +55,7 @@ class Publisher:
         return audience.there
 
     def put(self, payload: bytes, encoding: str) -> None:
-        """Send. Raises `zenoh.ZError`."""
+        """Publish `payload`. Raises `zenoh.ZError`."""
         self._publisher.put(payload, encoding=encoding)
 
 

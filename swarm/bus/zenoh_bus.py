@@ -64,7 +64,7 @@ class Router:
 
 
 class Subscription:
-    """What a client has asked to hear; until closed."""
+    """One subscription of a client, until it is closed."""
 
     def __init__(self, kept: "set[Subscription]") -> None:
         """`kept`: where it is held until then; what nobody holds, Zenoh undeclares."""

@@ -34,7 +34,8 @@ counters: Counter[str] = Counter()
 
 
 def direct(callback: Callable[[Any], None]) -> "zenoh.handlers.Callback[Any]":
-    """A callback on Zenoh's own thread; the default would be a queue and a further thread for each."""
+    """Return a handler that runs `callback` on Zenoh's own thread. Zenoh's default adds a queue and a thread for
+    each."""
     return zenoh.handlers.Callback(guard(callback), indirect=False)
 
 

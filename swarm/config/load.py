@@ -296,7 +296,7 @@ def _relay(top: Table) -> tuple[RelayRule, ...]:
 
 
 def _wrong_keys(keys: str, overlay: str) -> str | None:
-    """What is wrong with the key expression of a relay rule; None where it is fine."""
+    """Explain what is wrong with the key expression of a relay rule; None where it is right."""
     chunks = keys.split("/")
     command = overlay == "unicast" and chunks[:2] == [ROOT, "{peer}"]
     if chunks[:2] != [ROOT, "{self}"] and not command:

@@ -67,7 +67,7 @@ class Table:
         return True
 
     def flag(self, key: str, default: bool) -> bool:
-        """true or false."""
+        """Return the entry `key`, true or false."""
         value = self.data.get(key, default)
         if not isinstance(value, bool):
             raise self.wrong(key, "true or false")
@@ -81,7 +81,7 @@ class Table:
         expected: str = "a text",
         pattern: re.Pattern[str] | None = None,
     ) -> Any:
-        """A text of printable characters, not empty, matching `pattern`; None only as the default."""
+        """Return a text of printable characters that is not empty and matches `pattern`; None only as the default."""
         if self._absent(key, default, expected):
             return default
         value = self.data[key]
@@ -92,7 +92,7 @@ class Table:
         return value
 
     def choice(self, key: str, default: str, options: Sequence[str]) -> str:
-        """One of some words."""
+        """Return the entry `key`, which must be one of `options`."""
         value = self.data.get(key, default)
         if not isinstance(value, str) or value not in options:
             raise self.wrong(key, " or ".join(options))
@@ -107,7 +107,7 @@ class Table:
         up_to: float = math.inf,
         expected: str = "a finite number",
     ) -> Any:
-        """A finite number x, above < x <= up_to, as a float; None only as the default."""
+        """Return a finite number x with above < x <= up_to as a float; None only as the default."""
         if self._absent(key, default, expected):
             return default
         value = finite(self.data[key])
@@ -116,14 +116,14 @@ class Table:
         return value
 
     def count(self, key: str, default: int, *, low: int) -> int:
-        """A whole number not below `low`."""
+        """Return a whole number that is at least `low`."""
         value = self.data.get(key, default)
         if isinstance(value, bool) or not isinstance(value, int) or not low <= value < 2**31:
             raise self.wrong(key, f"a whole number, at least {low}")
         return value
 
     def numbers(self, key: str, default: tuple[float, ...] | _Required, *, expected: str, length: int) -> Any:
-        """A list of `length` finite numbers, as a tuple of floats."""
+        """Return a list of `length` finite numbers as a tuple of floats."""
         if self._absent(key, default, expected):
             return default
         value = vector(self.data[key])
@@ -132,14 +132,14 @@ class Table:
         return value
 
     def table(self, key: str, known: Sequence[str] | None) -> "Table":
-        """A table within this one; empty where the file has none."""
+        """Return the table `key` within this one; empty where the file has none."""
         value = self.data.get(key, {})
         if not isinstance(value, dict):
             raise self.wrong(key, f"a table, written [{self._below(key)}]")
         return Table(self.file, self._below(key), value, known)
 
     def tables(self, key: str, known: Sequence[str]) -> list["Table"]:
-        """A list of tables, written [[key]]; empty where the file has none."""
+        """Return a list of tables, written [[key]]; empty where the file has none."""
         value = self.data.get(key, [])
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
             raise self.wrong(key, f"a list of tables, each written [[{self._below(key)}]]")
@@ -186,12 +186,12 @@ def listed(names: Sequence[str]) -> str:
 
 
 def quoted(key: str) -> str:
-    """A key as TOML writes it: bare where it may be."""
+    """Return a key as TOML writes it: without quotes where that is allowed."""
     return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else shown(key)
 
 
 def shown(value: object) -> str:
-    """A wrong value for a message: short, and on one line."""
+    """Return a wrong value as short text on one line, for a message."""
     if isinstance(value, dict):
         return "a table"
     if isinstance(value, bool):

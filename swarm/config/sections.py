@@ -53,7 +53,7 @@ def is_port(text: str) -> bool:
 
 
 def mesh(top: Table) -> MeshConfig:
-    """The table [mesh]."""
+    """Read the table [mesh]."""
     table = top.table(
         "mesh",
         (
@@ -104,7 +104,7 @@ def mesh(top: Table) -> MeshConfig:
 
 
 def anchors(top: Table) -> tuple[Anchor, ...]:
-    """The tables [[anchors]]."""
+    """Read the tables [[anchors]]."""
     found: list[Anchor] = []
     for table in top.tables("anchors", ("address", "x", "y", "z")):
         address = uwb_address(table, "address")
@@ -116,7 +116,7 @@ def anchors(top: Table) -> tuple[Anchor, ...]:
 
 
 def dwm(top: Table, robots: Sequence[str]) -> Dwm:
-    """The table [dwm]."""
+    """Read the table [dwm]."""
     table = top.table(
         "dwm",
         ("source", "target", "rate", "filter", "filters", "window", "position_window", "latency", "height", "lever",
@@ -161,7 +161,7 @@ def dwm(top: Table, robots: Sequence[str]) -> Dwm:
 def _of_robots(
     top: Table, section: str, robots: Sequence[str], normal: T, read: Callable[[Table, T], T]
 ) -> tuple[T, dict[str, T]]:
-    """What holds for all robots, and for those that have a table of their own."""
+    """Read the settings for all robots, and those of each robot that has a table of its own."""
     names = [field.name for field in dataclasses.fields(normal)]  # type: ignore[arg-type]
     table = top.table(section, (*names, "robots"))
     common = read(table, normal)
@@ -236,7 +236,7 @@ def apps(top: Table, robots: Sequence[str]) -> dict[str, AppConfig]:
 
 
 def recordings(top: Table) -> Recordings:
-    """The table [recordings]."""
+    """Read the table [recordings]."""
     table = top.table("recordings", ("budget",))
     normal = Recordings()
     return Recordings(table.number("budget", normal.budget, above=0, expected="a number above 0, in bytes"))
@@ -253,7 +253,7 @@ def packages(top: Table) -> tuple[str, ...]:
 
 
 def simulation(top: Table, robots: Sequence[str]) -> SimulationConfig:
-    """The table [simulation]."""
+    """Read the table [simulation]."""
     parts = ("scl", "battery", "gyro_noise", "acceleration_noise", "range_noise")
     table = top.table("simulation", ("target", "target_velocity", "places", *parts))
     normal = SimulationConfig()

@@ -45,7 +45,7 @@ class RobotConfig:
 
 @frozen
 class RelayRule:
-    """Which keys of the own robot's bus the mesh carries to others."""
+    """A rule that names keys on the robot's own bus which the mesh carries to other robots."""
 
     keys: str
     """Key expression; `{self}` is the own name, `{peer}` (a whole chunk) the robot it goes to."""
@@ -113,7 +113,7 @@ class MeshConfig:
 
     @property
     def key_file(self) -> Path | None:
-        """Where the pre-shared key is; None when insecure."""
+        """Return the path of the pre-shared key; None when insecure."""
         return None if self.insecure else Path(self.key or DEFAULT_KEY_FILE)
 
 
@@ -136,7 +136,7 @@ class Body:
 
 @frozen
 class Balancing:
-    """How the balancer works with that body."""
+    """The settings of the balancer for one kind of body."""
 
     controller: str = "lqr"
     """lqr, or pololu (its algorithm and constants), or thesis (the same with the thesis' constants)."""
@@ -206,7 +206,7 @@ class Dwm:
     position: Affine = field(default_factory=Affine)
 
     def filter_of(self, robot: str) -> str:
-        """What makes the pose of `robot`."""
+        """Return the name of the filter that estimates the pose of `robot`."""
         return self.filters.get(robot, self.filter)
 
 
@@ -224,7 +224,7 @@ class AppConfig:
 
 @frozen
 class Recordings:
-    """What a robot keeps of its runs."""
+    """The limits of the recordings that a robot keeps."""
 
     budget: float = 2e9
     """Bytes of its disk they may take; beyond, the oldest finished runs are deleted."""
@@ -232,7 +232,7 @@ class Recordings:
 
 @frozen
 class SimulationConfig:
-    """Where simulated robots and the target start; only `swarm sim` reads it."""
+    """The places at which simulated robots and the target start; only `swarm sim` reads them."""
 
     target: tuple[float, float] = (0.5, 1.0)
     """m."""
@@ -257,7 +257,8 @@ class SimulationConfig:
         return self.target_velocity != (0.0, 0.0)
 
     def target_after(self, seconds: float) -> tuple[float, float]:
-        """Where the target is so long after the first iteration of all robots; before it stands."""
+        """Return the target's place (x, y) in m, `seconds` after the first iteration of all robots. Before that it
+        stands."""
         (x, y), (vx, vy), t = self.target, self.target_velocity, max(0.0, seconds)
         return (x + vx * t, y + vy * t)
 
@@ -312,7 +313,7 @@ class Config:
         return self.bodies.get(name, self.body)
 
     def balancing_of(self, name: str) -> Balancing:
-        """How a robot balances."""
+        """Return the balancer's settings of the robot `name`."""
         return self.balancings.get(name, self.balancing)
 
     @property

@@ -24,7 +24,7 @@ MENDS = (
 
 @frozen
 class ArrayShape:
-    """What is declared within the brackets."""
+    """The shape that an author declares in the brackets of `Array[...]`."""
 
     sizes: tuple[int, ...]
     single: bool
@@ -66,8 +66,8 @@ def numpy() -> Any:
 
 
 def checked(value: object, shape: tuple[int, ...], *, single: bool) -> "Numbers":
-    """A new array with the numbers of `value`: an array, nested lists, or all numbers in one list, one row after the
-    other. Raises `AppError` for another shape and for what is no number."""
+    """Return a new array of this shape with the numbers of `value`: an array, nested lists, or all numbers in one
+    list, one row after the other. Raises `AppError` for another shape and for entries that are no numbers."""
     np = numpy()
     kind = np.float32 if single else np.float64
     try:
@@ -105,12 +105,12 @@ def is_array(value: object) -> bool:
 
 
 def shape_of(value: object) -> tuple[int, ...]:
-    """Its shape; empty of a single number, and of what is no array."""
+    """Return the shape of an array; empty for a single number and for any other value."""
     return tuple(getattr(value, "shape", ())) if is_array(value) else ()
 
 
 def pack(value: Any) -> tuple[str, list[int] | None, bytes]:
-    """An array, or a single number of numpy, as what msgpack holds. Raises `TypeError` where it holds objects."""
+    """Pack an array, or a single number of numpy, into values that msgpack holds. Raises `TypeError` for objects."""
     if value.dtype.kind not in "biufc":
         raise TypeError(f"type {value.dtype}")
     shape = list(value.shape) if isinstance(value, numpy().ndarray) else None
@@ -118,7 +118,7 @@ def pack(value: Any) -> tuple[str, list[int] | None, bytes]:
 
 
 def unpack(kind: str, shape: list[int] | None, data: bytes) -> Any:
-    """What `pack` packed."""
+    """Unpack what `pack` has packed."""
     array = numpy().frombuffer(data, dtype=kind)
     return array[0] if shape is None else array.reshape(shape).copy()
 

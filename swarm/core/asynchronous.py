@@ -172,7 +172,7 @@ class Asynchronous:
         self._add(HandlerCall("start"), now)
 
     def receive(self, sender: str, channel: Channel, data: bytes, now: float) -> None:
-        """A frame of a neighbour. What is none, or not for us, is counted and dropped."""
+        """Take a frame of a neighbour. Damaged frames, and frames for others, are counted and dropped."""
         peer = self._peers.get(sender)
         if peer is None or channel.run != self.channel.run:
             self.counters["other_run" if peer else "not_a_neighbour"] += 1
@@ -201,7 +201,7 @@ class Asynchronous:
             self._add(HandlerCall("on_neighbour", (sender,)), now)
 
     def happened(self, handler: str, *arguments: object, now: float) -> None:
-        """A button, a message, an answer or a parameter: its handler is called in its turn."""
+        """Queue the handler of an event: a button, a message, an answer or a parameter."""
         self._add(HandlerCall(handler, arguments), now)
 
     def after(self, seconds: float, name: str, now: float) -> None:
@@ -270,12 +270,12 @@ class Asynchronous:
         self._next(now)
 
     def next_deadline(self) -> float | None:
-        """When `handle_timer` is to be called at the latest."""
+        """Return the latest time at which the host must call `handle_timer`; None while no timer runs."""
         due = min([self._step_at, self._tell_at, *self._timers.values()])
         return None if due == math.inf else due
 
     def actions(self) -> list[Action]:
-        """What is to be done, in this order."""
+        """Return the actions to be done now, in this order; each is handed out once."""
         actions, self._actions = self._actions, []
         return actions
 
@@ -295,7 +295,7 @@ class Asynchronous:
         return flags, sequence, data[_HEAD.size : end], roll
 
     def _hear(self, *, all_here: bool, roll: int, now: float) -> None:
-        """What a neighbour knows of who has been there."""
+        """Take a neighbour's knowledge of which robots have been there."""
         if self._all_here:
             if not all_here:
                 self._tell_soon(now)  # it does not know yet

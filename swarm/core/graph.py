@@ -78,7 +78,7 @@ class Graph:
 
     @classmethod
     def of_matrix(cls, matrix: Sequence[Sequence[int]], names: Sequence[str]) -> "Graph":
-        """From an adjacency matrix of 0 and 1, rows in the order of `names`. Raises `LocalError`."""
+        """Build a graph from an adjacency matrix of 0 and 1, rows in the order of `names`. Raises `LocalError`."""
         n = len(names)
         if len(matrix) != n:
             raise LocalError(f"expected {n} rows, one for each robot, got {len(matrix)}")
@@ -117,7 +117,7 @@ class Graph:
         return self._neighbours[name]
 
     def degree(self, name: str) -> int:
-        """How many links `name` has."""
+        """Return the number of links of `name`."""
         return len(self._neighbours[name])
 
     def distances(self, name: str) -> dict[str, int]:
@@ -155,8 +155,8 @@ class Graph:
 
     @property
     def span(self) -> int:
-        """A bound of the diameter that is the same whoever asks and takes one search, not one for each robot: twice the
-        way from the first robot to the farthest, and never more than a line has."""
+        """Return an upper bound of the diameter that is the same on every robot and needs one search: twice the
+        distance from the first robot to the farthest one, and never more than that of a line."""
         if self._span is None:
             most = max(len(self.names) - 1, 0)
             reached = self.distances(self.names[0]) if self.names else {}
@@ -191,7 +191,7 @@ def splitmix64(seed: int) -> Iterator[int]:
 
 
 def _random_pairs(n: int, seed: int) -> list[tuple[int, int]]:
-    """A random spanning tree over a random order, then about n/2 further links, none beyond the degree limit.
+    """Draw a random spanning tree over a random order, then about n/2 further links, none beyond the degree limit.
 
     A tree of i nodes has 2(i - 1) ends, fewer than 7 i, so there is always a node free to take the next one.
     """

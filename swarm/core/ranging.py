@@ -16,7 +16,7 @@ class RangeTable:
         self._newest: dict[str, tuple[Ranges, float]] = {}
 
     def take(self, sender: str, message: Ranges, now: float) -> None:
-        """A message of a robot, this one or another."""
+        """Keep the newest message of a robot, this one or another."""
         self._newest[sender] = (message, now)
 
     def ranges(self, now: float) -> tuple[Range, ...]:

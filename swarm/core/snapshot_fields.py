@@ -27,7 +27,7 @@ def pack_private(values: Mapping[str, object]) -> bytes:
 
 
 def unpack_private(data: bytes) -> dict[str, Any]:
-    """What `pack_private` packed."""
+    """Unpack what `pack_private` has packed."""
     values: dict[str, Any] = msgpack.unpackb(data, ext_hook=_from_extension, strict_map_key=False)
     return values
 

@@ -67,7 +67,7 @@ class Field:
 
     @property
     def format(self) -> str:
-        """Its `struct` format."""
+        """Return the field's `struct` format."""
         numbers = f"{self.length}{'f' if self.single else 'd'}"
         return {"float": "d", "float32": "f", "int": "q", "bool": "?", "enum": "B"}.get(self.kind, numbers)
 
@@ -103,7 +103,7 @@ class Field:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Its column names in a table: `q[0]`, `q[1]`... for a vector, and for a matrix row by row."""
+        """Return the field's column names in a table: `q[0]`, `q[1]`... for a vector, and for a matrix row by row."""
         numbers = tuple(f"{self.name}[{i}]" for i in range(self.length))
         return numbers if self.kind in ("vector", "matrix", "array") else (self.name,)
 
@@ -143,7 +143,8 @@ class Field:
         raise AppError(f"expected {self.length} numbers, got {shown(value)}")
 
     def assigned(self, name: str, value: object) -> Item:
-        """An array that an author assigns, as a new one of this field's type; `AppError` for another shape."""
+        """Return a new array of this field's type with the numbers that an author assigns. Raises `AppError` for
+        another shape."""
         try:
             return arrays.checked(value, self.sizes, single=self.single)
         except AppError as error:
@@ -168,11 +169,11 @@ class Field:
 
     @property
     def as_array(self) -> str:
-        """How a vector or matrix would be declared as an array."""
+        """Return the declaration as an array that corresponds to this vector or matrix."""
         return f"Array[{', '.join(map(str, self.shape))}]"
 
     def message_value(self, value: Any) -> MessageValue:
-        """A checked value for the bus and for recordings."""
+        """Return a checked value as the bus and recordings carry it."""
         if self.kind == "enum":
             name: str = value.name
             return name
@@ -184,7 +185,7 @@ class Field:
         return same
 
     def flat(self, value: Any) -> tuple[object, ...]:
-        """A checked value as the numbers that are packed."""
+        """Return a checked value as the flat tuple of numbers that a frame carries."""
         if self.kind == "enum":
             return (self.members.index(value),)
         if self.kind in ("vector", "matrix", "array"):
@@ -208,7 +209,7 @@ class Field:
         return single
 
     def _member(self, value: object) -> enum.Enum:
-        """A member, or what a configuration has for it: its name."""
+        """Return the member that `value` is or names (a configuration has names)."""
         for member in self.members:
             if value is member or (type(value) is str and value == member.name):
                 return member
@@ -364,6 +365,6 @@ def _finite(value: object) -> float:
 
 
 def shown(value: object) -> str:
-    """A value in an error, cut where it is long."""
+    """Return a value as text for an error, cut to 60 characters."""
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."

@@ -22,7 +22,7 @@ class AppState:
 
 @frozen
 class AppProgress:
-    """What an app is doing, on `swarm/<robot>/app/<app>/progress`: on change and once a second."""
+    """The progress of an app, on `swarm/<robot>/app/<app>/progress`: on change and once a second."""
 
     t: float
     phase: str
@@ -36,8 +36,8 @@ class AppProgress:
 
 @frozen
 class AppEpoch:
-    """Who is in a lockstep run, on `swarm/<robot>/app/<app>/epoch`: on change, and answered to queries. A channel of an
-    app has its name behind the app's."""
+    """The members of a lockstep run, on `swarm/<robot>/app/<app>/epoch`: on change, and answered to queries. The key
+    of a channel has the channel's name behind the app's."""
 
     t: float
     epoch: int
@@ -71,7 +71,7 @@ class SetAppEpoch:
 
 @frozen
 class AppOutput:
-    """What an app tells by `robot.publish`, on `swarm/<robot>/app/<app>/out/<topic>`, or by `robot.record`, on
+    """A value of an app: from `robot.publish`, on `swarm/<robot>/app/<app>/out/<topic>`, or from `robot.record`, on
     `swarm/<robot>/app/<app>/record/<name>`."""
 
     t: float

@@ -92,7 +92,7 @@ class BalancerFault:
 
 @frozen
 class Notice:
-    """What is no fault, but should be known, on `balancer/notice`: a command refused or cut, a low battery."""
+    """A notice that is no fault, on `balancer/notice`: a command was refused or cut, or the battery is low."""
 
     t: float
     about: str
@@ -102,7 +102,7 @@ class Notice:
 
 @frozen
 class Parameters:
-    """What `set/parameters` may change, on `balancer/parameters`: on change and every ten seconds."""
+    """The settings that `set/parameters` may change, on `balancer/parameters`: on change and every ten seconds."""
 
     t: float
     controller: str

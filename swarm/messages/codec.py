@@ -80,8 +80,8 @@ def decode(kind: type[T], payload: bytes, key: str) -> T:
 
 
 def as_value(value: object) -> Value:
-    """What an author gives, as a free-form map carries it: lists as tuples of floats, numpy's arrays as one row after
-    the other. `LocalError` where it cannot."""
+    """Convert an author's value into one that a free-form map carries: lists to tuples of floats, numpy arrays row
+    by row. Raises `LocalError` for other values."""
     if type(value) is float and math.isfinite(value):
         return value
     if isinstance(value, bool | str):
@@ -115,7 +115,7 @@ def unpack(payload: bytes, limit: int = MAX_PAYLOAD) -> Any:
 
 
 def _plain(value: object) -> dict[str, object]:
-    """What msgpack itself does not know. It comes back for what is nested."""
+    """Convert a value that msgpack does not know. msgpack calls this again for nested values."""
     kind = type(value)
     if dataclasses.is_dataclass(kind):
         return {name: getattr(value, name) for name in _names(kind)}
@@ -220,7 +220,8 @@ _PLAIN: dict[object, _Check] = {
 
 
 def _check_union(kind: Any, strict: bool) -> _Check:
-    """What msgpack unpacked to decides which option is meant, so that an int stays one beside a float."""
+    """Return the check of a union. The type that msgpack unpacked decides which option is meant, so an int stays an
+    int beside a float."""
     options: dict[type, _Check] = {}
     for option in typing.get_args(kind):
         wire = _WIRE.get(typing.get_origin(option) or option, dict)

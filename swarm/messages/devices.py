@@ -63,7 +63,7 @@ class ModuleRequest:
 
 @frozen
 class ModuleAnswer:
-    """What the DWM1001 said, on `balancer/module`."""
+    """The answer of the DWM1001, on `balancer/module`."""
 
     t: float
     ticket: str
@@ -75,7 +75,7 @@ class ModuleAnswer:
 
 @frozen
 class Battery:
-    """On `balancer/battery` at 1 Hz."""
+    """The battery's state, on `balancer/battery` at 1 Hz."""
 
     t: float
     voltage: float
@@ -84,7 +84,7 @@ class Battery:
 
 @frozen
 class Firmware:
-    """On `balancer/firmware` at 1 Hz: what the ATmega runs."""
+    """The firmware that the ATmega runs, on `balancer/firmware` at 1 Hz."""
 
     t: float
     layout: int
@@ -95,7 +95,7 @@ class Firmware:
 
 @frozen
 class Buttons:
-    """On `balancer/buttons`: on each change, and once a second."""
+    """The state of the buttons, on `balancer/buttons`: on each change, and once a second."""
 
     t: float
     a: bool
@@ -120,7 +120,8 @@ class ImuRequest:
 
 @frozen
 class ImuSample:
-    """On `balancer/imu` while somebody has asked for it: X up, Y to the left along the axle, Z backward."""
+    """One sample of the IMU, on `balancer/imu` while somebody has asked for it: X up, Y to the left along the axle,
+    Z backward."""
 
     t: float
     """Of the control step that read it, s."""
@@ -164,7 +165,7 @@ class SetDisplay:
 
 @frozen
 class Display:
-    """What is to be seen on the robot, on `balancer/display`: on change, when it is drawn."""
+    """The text on the robot's display, on `balancer/display`: on change, when it is drawn."""
 
     t: float
     present: bool

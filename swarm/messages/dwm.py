@@ -40,7 +40,7 @@ class Ranges:
 
 @frozen
 class Pose:
-    """Where the robot is, on `swarm/<robot>/dwm/pose` at 10 Hz."""
+    """The robot's pose, on `swarm/<robot>/dwm/pose` at 10 Hz."""
 
     t: float
     """What time it is for. Of an average, when it was measured: a repeat of the module keeps time and sequence."""

@@ -7,8 +7,8 @@ DEPTH = 12
 
 
 def json_value(value: object, longest: int | None = None, depth: int = 0) -> object:
-    """What `json.dumps` takes: no bytes (their hex, of the first `longest` ones), no endless depth, no NaN (which is no
-    JSON)."""
+    """Convert a value for `json.dumps`: bytes to hex (of the first `longest` ones), NaN and infinity to text.
+    Nesting is limited in depth."""
     if isinstance(value, dict):
         return {str(name): json_value(item, longest, depth + 1) for name, item in cut(value, depth)}
     if isinstance(value, list | tuple):
@@ -21,7 +21,7 @@ def json_value(value: object, longest: int | None = None, depth: int = 0) -> obj
 
 
 def cut(value: dict[object, object] | list[object] | tuple[object, ...], depth: int) -> list[tuple[object, object]]:
-    """What a map, a list or a tuple holds, by name or place; dots where it is too deep."""
+    """Return the entries of a map, list or tuple by name or index; dots where it is nested too deeply."""
     if depth >= DEPTH:
         return [("...", "...")] if value else []
     return list(value.items() if isinstance(value, dict) else enumerate(value))

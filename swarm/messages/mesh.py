@@ -78,7 +78,7 @@ class Member:
 
 @frozen
 class MemberChange:
-    """What has happened to a robot."""
+    """A change in the membership of a robot."""
 
     t: float
     robot: str
@@ -88,7 +88,7 @@ class MemberChange:
 
 @frozen
 class Members:
-    """Who is in the swarm, on `swarm/<robot>/mesh/members`: on change, every 10 s, and as answer to queries."""
+    """The robots of the swarm, on `swarm/<robot>/mesh/members`: on change, every 10 s, and as answer to queries."""
 
     t: float
     members: tuple[Member, ...]
@@ -108,8 +108,8 @@ class Arm:
 
 @frozen
 class Stopped:
-    """Whether the swarm is stopped, on `swarm/<robot>/mesh/stopped`: on change, and each second while it is. Changes
-    are flooded, so that every robot's bus has every robot's word."""
+    """The stop's state, on `swarm/<robot>/mesh/stopped`: on change, and each second while the swarm is stopped.
+    Changes are flooded, so every robot's bus has the state of every robot."""
 
     t: float
     stopped: bool
@@ -129,7 +129,8 @@ class Watch:
 
 @frozen
 class View:
-    """What a robot tells of itself to one that is watched through, on `swarm/<robot>/mesh/view` there."""
+    """A robot's report of itself to another robot through which somebody watches, on that robot's
+    `swarm/<robot>/mesh/view`."""
 
     t: float
     services: dict[str, str]

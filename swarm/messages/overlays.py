@@ -65,7 +65,7 @@ class Reminder:
 
 @frozen
 class Progress:
-    """How far a request is, on `swarm/<robot>/mesh/progress`."""
+    """The progress of a request, on `swarm/<robot>/mesh/progress`."""
 
     t: float
     ticket: str

@@ -32,7 +32,7 @@ class Status:
 
 @frozen
 class Stop:
-    """On `swarm/stop`: every robot switches its motors off."""
+    """The stop of all robots, on `swarm/stop`: each one switches its motors off."""
 
     t: float
     origin: str

@@ -17,7 +17,7 @@ class Truth:
 
 @frozen
 class Target:
-    """Where the simulated target really is, on `swarm/<robot>/sim/target` of every robot at 10 Hz, where it moves."""
+    """The true place of the simulated target, on `swarm/<robot>/sim/target` of every robot at 10 Hz, where it moves."""
 
     t: float
     x: float

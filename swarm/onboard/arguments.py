@@ -11,7 +11,6 @@ from swarm.process.terminal import write_lines
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
-    """Declare `--json`."""
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -26,7 +25,6 @@ def add_robots(parser: argparse._ActionsContainer, text: str) -> None:
 
 
 def add_run_dir(parser: argparse._ActionsContainer) -> None:
-    """Declare `--run-dir`."""
     parser.add_argument("--run-dir", type=Path, metavar="DIR", help="run directory of the simulation (its --run-dir)")
 
 

@@ -39,7 +39,7 @@ NEXT = "nothing moves by that; to make robots stand: swarm balance stand"
 
 @frozen
 class Row:
-    """One robot."""
+    """The state of one robot in the table of a stop."""
 
     robot: str
     state: str
@@ -94,7 +94,7 @@ def give(args: argparse.Namespace, directories: Mapping[str, Path]) -> list[Row]
 def rows_of(
     names: Mapping[str, bool], known: Mapping[str, GraphRobot], modes: Mapping[str, str], *, stop: bool
 ) -> list[Row]:
-    """One row a robot. `names`: robots whose bus was looked for, and whether it is there."""
+    """Return one row for each robot. `names`: the robots whose bus was looked for, and whether it is there."""
     rows = []
     for name in sorted({*names, *known}):
         entry, mode = known.get(name), modes.get(name)
@@ -112,7 +112,7 @@ def rows_of(
 
 
 def table(rows: list[Row], *, stop: bool) -> list[str]:
-    """What people read."""
+    """Return the table as lines for people."""
     lines = [("robot", "state", "stopped", "balancer", "")]
     for row in rows:
         stopped = {True: "yes", False: "no", None: "-"}[row.stopped]

@@ -20,7 +20,6 @@ _VERBS = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """`new|rotate|retire|show-id [FILE]`."""
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="|".join(_VERBS))
     for verb, text in _VERBS.items():
         command = verbs.add_parser(verb, help=text, description=text)

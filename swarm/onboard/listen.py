@@ -60,7 +60,7 @@ def listen(robots: Mapping[str, Path], seconds: float = SECONDS) -> dict[str, di
 
 
 def main() -> None:
-    """For the robot that this is."""
+    """Print what is heard on the bus of the robot on which this runs."""
     seconds = float(sys.argv[2]) if len(sys.argv) > 2 else SECONDS
     said = listen({sys.argv[1]: runtime_dir()}, seconds)[sys.argv[1]]
     # Bytes and the like have no place in JSON, and in no check.

@@ -60,7 +60,7 @@ _END_S = 1.0
 
 
 class Lookout:
-    """What is new since it was told last."""
+    """The samples since the last report, the newest one of each key."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -72,7 +72,7 @@ class Lookout:
         self._bus: bool | None = None
 
     def take(self, name: str, payload: bytes) -> None:
-        """A sample of the bus; one that is larger than any message is left out, and so is one that finds no room."""
+        """Keep a sample of the bus. Samples above a message's size, and those beyond the memory limit, are left out."""
         try:
             _, service, topic = parse(name)
         except PayloadError:
@@ -93,7 +93,7 @@ class Lookout:
                 self._passed[sender] = count
 
     def alive(self, name: str, there: bool) -> None:
-        """A service's process has come or gone."""
+        """Note that a service's process has come or gone."""
         with self._lock:
             if name in self._alive or len(self._alive) < MAX_KEYS:
                 self._alive[name] = there
@@ -104,7 +104,7 @@ class Lookout:
             self._bus = there
 
     def news(self) -> bytes:
-        """What is new, packed; empty where nothing is."""
+        """Return what is new as packed bytes; empty where nothing is."""
         with self._lock:
             said: list[list[object]] = [] if self._bus is None else [["bus", self._bus]]
             said += (["alive", name, there] for name, there in self._alive.items())
@@ -147,7 +147,7 @@ def _is_key(name: str) -> bool:
 
 
 def main() -> None:
-    """For the robot that this is."""
+    """Report the bus of the robot on which this runs."""
     robot = sys.argv[1]
     lookout = Lookout()
     ended, closing = os.eventfd(0), threading.Event()

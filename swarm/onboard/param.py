@@ -24,7 +24,6 @@ Known = Mapping[str, Mapping[str, AppParameter]]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare `APP [[ROBOT.]NAME=VALUE]...`."""
     parser.add_argument("app", help="name of the app, e.g. consensus")
     parser.add_argument(
         "settings", nargs="*", metavar="[ROBOT.]NAME=VALUE", help="values to set (default: show the parameters)"
@@ -101,7 +100,7 @@ def _look(there: Mapping[str, Bus], app: str, expected: Mapping[str, Mapping[str
 
 
 def table(known: Known) -> list[str]:
-    """What people read: a line for each parameter, a column for each robot."""
+    """Return a table for people: a line for each parameter, a column for each robot."""
     rows = [("parameter", *known, "may be")]
     for name in dict.fromkeys(name for parameters in known.values() for name in parameters):
         some = next(parameters[name] for parameters in known.values() if name in parameters)

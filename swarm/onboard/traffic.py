@@ -24,7 +24,7 @@ MAX_SENDERS = 4096
 
 
 class Traffic:
-    """What passes on one bus. `look` is to be called some times a second."""
+    """The traffic on one bus. The caller runs `look` several times a second."""
 
     def __init__(self, bus: Bus, robot: str, passed: Callable[[str, int], None]) -> None:
         """`passed(sender, count)`: so many messages of that robot so far; called in a thread of the bus, and not while

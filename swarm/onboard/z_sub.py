@@ -99,7 +99,7 @@ def _is_far(options: argparse.Namespace) -> bool:
 
 
 def _source(options: argparse.Namespace) -> Source:
-    """Which buses are meant; raises `LocalError` where there is none."""
+    """Return the buses that the options mean. Raises `LocalError` where there is none."""
     if options.endpoint:
         return lambda: {"": options.endpoint}
     in_simulation = bool(options.robots or options.run_dir)
@@ -224,7 +224,7 @@ class _Watched:
         self._told_connected = True
 
     def layouts(self, app: str) -> dict[str, str]:
-        """What an app on this bus tells of its frames, within `_ANSWER_S`; empty where it tells nothing."""
+        """Ask an app on this bus for the layouts of its frames and wait up to `_ANSWER_S`; empty without an answer."""
         told: queue.SimpleQueue[dict[str, str]] = queue.SimpleQueue()
 
         def answered(name: str, payload: bytes) -> None:
@@ -253,7 +253,6 @@ class _Rates:
         self._since = clock.now()
 
     def count(self, sample: BusSample) -> None:
-        """Add one sample."""
         number, size = self._counts.get((sample.robot, sample.key), (0, 0))
         self._counts[sample.robot, sample.key] = number + 1, size + len(sample.payload)
 

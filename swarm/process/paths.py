@@ -30,8 +30,8 @@ def runtime_dir() -> Path:
 
 
 def state_dir() -> Path:
-    """Where this robot keeps what is to survive a reboot: SWARM_STATE, else the runtime directory of a robot that was
-    given one (as tests do), else /var/lib/swarm (systemd's StateDirectory)."""
+    """Return the directory for data that survives a reboot: SWARM_STATE, else the runtime directory where one was
+    given (tests do so), else /var/lib/swarm (systemd's StateDirectory)."""
     return Path(os.environ.get("SWARM_STATE") or os.environ.get("SWARM_RUNTIME") or DEFAULT_STATE)
 
 

@@ -28,7 +28,7 @@ class Worker(Protocol):
 
     @property
     def running_since(self) -> float | None:
-        """When the job that runs now began, s; None where none runs."""
+        """Return the time at which the running job began, s; None where none runs."""
 
     @property
     def thread(self) -> int | None:
@@ -43,19 +43,19 @@ class Worker(Protocol):
 
 
 class Outlets(Protocol):
-    """What every shell says goes here."""
+    """The outlets of every shell: its bus, counters and log."""
 
     @property
     def bus(self) -> BusLike:
-        """The robot's bus."""
+        """Return the robot's bus."""
 
     @property
     def counters(self) -> Counter[str]:
-        """What was dropped or refused, by name; part of the service's status."""
+        """Return the counters of what was dropped or refused, by name; they are part of the service's status."""
 
     @property
     def log(self) -> logging.Logger:
-        """Where the service's messages for people go."""
+        """Return the log for the service's messages to people."""
 
 
 class Process(Outlets, Protocol):
@@ -99,7 +99,7 @@ class Runtime(Process, Schedule, Protocol):
         all."""
 
     def worker(self, name: str) -> Worker:
-        """A worker with a thread of that name."""
+        """Return a worker with a thread of that name."""
 
 
 def listen(runtime: Runtime, key: str, kind: type[M], take: Callable[[M], None]) -> None:

@@ -36,7 +36,7 @@ _STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 
 class Service:
-    """What every service process has: config, own name, zenoh_bus, log, state, counters, and a wish to stop.
+    """The parts of every service process: config, own name, bus, log, state, counters, and the wish to stop.
 
     `stopping` is set by SIGTERM, SIGINT or `stop()`; main threads wait on it.
     """

@@ -26,7 +26,7 @@ HAS_PROCESSES = hasattr(socket, "AF_UNIX") and hasattr(os, "getuid")
 
 
 def default_run_dir() -> Path:
-    """Where a simulation of this user runs unless told otherwise; short, since sockets' paths are limited."""
+    """Return the default directory of this user's simulation. It is short, since paths of sockets are limited."""
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     if runtime:
         return Path(runtime) / "swarm-sim"
@@ -138,7 +138,8 @@ def _listed(path: Path) -> list[str]:
 
 
 def pid_file(directory: Path, robot: str, service: str) -> Path:
-    """Where the simulation in `directory` notes the pid of a service (`app/consensus` has a slash)."""
+    """Return the file in which the simulation in `directory` notes the pid of a service (`app/consensus` has a
+    slash)."""
     return directory / robot / f"{service.replace('/', '.')}.pid"
 
 

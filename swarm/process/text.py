@@ -12,10 +12,10 @@ _CUT = "..."
 
 
 def printable(text: str, longest: int | None = LONGEST) -> str:
-    """One line of at most `longest` visible characters (None: as many as there are), at least three.
+    r"""Return `text` as one line of at most `longest` visible characters (None: no limit), at least three.
 
     Every character that is not visible (a control character, a line break, a direction mark, half a surrogate pair) is
-    written as JSON writes it, `\\u001b`, so that a line of JSON means what it meant.
+    written as JSON writes it, `\u001b`, so that a line of JSON means what it meant.
     """
     # Cut before anything is made longer: the text may be a megabyte.
     shown = _shown(text if longest is None else text[: longest + 1])

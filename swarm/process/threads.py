@@ -41,7 +41,6 @@ class ThreadedRuntime(LockedRuntime):
         self._thread.start()
 
     def at(self, time: float, call: Callable[..., object], *arguments: Any) -> None:
-        """See `Runtime`."""
         with self._lock:
             before = self.next_time
             super().at(time, call, *arguments)
@@ -49,7 +48,6 @@ class ThreadedRuntime(LockedRuntime):
                 self._changed.notify()
 
     def every(self, period: float, call: Callable[[], None], keys: tuple[str, ...]) -> None:
-        """See `Runtime`."""
         wanted = self._service.bus.wanted
 
         def beat() -> None:
@@ -59,17 +57,14 @@ class ThreadedRuntime(LockedRuntime):
         self.at(self.now + period, beat)
 
     def worker(self, name: str) -> "ThreadWorker":
-        """See `Runtime`."""
         worker = ThreadWorker(self, name)
         self._workers.append(worker)
         return worker
 
     def ready(self) -> None:
-        """See `Runtime`."""
         self._service.ready()
 
     def degraded(self, reason: str) -> None:
-        """See `Runtime`."""
         self._service.degraded(reason)
 
     def close(self) -> None:
@@ -88,7 +83,7 @@ class ThreadedRuntime(LockedRuntime):
                     self._changed.wait(None if wait == NEVER else wait)
 
     def _feed_watchdog(self) -> None:
-        """Only where the lock is free, the clock goes on and no job hangs is this process alive."""
+        """Feed the watchdog if no job hangs. That this runs shows that the lock is free and the clock goes on."""
         self.at(self.now + _FEED, self._feed_watchdog)
         began = [worker.running_since for worker in self._workers]
         if all(since is None or self.now - since < HANG for since in began):
@@ -111,21 +106,17 @@ class ThreadWorker:
 
     @property
     def busy(self) -> bool:
-        """See `Worker`."""
         return self._given > 0
 
     @property
     def thread(self) -> int | None:
-        """See `Worker`."""
         return self._thread.ident
 
     def run(self, job: Callable[[], T], done: Callable[[T], None], failed: Callable[[SwarmError], None]) -> None:
-        """See `Worker`."""
         self._given += 1
         self._jobs.put((job, done, failed))
 
     def close(self, within: float) -> bool:
-        """See `Worker`."""
         self._closing = True
         self._jobs.put((_nothing, _ignore, _ignore))
         self._thread.join(within)

@@ -15,7 +15,7 @@ Axis = Callable[[float], float]
 
 
 class Relation(NamedTuple):
-    """What a robot's mesh said of its clock at time t."""
+    """The relation of a robot's clock to the mesh clock at time t."""
 
     t: float
     offset: float
@@ -35,11 +35,11 @@ class Clocks:
         """The time of day at the zero of common time, s since 1970, as well as it is known; after `axes`."""
 
     def add(self, clock: str, epoch: float) -> None:
-        """A clock was seen: the time of day, s since 1970, at its zero."""
+        """Note a clock with the time of day at its zero, in s since 1970."""
         self._epochs.setdefault(clock, epoch)
 
     def relate(self, clock: str, relation: Relation) -> None:
-        """A sample of the mesh clock was recorded under this clock."""
+        """Note a sample of the mesh clock that was recorded under this clock."""
         self._relations.setdefault(clock, []).append(relation)
 
     def axes(self) -> dict[str, Axis]:

@@ -93,7 +93,7 @@ class Budget:
 
 
 def shown(size: float) -> str:
-    """Bytes for people."""
+    """Return a number of bytes as text for people."""
     return f"{size / 1e9:.2f} GB" if size >= 1e9 else f"{size / 1e6:.1f} MB"
 
 
@@ -116,7 +116,7 @@ def _look(folder: Path) -> _RunFolder:
 
 
 def _delete(folder: Path) -> None:
-    """With all that is in it; two that do so at once are in no one's way. Raises `OSError`."""
+    """Delete a folder with its content. Two processes may do so at once. Raises `OSError`."""
     for path in sorted(folder.rglob("*"), reverse=True):  # what is in a folder stands behind it
         with contextlib.suppress(FileNotFoundError):
             path.rmdir() if path.is_dir() and not path.is_symlink() else path.unlink()

@@ -122,7 +122,6 @@ class RecordingFile:
             self._store()
 
     def close(self) -> None:
-        """End the file."""
         self._ending.set()
         self._thread.join()
         self.flush()
@@ -180,8 +179,8 @@ class RecordingFile:
             self._journal.add(record)
 
     def _found(self, limit: int | None) -> ExistingContent:
-        """What an earlier process has left, up to `limit` where its journal goes on from there; a file that is none of
-        ours is put aside, not written over."""
+        """Return the content that an earlier process has left, up to `limit`, where its journal goes on. A file in
+        another format is put aside, not overwritten."""
         assert self._file is not None
         try:
             return survey(self._file, limit)

@@ -26,17 +26,17 @@ KEYS = ("app", "run", "version", "seed", "digest")
 
 
 def root() -> Path:
-    """Where a robot keeps a folder for each run."""
+    """Return the directory in which a robot keeps a folder for each run."""
     return state_dir() / "runs"
 
 
 def of_robot(app: str, run: int) -> Path:
-    """Where a robot keeps the recording of a run."""
+    """Return the folder of a run's recording on a robot."""
     return root() / f"{app}-{run:016x}"
 
 
 def describe(app: str, run: int, seed: int, digest: bytes) -> dict[str, str]:
-    """What is to be known of a run; `digest` is of the app's source."""
+    """Return the metadata of a run; `digest` is of the app's source."""
     return {"app": app, "run": f"{run:016x}", "version": __version__, "seed": str(seed), "digest": digest.hex()}
 
 
@@ -52,7 +52,7 @@ def begin(folder: Path, run: Mapping[str, str], files: Mapping[str, bytes]) -> N
 
 
 def read_run(folder: Path) -> dict[str, str]:
-    """What `begin` wrote; nothing where there is no such file. Raises `RecordingError`."""
+    """Return what `begin` wrote; empty where the file is missing. Raises `RecordingError`."""
     try:
         text = (folder / RUN_FILE).read_text(encoding="utf-8")
         return {name: str(value) for name, value in read_toml(text).items()}

@@ -58,7 +58,7 @@ class Journal:
         self._map[: len(_MARK)] = _MARK
 
     def turn(self, base: int) -> None:
-        """From now on add to the other half, whose records are due at `base`."""
+        """Add to the other half from now on; its records are due at `base`."""
         self._half = self._other
         self._length = 0
         self._map[self._half : self._half + _HEAD.size] = _HEAD.pack(base, 0)

@@ -52,7 +52,7 @@ _log = logging.getLogger("record")
 
 
 class Takes(Protocol):
-    """Where messages are put."""
+    """A function that stores a message."""
 
     def write(self, topic: str, t: float, message: object, name: str = "") -> None:
         """Record a message at `t`."""
@@ -68,7 +68,6 @@ class Asked(NamedTuple):
     """Bytes of its payload."""
 
     def fields(self) -> dict[str, object]:
-        """As a message."""
         return self._asdict()
 
 
@@ -81,7 +80,6 @@ class Heard(NamedTuple):
     size: int
 
     def fields(self) -> dict[str, object]:
-        """As a message."""
         return self._asdict()
 
 
@@ -153,7 +151,7 @@ class TopicRecorder:
                 self._sink.write(f"{self._prefix}/heard", t, heard.fields(), "swarm.Heard")
 
     def _take(self, name: str, payload: bytes) -> None:
-        """On Zenoh's thread: nothing is decoded here."""
+        """Keep a sample for the writer. Zenoh's thread calls this, so nothing is decoded here."""
         t = self._now()
         name = self._copies.get(name, name)
         least = self._least.get(name, 0.0)

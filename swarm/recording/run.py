@@ -78,8 +78,8 @@ class Run:
         return found
 
     def trajectories(self, app: str = "", channel: str = "") -> dict[str, Trajectory]:
-        """What each robot computed, with times from `origin` on. Of an iteration that stands there twice the
-        later one counts, and `damage` says so where they differ."""
+        """Return each robot's trajectory, with times from `origin` on. Of an iteration that was recorded twice the
+        later one counts; `damage` reports it where the two differ."""
         topics = {topic: robot for robot, topic in self.states(app).get(channel, {}).items()}
         found = {robot: Builder(strict=False) for robot in topics.values()}
         told = {each: robot for topic, robot in topics.items() for each in beside(topic)}
@@ -96,9 +96,9 @@ class Run:
         return {robot: builder.known() for robot, builder in found.items()}
 
     def samples(self, *keys: str) -> Iterator[RecordedSample]:
-        """All messages of the topics that one of `keys` names (as on the bus `*` is any one chunk, `**` any number of
-        them; none: all), in the order of common time, which counts from `origin`. What two apps of a robot have both
-        recorded comes once, as often as one of them has it."""
+        """Yield all messages of the topics that one of `keys` names, in the order of common time from `origin` on.
+        As on the bus `*` is any one chunk and `**` any number of them; without keys all topics come. A message that
+        two apps of a robot have recorded comes once, as often as one of them has it."""
         patterns = tuple(map(_pattern, keys))
         merged = heapq.merge(*(self._ordered(file, patterns) for file in self.files), key=_place)
         for _, same in groupby(merged, key=_place):
@@ -145,7 +145,7 @@ class Run:
         return self._axes.get(clock, float)
 
     def _ordered(self, file: Path, patterns: tuple[re.Pattern[str], ...]) -> Iterator[tuple[Path, RecordedSample]]:
-        """A file's messages by time: those written late are waited for."""
+        """Yield a file's messages by time, after waiting for those that were written late."""
 
         def wanted(topic: str) -> bool:
             return not patterns or any(pattern.fullmatch(topic) for pattern in patterns)
@@ -166,7 +166,7 @@ class Run:
 
 
 def _pattern(key: str) -> re.Pattern[str]:
-    """What a key expression of the bus matches."""
+    """Return the pattern of the keys that a key expression of the bus matches."""
     chunks = (".*" if chunk == "**" else re.escape(chunk).replace(r"\*", "[^/]*") for chunk in key.split("/"))
     text = "/".join(chunks).replace("/.*/", "/(?:.*/)?")
     return re.compile(re.sub(r"^\.\*/", "(?:.*/)?", re.sub(r"/\.\*$", "(?:/.*)?", text)))

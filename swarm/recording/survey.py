@@ -14,7 +14,7 @@ _INDEX_HEAD = 6
 
 
 def survey(file: int, limit: int | None = None) -> ExistingContent:
-    """What the file holds, up to its last whole record (`position`) or to the end of its data where it was finished.
+    """Survey the file up to its last whole record (`position`), or to the end of its data where it was finished.
 
     What begins at `limit` or behind it is left out. Between two checkpoints that are linked nothing is read, behind the
     last one chunks are stepped over; a chunk whose indexes are not all there counts as not written. Raises
@@ -88,8 +88,8 @@ _NOTED = frozenset((mcap.METADATA, mcap.SCHEMA, mcap.CHANNEL))
 
 
 def _last_checkpoint(file: int, known: ExistingContent, at: int, size: int) -> ExistingContent | None:
-    """What the file holds up to the last checkpoint that the one at `at` leads to; None where `at` has none that is
-    whole. A link is only a hint: it may lead to what was cut off when a process was started again."""
+    """Return the content up to the last checkpoint to which the one at `at` leads; None where `at` has none that is
+    whole. A link is only a hint: it may lead to data that was cut off when a process was started again."""
     chain: list[int] = []
     while (after := mcap.next_checkpoint(at, os.pread(file, mcap.CHECKPOINT_HEAD, at))) is not None:
         chain.append(at)

@@ -29,7 +29,7 @@ _LOCALIZATION = ("x", "y", "zx", "zy", "gx", "gy")
 
 
 class _Line(NamedTuple):
-    """What a line says."""
+    """The values of one line."""
 
     t: float | None
     """Unix time, s; None where the layout has none."""
@@ -42,7 +42,7 @@ class _Line(NamedTuple):
 
 
 def kind_of(path: PurePosixPath) -> str:
-    """What was measured, by the folders of a file; `consensus` where they do not say it."""
+    """Return the kind of measurement by the folders of a file; `consensus` where they do not tell it."""
     if path.stem.startswith("RTT"):
         return "latency"
     return next((part for part in reversed(path.parts) if part in FOLDERS), "consensus")
@@ -59,7 +59,7 @@ def channel_of(path: PurePosixPath) -> str:
 
 
 def read(text: str, kind: str, name: str) -> Iterator[tuple[str, _Line]]:
-    """Each line with its ending, and what it says; `RecordingError` names file and line."""
+    """Yield each line with its ending and its values. `RecordingError` names file and line."""
     lines = text.splitlines(keepends=True)
     metres = kind == "localization" and not any(line.count(",") == 11 for line in lines)
     k = -1
@@ -111,7 +111,7 @@ def _line(cells: Sequence[float | bool], kind: str, k: int, *, metres: bool) -> 
 
 
 def states(rows: Sequence[tuple[float, Sequence[str]]]) -> str:
-    """A robot's states (Unix time, cells) in the layout of consensus: new, and sent at once."""
+    """Return a robot's states (Unix time, cells) in the layout of consensus: new, and sent at once."""
     text = ""
     for k, (t, cells) in enumerate(rows):
         line = ",".join((repr(t), *cells))
@@ -122,8 +122,8 @@ def states(rows: Sequence[tuple[float, Sequence[str]]]) -> str:
 def localization(
     rows: Sequence[tuple[float, float, float]], measurements: dict[int, tuple[float, float, float]], *, start: int = 0
 ) -> str:
-    """A robot's estimates (Unix time, x, y in m) with the measurement (distance, own x, y, m) that gave state k, in the
-    layout of localization. z and g are told as 0: other algorithms have none."""
+    """Return a robot's estimates (Unix time, x, y in m) in the layout of localization, with the measurement
+    (distance, own x, y, m) that gave state k. z and g are 0: other algorithms have none."""
     text = ""
     for k, (t, x, y) in enumerate(rows, start):
         line = ",".join(map(repr, (t, _CM * x, _CM * y, 0.0, 0.0, 0.0, 0.0)))

@@ -48,7 +48,7 @@ class ThesisRow(NamedTuple):
 
 @frozen
 class ThesisRecording:
-    """What one robot measured and estimated."""
+    """The measurements and estimates of one robot."""
 
     path: Path
     rows: tuple[ThesisRow, ...]
@@ -60,7 +60,7 @@ class ThesisRecording:
 
     @property
     def steps(self) -> int:
-        """How many iterations can be replayed: as many as there are rows."""
+        """Return the number of iterations that can be replayed."""
         return len(self.rows)
 
 

@@ -32,7 +32,7 @@ def is_kept(k: int, every: int) -> bool:
 
 @frozen
 class Trajectory:
-    """What one robot's app computed."""
+    """The iterations that one robot's app has computed."""
 
     columns: tuple[str, ...] = ()
     """Names of the state and result columns: `name`, `vector[0]`..., results as `result.name`."""
@@ -50,12 +50,12 @@ class Trajectory:
 
     @property
     def newest(self) -> float:
-        """When the last iteration was there, s; -inf where there is none."""
+        """Return the time of the last iteration, s; -inf where there is none."""
         return self.times.get(self.last, -math.inf)
 
     def value(self, k: int, column: str) -> float:
-        """One number; nan where the column holds none (an absent or ambiguous result). Raises `RecordingError` for a
-        column that is not there."""
+        """Return one number; nan where the column holds none (an absent or ambiguous result). Raises
+        `RecordingError` for an unknown column."""
         if column not in self.columns:
             raise RecordingError(f"there is no column {column!r}; there are: {', '.join(self.columns) or 'none'}")
         try:
@@ -64,7 +64,7 @@ class Trajectory:
             return math.nan
 
     def first_reached(self) -> float | None:
-        """When the first iteration was done."""
+        """Return the time at which the first iteration was done."""
         return min((t for k, t in self.times.items() if k >= 1), default=None)
 
 
@@ -89,7 +89,7 @@ class Builder:
         self._breaks: list[int] = []
 
     def known(self) -> Trajectory:
-        """What it has by now; grows with it."""
+        """Return the trajectory so far; it grows with further messages."""
         return Trajectory(self._columns, self._times, self._rows, tuple(self._breaks))
 
     def add(self, message: Mapping[str, Any], path: Path) -> None:
@@ -152,7 +152,7 @@ class TrajectoryReader:
         self._builder = Builder(whole=whole)
 
     def read(self) -> Trajectory:
-        """All there is by now; nothing where there is no such file. Raises `RecordingError`."""
+        """Return the trajectory so far; empty where there is no such file. Raises `RecordingError`."""
         if self._reader is None:
             if not self._path.is_file() or not self._path.stat().st_size:
                 return EMPTY

@@ -45,7 +45,6 @@ class DirectRecording:
             raise LocalError(f"{self._path}: cannot be written: {error.strerror}") from None
 
     def close(self) -> None:
-        """End the file."""
         try:
             finish(self._writer, self._file)
             self._file.close()

@@ -27,7 +27,7 @@ class SwitchEpoch:
 
 @frozen
 class EpochRequest:
-    """What an operator wants: others out, others in, or only the links in force."""
+    """An operator's request: take robots out, take robots in, or only take the links in force."""
 
     drop: tuple[str, ...] = ()
     add: tuple[str, ...] = ()

@@ -106,12 +106,12 @@ class Epochs:
 
     @property
     def birth(self) -> int:
-        """Of this process: higher than that of any before it on this robot."""
+        """Return the birth number of this process, higher than that of any earlier process on this robot."""
         return self._mine.birth
 
     @property
     def kept(self) -> SavedEpochs:
-        """What is to outlive the process."""
+        """Return the data that must outlive the process."""
         return SavedEpochs(*self._of, self._mine)
 
     @property
@@ -138,12 +138,12 @@ class Epochs:
         return f"the members change: {answers} of {members} have answered, more than half are needed"
 
     def actions(self) -> list[Action]:
-        """What is to be done now, in this order."""
+        """Return the actions to be done now, in this order."""
         actions, self._actions = self._actions, []
         return actions
 
     def next_deadline(self, now: float) -> float | None:
-        """When `handle_timer` wants to be called; None: no timer runs."""
+        """Return the time at which the host must call `handle_timer`; None while no timer runs."""
         if not (self.auto or self.frozen or self.k < 0 or self._request is not None or self._offers or self._mine.lost):
             return None  # asked after each message, and nearly always so
         times = [self._tell_at] if self._busy else []
@@ -202,7 +202,7 @@ class Epochs:
             self._tell(now)
 
     def receive(self, data: bytes, now: float) -> None:
-        """A note, of whomever."""
+        """Take a note of any robot."""
         try:
             note = EpochNote.decode(data)
         except PayloadError:
@@ -268,7 +268,7 @@ class Epochs:
 
     @property
     def _collected_at(self) -> float:
-        """When a ballot need not wait for further answers."""
+        """Return the time after which a ballot need not wait for further answers."""
         return max(self._offered_at + COLLECT, self._answered_at + QUIET)
 
     def _weigh(self, note: EpochNote, now: float) -> None:
@@ -285,7 +285,7 @@ class Epochs:
         self._decide(now)
 
     def _answer(self, offer: Offer, now: float) -> None:
-        """As an acceptor: promise, or accept. Without a vote only what the operator has forced, who answers for it."""
+        """Promise or accept, as an acceptor. A robot without a vote answers only offers that an operator has forced."""
         mine = self._mine
         if mine.lost and not offer.forced:
             return
@@ -332,7 +332,7 @@ class Epochs:
         self._decide(now)
 
     def _drive(self, now: float) -> None:
-        """As a proposer: go on where there are answers enough."""
+        """Go on with an own ballot, as its proposer, where enough robots have answered."""
         offer = self._mine.offer
         if offer is None or offer.epoch is not None:
             return
@@ -348,7 +348,7 @@ class Epochs:
             self._stop(offer.ballot, Vote(offer.ballot, epoch), now)
 
     def _decide(self, now: float) -> None:
-        """As everybody: see whether an epoch has votes enough."""
+        """Adopt an epoch that has enough votes; every robot checks this."""
         epoch = decided(self.epoch, self._roster.of_members())
         if epoch is not None:
             self._adopt(epoch, now)

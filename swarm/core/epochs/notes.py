@@ -107,7 +107,7 @@ def _number(body: tuple[object, ...]) -> int:
 
 @frozen
 class Vote:
-    """That a robot is for an epoch, in one ballot."""
+    """A robot's vote for an epoch in one ballot."""
 
     ballot: Ballot
     epoch: Epoch
@@ -160,17 +160,16 @@ class EpochNote:
 
     @property
     def members(self) -> set[str]:
-        """All robots that are members of an epoch in it."""
+        """Return all robots that are members of any epoch in this note."""
         return {name for epoch in self._epochs for name in epoch.members}
 
     @property
     def _epochs(self) -> list[Epoch]:
-        """All epochs in it."""
+        """Return all epochs in this note."""
         holders = (self, self.accepted, self.offer)
         return [each.epoch for each in holders if each is not None and each.epoch is not None]
 
     def encode(self) -> bytes:
-        """Pack as msgpack."""
         return encode(self)
 
     @classmethod
@@ -184,7 +183,8 @@ class EpochNote:
 
 @frozen
 class SavedEpochs:
-    """What must outlive the process and, for robots that reboot, the runtime directory: no robot votes twice."""
+    """The state that must outlive the process (and the runtime directory, for robots that reboot), so that no robot
+    votes twice."""
 
     run: int
     schema: int

@@ -18,7 +18,7 @@ class Roster:
         """When each came."""
 
     def take(self, note: EpochNote, now: float) -> None:
-        """A newer note of another robot."""
+        """Keep a newer note of another robot."""
         self.notes[note.robot] = note
         self.heard[note.robot] = now
 

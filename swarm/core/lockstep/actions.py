@@ -45,14 +45,15 @@ class Send:
 
 
 def key_of(channel: str, to: str | None, *, around: bool) -> str:
-    """What a frame is published under; `channel` is the key of what all neighbours get, the others are of `Send`."""
+    """Return the key under which a frame is published. `channel` is the key for all neighbours; with `to` the frame
+    goes to one."""
     if to is None:
         return channel
     return f"{channel}/{to}/{_AROUND}" if around else f"{channel}/{to}"
 
 
 class Address(NamedTuple):
-    """What the key of a frame says: `swarm/<sender>/app/<app>/sync/<channel>`, and what `key_of` puts behind it."""
+    """The parts of a frame's key: `swarm/<sender>/app/<app>/sync/<channel>`, and what `key_of` appends to it."""
 
     sender: str
     app: str

@@ -27,7 +27,7 @@ _CHANNEL = re.compile(r"([0-9a-f]{16})-(0|[1-9][0-9]{0,9})-(0|[1-9][0-9]{0,19})-
 
 @frozen
 class Channel:
-    """What tells a sender's frames apart from those of another run, epoch, process or version of the app."""
+    """The identity of a sender's frames: their run, epoch, process and version of the app."""
 
     run: int
     """u64, given by the launcher, the same on all robots, bound to a hash of app and config."""
@@ -87,7 +87,6 @@ def encode_step(k: int, value: bytes, previous: bytes | None) -> bytes:
 
 
 def encode_want(k: int) -> bytes:
-    """Pack a `Want`."""
     return _HEAD.pack(WANT, k)
 
 
@@ -114,7 +113,7 @@ def decode_frame(data: bytes, size: int) -> Step | Want:
 
 @dataclass(slots=True)
 class HeardNeighbour:
-    """What is known of one neighbour."""
+    """What this robot has heard of one neighbour."""
 
     incarnation: int = -1
     """Highest incarnation seen, -1 for none yet."""

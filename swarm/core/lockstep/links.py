@@ -25,12 +25,13 @@ class SilentLinks:
         return bool(self._asked or self.around)
 
     def asked(self, peers: tuple[str, ...], rtt: float, now: float, *, least: float) -> None:
-        """A question went out over the links with `peers`; before `least` none of them is taken for silent."""
+        """Note that a question went out over the links with `peers`. Before the time `least` no link counts as
+        silent."""
         self._asked = peers
         self.due = max(now + max(SILENT_AFTER_RTTS * rtt, SILENT_AFTER), least)
 
     def progress(self) -> None:
-        """What was asked for is there, or the question has had its time."""
+        """Forget the question: its answer is there, or its time is over."""
         self._asked, self.due = (), _NEVER
 
     def speaks(self, peer: str) -> None:
@@ -39,7 +40,7 @@ class SilentLinks:
         self.around = tuple([name for name in self.around if name != peer])
 
     def silent(self) -> tuple[str, ...]:
-        """At `due`: whose link turns out to be silent."""
+        """Return the peers whose links turn out to be silent; to be called at `due`."""
         new = tuple([name for name in self._asked if name not in self.around])
         self.progress()
         return new

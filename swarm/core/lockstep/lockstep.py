@@ -97,12 +97,13 @@ class Lockstep:
         return () if self.k == self._last else self._lacking()
 
     def actions(self) -> list[Action]:
-        """What is to be done now, in this order; each is handed out once."""
+        """Return the actions to be done now, in this order; each is handed out once."""
         actions, self._actions = self._actions, []
         return actions
 
     def next_deadline(self) -> float | None:
-        """When `handle_timer` wants to be called, on the clock of `now`; None: no timer runs."""
+        """Return the time, on the clock of `now`, at which the host must call `handle_timer`; None while no timer
+        runs."""
         if self.k < 0 or self.fault is not None or self.done:
             return None
         if self._computing:
@@ -169,7 +170,7 @@ class Lockstep:
         self._settle(now)
 
     def nudge(self, now: float) -> None:
-        """A link or the bus came up: what has been missing for a round trip is asked for now, no later (R4)."""
+        """Ask at once for values that have been missing for a round trip: a link or the bus came up (R4)."""
         self._questions.hurry(now, self._name_at - NAME_AFTER, self.rtt)
 
     def handle_timer(self, now: float) -> None:
@@ -240,7 +241,7 @@ class Lockstep:
     # How it works
 
     def _receive_own(self, channel: Channel) -> None:
-        """A frame of this robot: an echo of the bus, or a second process of the same app (R6)."""
+        """Take a frame of this robot: an echo of the bus, or of a second process of the same app (R6)."""
         if channel.incarnation > self.channel.incarnation:
             self._fail(
                 f"another process runs this app on {self.me} "
@@ -313,7 +314,7 @@ class Lockstep:
             self._actions.append(Finished(self.k))
 
     def _settle(self, now: float) -> None:
-        """After any change: say that a wait is over or has fewer robots, compute, or be done."""
+        """Report a wait that ended or has fewer robots, compute, or be done; called after any change."""
         if self.fault is not None or self._computing:
             return
         if self.k == self._last:
@@ -354,7 +355,7 @@ class Lockstep:
             self.counters["links gone around"] += 1
 
     def _send_around(self, peer: str) -> None:
-        """What a neighbour may lack, and the question for what we lack, around the link with it."""
+        """Send a neighbour our value, and the question for its value, around the link with it."""
         self._actions += (Send(self._frame, peer, around=True), Send(encode_want(self.k), peer, around=True))
 
     def _answer(self, sender: str, k: int, now: float, *, around: bool) -> None:

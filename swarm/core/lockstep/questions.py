@@ -41,7 +41,7 @@ class QuestionTimes:
         self._late_after = min(WANT_AFTER_USUAL * sorted(recent)[-4:][0], WANT_AFTER_MOST)
 
     def progress(self, now: float, rtt: float) -> None:
-        """An iteration begins."""
+        """Begin the times of a new iteration."""
         self.interval = max(WANT_AFTER_RTTS * rtt, WANT_AFTER, self._late_after)
         self.due = now + self.interval
 
@@ -50,7 +50,7 @@ class QuestionTimes:
         self.due = now + max(self.interval, WANT_AFTER_MOST)
 
     def asked(self, now: float, rtt: float) -> None:
-        """A question went out; the next one comes later and later."""
+        """Note that a question went out; the interval to the next one doubles."""
         self._asked_at = now
         self.due = now + self.interval
         self.interval = max(min(2 * self.interval, WANT_AFTER_MOST), WANT_AFTER_RTTS * rtt, self._late_after)

@@ -21,7 +21,7 @@ MOST = 0xFFFF
 
 @frozen
 class Rule:
-    """When to stop."""
+    """The rule of an app for when its run stops."""
 
     rounds: int | None = None
     """Rounds for which all robots must have been content; None: that is no reason to stop."""

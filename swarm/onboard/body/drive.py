@@ -35,7 +35,7 @@ _TOPICS = ("state", "fault", "notice")
 
 
 class _Telltale:
-    """What the robot's balancer says, for the person who drives."""
+    """The display of the balancer's state for the person who drives."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -68,7 +68,6 @@ class _Telltale:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare `[ROBOT]`."""
     parser.add_argument(
         "name", nargs="?", metavar="ROBOT", help="a robot of the simulation, or over ssh (default: this robot)"
     )

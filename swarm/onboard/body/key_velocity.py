@@ -32,7 +32,7 @@ DIRECTIONS = {
 
 @frozen
 class Velocity:
-    """What to command: m/s, rad/s to the left, and for how many seconds it holds."""
+    """The velocity to command: m/s, rad/s to the left, and for how many seconds it holds."""
 
     speed: float
     turn_rate: float
@@ -52,7 +52,7 @@ class KeyVelocity:
 
     @property
     def deadline(self) -> float | None:
-        """When `handle_timer` is due; None while nothing is commanded."""
+        """Return the time at which `handle_timer` is due; None while nothing is commanded."""
         return self._until if self._key else None
 
     @property

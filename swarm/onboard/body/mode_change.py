@@ -27,7 +27,7 @@ _WAY_OUT = {
 
 @frozen
 class ModeOutcome:
-    """How it ended on one robot."""
+    """The outcome of a change of mode on one robot."""
 
     ok: bool
     text: str
@@ -122,7 +122,8 @@ class ModeChange:
             self._reacted = self._reacted or state.mode == "calibrating"
 
     def _in_fault(self, state: BalancerState) -> None:
-        """A fault of before is left within a tick or two by a command that leaves faults; a new one is the answer."""
+        """Fail if the robot stays in a fault. The command ends an old fault within two ticks; a new fault is the
+        answer."""
         if self._stuck_since is None:
             self._stuck_since = state.t
         # The first message of the state may overtake that of the fault, which has the way out.

@@ -66,22 +66,22 @@ class Bluez:
     # -- bluetoothd ------------------------------------------------------------------------------------------------
 
     def objects(self) -> dict[str, Any]:
-        """All that bluetoothd has: interfaces with their properties, by object path."""
+        """Return all objects of bluetoothd: interfaces with their properties, by object path."""
         (found,) = self.call("/", "org.freedesktop.DBus.ObjectManager", "GetManagedObjects")
         return {path: {name: _plain(properties) for name, properties in each.items()} for path, each in found.items()}
 
     def state(self) -> dict[str, Any]:
-        """The adapter's properties."""
+        """Return the adapter's properties."""
         return dict(self.objects()[self.adapter][_BLUEZ + ".Adapter1"])
 
     def device(self, address: str) -> dict[str, Any] | None:
-        """A device's properties; None where the adapter does not know it."""
+        """Return a device's properties; None where the adapter does not know it."""
         interfaces = self.objects().get(self.path(address), {})
         found = interfaces.get(_BLUEZ + ".Device1")
         return None if found is None else dict(found)
 
     def devices(self) -> list[dict[str, Any]]:
-        """All devices of the adapter."""
+        """Return the properties of all devices of the adapter."""
         name = _BLUEZ + ".Device1"
         return [each[name] for path, each in self.objects().items() if name in each and path.startswith(self.adapter)]
 

@@ -35,7 +35,7 @@ def below(root: str, path: str) -> Path:
 
 
 def text(path: Path, limit: int = 1 << 20) -> str | None:
-    """A file's text; None where there is none, or it cannot be read."""
+    """Return a file's text; None where it is missing or cannot be read."""
     try:
         with path.open("rb") as file:
             return file.read(limit).decode(errors="replace")
@@ -44,5 +44,6 @@ def text(path: Path, limit: int = 1 << 20) -> str | None:
 
 
 def line(path: Path) -> str:
-    """A file's text without what surrounds it (a device tree's end in a zero); empty where there is none."""
+    """Return a file's text without white space and zeros at its ends (a device tree's end in a zero); empty where it
+    is missing."""
     return (text(path) or "").strip("\0\n ")

@@ -72,7 +72,7 @@ def _throttled(root: str) -> int | None:
 
 
 def _devices(root: str) -> dict[str, Any]:
-    """Who answers on the I2C bus: WHO_AM_I of the IMU, layout and revision of the ATmega's firmware, the display."""
+    """Read from the I2C bus: WHO_AM_I of the IMU, layout and revision of the ATmega's firmware, the display."""
     try:
         bus = os.open(below(root, "/dev/i2c-1"), os.O_RDWR)
     except OSError as error:

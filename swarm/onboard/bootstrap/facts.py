@@ -67,7 +67,7 @@ def _mode(root: str, path: str) -> str | None:
 
 
 def _link(root: str, path: str) -> str | None:
-    """Where a link leads, "" where it is a file of its own, None where it or its end is not there."""
+    """Return the target of a symbolic link, "" for a plain file, None where the file or the target is missing."""
     place = below(root, path)
     if not place.exists():
         return None

@@ -69,7 +69,7 @@ def _look(bluez: Bluez) -> dict[str, Any]:
 
 
 def _nothing(bluez: Bluez, request: dict[str, Any], tell: Callable[[object], None]) -> None:
-    """Only look."""
+    """Change nothing: the step of a request that only looks."""
 
 
 def _forget(bluez: Bluez, request: dict[str, Any], tell: Callable[[object], None]) -> None:

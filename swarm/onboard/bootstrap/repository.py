@@ -41,7 +41,7 @@ def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, A
 
 
 def _reason(said: str) -> str:
-    """What apt says is wrong: its errors, and the dependencies that it names before them."""
+    """Return apt's reason for a failure: its errors, and the dependencies that it names before them."""
     lines = [line.strip() for line in said.splitlines()]
     depends = [line for line in lines if "Depends:" in line and "but" in line]
     errors = [line[2:].strip() for line in lines if line.startswith("E:")]

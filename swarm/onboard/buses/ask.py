@@ -127,7 +127,7 @@ def newest(directory: Path, robot: str, kind: type[T], service: str, topic: str,
 
 
 class Views:
-    """What each mesh that was asked knows of the whole swarm (`mesh/graph`)."""
+    """The view of the whole swarm (`mesh/graph`) of each mesh that was asked."""
 
     def __init__(self) -> None:
         self.robots: dict[str, dict[str, GraphRobot]] = {}

@@ -34,7 +34,7 @@ Layouts = Mapping[str, str]
 
 
 class BusSample(NamedTuple):
-    """What came, when, and on whose bus."""
+    """One sample with its time and the robot on whose bus it came."""
 
     time: float
     """Seconds since 1970."""
@@ -47,13 +47,13 @@ class BusSample(NamedTuple):
 
 
 def as_text(sample: BusSample) -> str:
-    """One line: time, bus, key and the decoded payload."""
+    """Return a sample as one line: time, bus, key and the decoded payload."""
     return f"{clock_text(sample.time)} {_bus(sample.robot)}{_word(sample.key)} {_payload_text(sample)}"
 
 
 def as_json(sample: BusSample) -> str:
-    """One JSON object: `value` is the decoded payload, or `hex` the raw one beside `error`; of a frame between apps its
-    kind, its number and the state, or where its layout is not known `hex`."""
+    """Return a sample as one JSON object. `value` is the decoded payload; a payload with an error has `hex` and
+    `error`. A frame between apps has its kind, number and state, or `hex` where its layout is unknown."""
     data: dict[str, object] = {"time": round(sample.time, 6), "robot": sample.robot, "key": sample.key}
     if (frame := _frame(sample)) is not None:
         kind, name, number, state = frame
@@ -71,7 +71,7 @@ def as_json(sample: BusSample) -> str:
 
 
 def rate_text(now: float, robot: str, key: str, rate: float, volume: float) -> str:
-    """One line: samples and bytes a second of one key."""
+    """Return one line with a key's samples and bytes a second."""
     return f"{clock_text(now)} {_bus(robot)}{_word(key)} {rate:.1f}/s {volume:.0f} B/s"
 
 
@@ -170,7 +170,7 @@ def _fault(sample: BusSample) -> str | None:
 
 
 def value_text(value: object, depth: int = 0) -> str:
-    """A msgpack value in short: `t=1.5 mode=idle ranges=[{anchor=C933 distance=1.2}]`."""
+    """Return a msgpack value as short text: `t=1.5 mode=idle ranges=[{anchor=C933 distance=1.2}]`."""
     if isinstance(value, dict):
         inner = " ".join(f"{_word(str(name))}={value_text(item, depth + 1)}" for name, item in cut(value, depth))
         return inner if depth == 0 and inner else "{" + inner + "}"

@@ -11,7 +11,7 @@ OVERLAYS = (NEIGHBOURS, UNICAST, FLOOD)
 
 @frozen
 class Figures:
-    """What was measured for one size."""
+    """The figures of one payload size."""
 
     size: int
     """bytes of payload"""
@@ -42,13 +42,14 @@ class Series:
 
     @property
     def label(self) -> str:
-        """For tables and pictures."""
+        """Return the name of the series for tables and pictures."""
         return f"{self.overlay} to {self.to}, {self.hops} hop{'s' if self.hops > 1 else ''}"
 
 
 def of_times(size: int, times: Sequence[float], sent: int, *, both_ways: bool) -> Figures:
-    """Of single messages, each sent when the one before was answered. With `both_ways` the payload went there and back,
-    so half of the time is one way's: 2 s / RTT (thesis, equation 3.1). Else the answer was short: s / RTT."""
+    """Return the figures of single messages, each sent when the one before was answered. With `both_ways` the
+    payload went there and back, so the rate is 2 s / RTT (thesis, equation 3.1). Otherwise the answer was short: s /
+    RTT."""
     lost = sent - len(times)
     if not times:
         return Figures(size, 0, lost, None, None, None, None, None, None)
@@ -68,8 +69,8 @@ def of_times(size: int, times: Sequence[float], sent: int, *, both_ways: bool) -
 
 
 def of_bursts(size: int, bursts: Sequence[Sequence[float]], count: int) -> Figures:
-    """Of bursts of `count` messages that followed each other; each is the times of its answers, s. The rate is taken
-    from the first answers to the last, so that the latency is not in it."""
+    """Return the figures of bursts of `count` messages; each burst is the times of its answers, s. The rate counts
+    from the first answers to the last, so it does not include the latency."""
     rates = [rate for burst in bursts if len(burst) == count and (rate := _rate(size, sorted(burst))) is not None]
     lost = sum(count - len(burst) for burst in bursts)
     return Figures(size, len(rates), lost, None, None, None, None, None, statistics.median(rates) if rates else None)

@@ -120,7 +120,7 @@ def _measure(bus: Bus, robot: str, peer: str, args: argparse.Namespace) -> list[
 
 
 class _Pace:
-    """When something was said last: a measurement that takes no longer says nothing but its figures."""
+    """The time of the last progress line, so that a short measurement prints only its figures."""
 
     def __init__(self) -> None:
         self.said_at = clock.now()
@@ -138,7 +138,7 @@ def _look(bus: Bus, robot: str, way: str, pace: _Pace, done: int, total: int) ->
 def _ways(
     bus: Bus, robot: str, peer: str, overlay: str | None, priority: str | None
 ) -> list[tuple[Sender, str, str, int]]:
-    """What is to be measured: how, over which overlay, to whom, over how many links."""
+    """Return what is to be measured: sender, overlay, receiver, number of links."""
     known = _known(bus, robot)
     way = path(known, robot, peer)
     others = [each for each in known.values() if each.hops]
@@ -185,7 +185,7 @@ def path(known: Mapping[str, GraphRobot], robot: str, peer: str) -> list[str]:
 
 
 def table(robot: str, what: str, series: Sequence[Series]) -> list[str]:
-    """One part for each way of sending."""
+    """Return the lines of a table, a part for each way of sending."""
     lines: list[str] = []
     for each in series:
         if what == "throughput":

@@ -34,7 +34,7 @@ class Signal:
         self._peer = peer
 
     def read(self) -> int:
-        """One reading, dB; `LocalError` where there is no connection, or no answer."""
+        """Read the signal strength once, dB. Raises `LocalError` without a connection or an answer."""
         found = self._adapter.read(hci.READ_RSSI, self._peer)
         if found is None:
             raise LocalError("the adapter does not tell the signal strength")
@@ -48,7 +48,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read and print."""
     measured(args)
     return 0
 
@@ -81,7 +80,7 @@ def sample(signal: Signal, count: int, pause: Callable[[float], object] = time.s
 
 
 def text(link: str, readings: list[int]) -> list[str]:
-    """What people read."""
+    """Return the readings' statistics as lines for people."""
     mean, deviation = statistics.fmean(readings), statistics.pstdev(readings)
     return [
         f"{link}: RSSI of {len(readings)} readings: min {min(readings)}, median "

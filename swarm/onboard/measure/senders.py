@@ -43,7 +43,7 @@ class Sender(ABC):
 
     @abstractmethod
     def one(self, size: int) -> float | None:
-        """A message and its answer: s; None where that did not come."""
+        """Send one message and return the s until its answer; None where that did not come."""
 
     @abstractmethod
     def many(self, size: int, count: int) -> list[float]:
@@ -88,7 +88,7 @@ class Pings(Sender):
         bus.subscribe(key(robot, "mesh", "echo"), self._take)
 
     def one(self, size: int) -> float | None:
-        """One ping, answered by as many bytes."""
+        """Send one ping that is answered by as many bytes; return its round trip in s."""
         answers = self._ping(size, self._priority or "sync", count=1, short=False)
         return answers[0].rtt if answers else None
 
@@ -117,15 +117,15 @@ class Pings(Sender):
 
 
 class _Messages(Sender):
-    """What apps send through the client of the overlays. The time runs from the request until the own mesh has the
-    other end's confirmation, so one crossing of the own bus is in it."""
+    """Messages that apps send through the client of the overlays. The time runs from the request until the own mesh
+    has the other end's confirmation, so it includes one crossing of the own bus."""
 
     def __init__(self, bus: Bus, robot: str, priority: str | None) -> None:
         self._overlays = Overlays(bus, robot, APP)
         self._priority = priority
 
     def one(self, size: int) -> float | None:
-        """A message and its confirmation."""
+        """Send one message and return the s until its confirmation."""
         began = clock.now()
         answered = self._answered(self._send(size, self._priority or "sync"), began + _patience(size))
         return None if answered is None else answered - began
@@ -154,7 +154,7 @@ class _Messages(Sender):
 
 
 class UnicastMessages(_Messages):
-    """To one robot, over as many links as it takes."""
+    """Messages to one robot, over any number of links."""
 
     def __init__(self, bus: Bus, robot: str, to: str, priority: str | None) -> None:
         super().__init__(bus, robot, priority)
@@ -170,7 +170,7 @@ class UnicastMessages(_Messages):
 
 
 class Floods(_Messages):
-    """To all robots, until the echo says that all have it."""
+    """Messages to all robots; each ends when the echo says that all have it."""
 
     def _send(self, size: int, priority: str) -> Handle[Flooded]:
         return self._overlays.flood(bytes(size), priority=priority)

@@ -13,7 +13,7 @@ UP = ("up", "suspect")
 
 @dataclass
 class MeshView:
-    """What one robot's mesh reports of itself."""
+    """One robot's report of its own mesh."""
 
     links: Links | None = None
     clock: Clock | None = None
@@ -28,7 +28,7 @@ class MeshView:
 
 @dataclass
 class CollectedMesh:
-    """The swarm."""
+    """The whole swarm, collected from the reports of its robots."""
 
     views: Mapping[str, MeshView]
     """Of the robots that were asked."""
@@ -37,7 +37,7 @@ class CollectedMesh:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """All robots that anybody speaks of."""
+        """Return the names of all robots that any report mentions."""
         return tuple(sorted({*self.views, *self.robots, *(link.peer for _, link in self.links())}))
 
     def links(self) -> Iterator[tuple[str, LinkState]]:

@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def table(answers: Answers[AppEpoch]) -> list[str]:
-    """What people read."""
+    """Return the epoch of each robot as lines for people."""
     lines = []
     for name in answers.buses:
         epoch = answers.newest.get(name)

@@ -16,7 +16,7 @@ from swarm.process.terminal import columns
 
 @frozen
 class RadioReading:
-    """What an adapter tells of one connection; None where it does not know the command."""
+    """An adapter's reading of one connection; None for a figure whose command the adapter does not know."""
 
     robot: str
     peer: str
@@ -61,7 +61,7 @@ def _reading(adapter: Adapter, robot: str, peer: str, there: str) -> RadioReadin
 
 
 def table(readings: Sequence[RadioReading]) -> list[str]:
-    """One line for each connection."""
+    """Return the lines of a table, one for each connection."""
     rows: list[Sequence[str]] = [("radio", "role", "RSSI dB", "quality", "given up")]
     for each in readings:
         values = ["unknown" if value is None else str(value) for value in (each.rssi, each.quality, each.failed)]

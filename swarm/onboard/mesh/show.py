@@ -91,7 +91,7 @@ def _ask(name: str, bus: Bus, graphs: Views, take: OnSample) -> None:
 
 
 def as_json(mesh: CollectedMesh) -> dict[str, object]:
-    """For programs."""
+    """Return the swarm as values for JSON."""
     robots: dict[str, dict[str, object]] = {}
     for name in mesh.names:
         known, view = mesh.robots.get(name), mesh.views.get(name)

@@ -27,17 +27,17 @@ OVERLAYS = (
 
 
 def text(mesh: CollectedMesh) -> list[str]:
-    """All of it."""
+    """Return the lines of all tables."""
     return [*clashes(mesh), *robots(mesh), "", *links(mesh), "", *overlays(mesh), "", *graph(mesh)]
 
 
 def clashes(mesh: CollectedMesh) -> list[str]:
-    """One line for each name that two robots have."""
+    """Return one line for each name that two robots have."""
     return [f"WRONG: {text}" for _, text in sorted(mesh.clashes.items())]
 
 
 def robots(mesh: CollectedMesh) -> list[str]:
-    """One line for each robot of the swarm."""
+    """Return one line for each robot of the swarm."""
     rows: list[Sequence[str]] = [("robot", "state", "hops", "via", "links", "stopped", "clock")]
     neighbours = {name: len(mesh.graph.neighbours(name)) for name in mesh.names}
     for name in mesh.names:
@@ -64,7 +64,7 @@ def robots(mesh: CollectedMesh) -> list[str]:
 
 
 def links(mesh: CollectedMesh) -> list[str]:
-    """One line for each end of each link of the robots that were asked; roles where there are any."""
+    """Return one line for each end of each link of the robots that were asked; with roles where there are any."""
     roles = any(link.role for _, link in mesh.links())
     rows: list[Sequence[str]] = [
         (
@@ -112,7 +112,7 @@ def role(link: LinkState) -> str:
 
 
 def overlays(mesh: CollectedMesh) -> list[str]:
-    """One line for each robot that was asked. Links send nothing again; what is sent again, overlays do."""
+    """Return one line for each robot that was asked. The overlays repeat lost messages; the links do not."""
     rows: list[Sequence[str]] = [
         ("since start", *(column for column, _ in OVERLAYS), "callers refused"),
     ]
@@ -127,7 +127,7 @@ def overlays(mesh: CollectedMesh) -> list[str]:
 
 
 def graph(mesh: CollectedMesh) -> list[str]:
-    """Who is linked to whom, with the round trip in ms; `x` = not up."""
+    """Return the matrix of links with the round trip in ms; `x` = not up."""
     cells: dict[tuple[str, str], str] = {}
     for pair in mesh.states:
         shown = (ms(mesh.round_trips[pair]) or "up") if pair in mesh.round_trips else "x"

@@ -79,7 +79,7 @@ def is_done(answers: Answers[Topology], version: int = 0) -> bool:
 
 
 def table(answers: Answers[Topology]) -> list[str]:
-    """What people read."""
+    """Return the topology of each robot as lines for people."""
     rows: list[tuple[str, ...]] = [("robot", "version", "set on", "links up", "not up", "beyond it", "out of reach")]
     for name, each in robots(answers).items():
         if each is None:
@@ -101,7 +101,7 @@ def _version(topology: Topology) -> str:
 
 
 def _wish(words: list[str]) -> tuple[str, tuple[tuple[str, ...], ...]]:
-    """A shape, or links."""
+    """Parse a shape or a list of links."""
     if len(words) == 1 and is_name(words[0].partition(":")[0]) and _pair(words[0]) is None:
         return words[0], ()
     edges = []

@@ -23,7 +23,7 @@ Json = dict[str, Any]
 
 
 def encode(message: object) -> bytes:
-    """A dataclass or mapping as JSON text; `LocalError` for what cannot be carried."""
+    """Encode a dataclass or mapping as JSON text. Raises `LocalError` for other values."""
     try:
         return "".join(_pieces(message, 0)).encode()
     except ValueError:  # not finite, most likely
@@ -36,7 +36,7 @@ def encode(message: object) -> bytes:
 
 
 def decode(data: bytes | str) -> Any:
-    """What `encode` was given, in plain types: lists are tuples."""
+    """Decode what `encode` was given, in plain types: lists are tuples."""
     return _tupled(json.loads(data))
 
 
@@ -47,7 +47,7 @@ def schema(message: object, name: str) -> bytes:
 
 
 def _plain(value: object) -> object:
-    """What JSON itself does not know."""
+    """Convert a value that JSON does not know."""
     if dataclasses.is_dataclass(value):
         return {name: entry for name in _names(value.__class__) if (entry := getattr(value, name)) is not None}
     if isinstance(value, enum.Enum):
@@ -70,7 +70,7 @@ def _names(kind: Any) -> tuple[str, ...]:
 
 
 def _text(value: object) -> str:
-    """As the encoder, with numbers that are not finite."""
+    """Encode a value as JSON text, with numbers that are not finite."""
     if isinstance(value, float):
         if math.isnan(value):
             return "null"

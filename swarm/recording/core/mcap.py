@@ -52,7 +52,7 @@ _U32, _U64 = struct.Struct("<I"), struct.Struct("<Q")
 
 
 class McapSchema(NamedTuple):
-    """How the messages of some channels look."""
+    """The schema of the messages of some channels."""
 
     id: int
     name: str
@@ -71,8 +71,6 @@ class McapChannel(NamedTuple):
 
 
 class McapMessage(NamedTuple):
-    """One message."""
-
     channel: int
     sequence: int
     log_time: int
@@ -107,7 +105,7 @@ class Statistics(NamedTuple):
 
 
 def record(opcode: int, content: bytes) -> bytes:
-    """One record."""
+    """Pack one record."""
     return HEAD.pack(opcode, len(content)) + content
 
 
@@ -117,35 +115,35 @@ def header(library: str) -> bytes:
 
 
 def schema(it: McapSchema) -> bytes:
-    """A schema record."""
+    """Pack a schema record."""
     return record(SCHEMA, _U16.pack(it.id) + _text(it.name) + _text(it.encoding) + _block(it.data))
 
 
 def channel(it: McapChannel) -> bytes:
-    """A channel record."""
+    """Pack a channel record."""
     head = _U16.pack(it.id) + _U16.pack(it.schema)
     return record(CHANNEL, head + _text(it.topic) + _text(it.encoding) + _map(it.metadata))
 
 
 def metadata(name: str, entries: Mapping[str, str]) -> bytes:
-    """A metadata record."""
+    """Pack a metadata record."""
     return record(METADATA, _text(name) + _map(entries))
 
 
 def chunk(start: int, end: int, records: bytes | bytearray) -> bytes:
-    """A chunk record over packed messages, not compressed."""
+    """Pack the head of a chunk record over packed messages, without compression."""
     content = _CHUNK.pack(start, end, len(records), crc32(records)) + _text("") + _U64.pack(len(records))
     return b"".join((HEAD.pack(CHUNK, len(content) + len(records)), content, records))
 
 
 def message_index(channel: int, entries: bytes | bytearray) -> bytes:
-    """Where a channel's messages are in the chunk before it; `entries` are packed `INDEX_ENTRY`s."""
+    """Pack the index of a channel's messages in the chunk before it; `entries` are packed `INDEX_ENTRY`s."""
     return record(MESSAGE_INDEX, _U16.pack(channel) + _block(entries))
 
 
 def chunk_index(start: int, end: int, offset: int, length: int, indexes: Mapping[int, int], size: int) -> bytes:
-    """Where a chunk is: its times, offset and length in the file, the offsets of its message indexes (which follow it
-    and each other) by channel with the end of the last as channel -1, and the size of its records."""
+    """Pack the index of a chunk: its times, offset and length in the file, the size of its records, and the offsets
+    of its message indexes by channel. These follow the chunk and each other; the end of the last one is channel -1."""
     places = dict(indexes)
     after = places.pop(-1)
     packed = b"".join(_U16.pack(channel) + _U64.pack(at) for channel, at in places.items())
@@ -161,25 +159,26 @@ def statistics(counts: Mapping[int, int], schemas: int, chunks: int, metadatas: 
 
 
 def metadata_index(offset: int, length: int, name: str) -> bytes:
-    """Where a metadata record is."""
+    """Pack the index of a metadata record."""
     return record(METADATA_INDEX, _U64.pack(offset) + _U64.pack(length) + _text(name))
 
 
 def checkpoint(at: int, chunk_indexes: bytes | bytearray, state: bytes) -> bytes:
-    """A checkpoint record that stands at `at` in its file: index records of the chunks since the checkpoint before it,
-    and `state`, the other records of a summary. Its link to the next checkpoint is 0: none."""
+    """Pack a checkpoint record that stands at `at` in its file: index records of the chunks since the checkpoint
+    before it, and `state`, the other records of a summary. Its link to the next checkpoint is 0: none."""
     body = _block(chunk_indexes) + state
     return record(CHECKPOINT, _CHECKPOINT.pack(0, at, _checkpoint_sum(at, body)) + body)
 
 
 def link(at: int, after: int) -> tuple[int, bytes]:
-    """What is written over a checkpoint at `at` once the one at `after` follows it: offset in the file, and bytes."""
+    """Return offset and bytes of the link that is written into the checkpoint at `at` when the one at `after`
+    follows it."""
     return at + HEAD.size, _LINK.pack(after)
 
 
 def ending(position: int, groups: Iterable[tuple[int, Iterable[bytes]]]) -> Iterator[bytes]:
-    """All that comes behind the last chunk when the file is complete: the summary, made of `groups` (opcode, pieces of
-    its records), and where to find it. `position` is where in the file this begins."""
+    """Yield the bytes behind the last chunk of a complete file: the summary, made of `groups` (opcode, pieces of its
+    records), and its place. `position` is the offset at which they begin."""
     data_end = record(DATA_END, _U32.pack(0))
     yield data_end
     start = at = position + len(data_end)
@@ -233,13 +232,13 @@ def read_schema(content: bytes | memoryview) -> McapSchema:
 
 
 def read_channel(content: bytes | memoryview) -> McapChannel:
-    """A channel record's content."""
+    """Unpack a channel record."""
     fields = _Fields(content)
     return McapChannel(fields.u16(), fields.u16(), fields.text(), fields.text(), fields.map())
 
 
 def read_message(content: bytes | memoryview) -> McapMessage:
-    """A message record's content."""
+    """Unpack a message record."""
     if len(content) < _MESSAGE.size:
         raise RecordingError("a message is too short")
     channel, sequence, log_time, _ = _MESSAGE.unpack_from(content)
@@ -247,13 +246,13 @@ def read_message(content: bytes | memoryview) -> McapMessage:
 
 
 def read_metadata(content: bytes | memoryview) -> tuple[str, dict[str, str]]:
-    """Name and entries."""
+    """Unpack a metadata record into name and entries."""
     fields = _Fields(content)
     return fields.text(), fields.map()
 
 
 def read_chunk(content: bytes | memoryview) -> Chunk:
-    """A chunk; where `content` was cut off, `records` are those that are left. The sum is not checked here."""
+    """Unpack a chunk. Where `content` was cut off, `records` are those that are left. The sum is not checked here."""
     fields = _Fields(content)
     start, end, size, crc = (fields.u64(), fields.u64(), fields.u64(), fields.u32())
     compression = fields.text()
@@ -262,7 +261,7 @@ def read_chunk(content: bytes | memoryview) -> Chunk:
 
 
 def read_statistics(content: bytes | memoryview) -> Statistics:
-    """A statistics record's content."""
+    """Unpack a statistics record."""
     if len(content) < _STATISTICS.size:
         raise RecordingError("a record of statistics is too short")
     _, _, _, _, metadatas, chunks, start, end = _STATISTICS.unpack_from(content)

@@ -34,7 +34,7 @@ MAX_CHANNELS = 65_535
 
 @dataclass
 class ExistingContent:
-    """What a file already holds, where one goes on with it."""
+    """The content of an existing file to which a writer adds."""
 
     position: int = 0
     """Bytes of whole records."""
@@ -88,8 +88,8 @@ class ExistingContent:
 
 
 def recall(at: int, content: bytes, checkpoints: list[int]) -> ExistingContent:
-    """What a file holds up to the checkpoint at `at`, and that it is: all that a restart has to know of what is before.
-    `checkpoints`: offsets of those before it. Raises `RecordingError` where the content is damaged."""
+    """Return what a restart has to know of a file up to the checkpoint at `at`, with this checkpoint. `checkpoints`:
+    offsets of those before it. Raises `RecordingError` where the content is damaged."""
     _, summary = mcap.read_checkpoint(at, content)
     known = ExistingContent(at + mcap.HEAD.size + len(content), checkpoints=[*checkpoints, at])
     for start, opcode, inside in mcap.whole_records(summary):
@@ -255,8 +255,8 @@ class Writer:
         yield from mcap.ending(self._known.position, [*summary, (mcap.CHUNK_INDEX, self._chunk_indexes(read))])
 
     def _chunk_indexes(self, read: Callable[[int, int], bytes]) -> Iterator[bytes]:
-        """Of all chunks, oldest first: those of long ago stand in the file's checkpoints. Raises `RecordingError` where
-        some are missing."""
+        """Yield the indexes of all chunks, oldest first; the file's checkpoints hold the old ones. Raises
+        `RecordingError` where some are missing."""
         count = 0
         for at in self._known.checkpoints:
             head = read(at, mcap.HEAD.size)
@@ -287,7 +287,7 @@ class Writer:
         return name, json_text.schema(message, name)
 
     def _open(self, topic: str, name: str, shape: bytes) -> int:
-        """A new channel, and its schema. It stands before the chunk that is open now, whose position moves."""
+        """Open a new channel, with its schema. Both stand before the chunk that is open now, whose position moves."""
         known = self._known
         number = len(known.channels) + 1
         if number > MAX_CHANNELS:

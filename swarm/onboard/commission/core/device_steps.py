@@ -85,7 +85,7 @@ def battery(desk: Desk) -> Script:
 
 
 def buttons(desk: Desk) -> Script:
-    """Each button shows as itself."""
+    """Check that each button is reported as itself."""
     robot = desk.robot
     yield from desk.until(lambda: robot.buttons is not None, 5.0)
     for name in "abc":
@@ -126,7 +126,7 @@ def display(desk: Desk) -> Script:
 
 
 def radio(desk: Desk) -> Script:
-    """How its links to neighbours are, where some are up; none need be."""
+    """Measure the links to neighbours that are up; none need be."""
     yield from desk.until(lambda: desk.robot.links is not None, LINKS_S)
     links = () if desk.robot.links is None else desk.robot.links.links
     trips = {link.peer: link.rtt_median for link in links if link.state == "up" and link.rtt_median is not None}

@@ -87,7 +87,8 @@ def _gyro(desk: Desk, zero: tuple[float, float, float]) -> Script:
 
 
 def encoders(desk: Desk) -> Script:
-    """Each encoder counts its own wheel, forward as forward; by hand, so that no motor is needed."""
+    """Check that each encoder counts its own wheel, forward as forward. A person turns the wheels, so no motor is
+    needed."""
     yield from desk.confirm("lift-upright", "Hold it upright in your hand, wheels in the air. A or Enter.")
     for side, name in enumerate(("left", "right")):
         before = desk.robot.rolled()

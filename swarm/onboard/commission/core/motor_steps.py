@@ -29,7 +29,7 @@ LIE_S = 8.0
 
 
 def motors(desk: Desk) -> Script:
-    """Each motor turns its own wheel, forward as forward; the encoders are known to be right by now."""
+    """Check that each motor turns its own wheel, forward as forward. An earlier step has checked the encoders."""
     yield from desk.confirm("lift-upright", "Hold it upright in your hand, wheels free and in the air. A or Enter.")
     for side, name in enumerate(("left", "right")):
         before = desk.robot.rolled()
@@ -63,7 +63,7 @@ def _wires(name: str) -> str:
 
 
 def stop(desk: Desk) -> Script:
-    """A stop ends the motors' motion at once, and holds until it is taken back."""
+    """Check that a stop ends the motors' motion at once, and holds until it is taken back."""
     yield from desk.confirm("lift-upright", "Wheels free, in your hand: they turn, then are stopped. A or Enter.")
     yield from _turning(desk, "turn")
     desk.send(Stop(desk.now, desk.subject.robot, "swarm commission"))
@@ -102,7 +102,7 @@ def _turning(desk: Desk, kind: str) -> Script:
 
 
 def held(desk: Desk) -> Script:
-    """In the hand, at low power, the wheels run to the side that the robot tips to."""
+    """Check at low power, in the hand, that the wheels run to the side to which the robot tips."""
     yield from desk.confirm("lift-upright", "Hold it upright in your hand, wheels free: they follow it. A or Enter.")
     for name, sign in (("forward", 1), ("backward", -1)):
         desk.prompt(f"tip-a-bit-{name}", f"Tip it {name} by some 15 degrees, and hold it there.")

@@ -20,7 +20,7 @@ PASSED, FAILED, NOT_TRIED = "passed", "failed", "not tried"
 
 @frozen
 class Subject:
-    """Which robot, and what its configuration says of it."""
+    """The robot to commission, with its configuration."""
 
     robot: str
     anchors: Mapping[str, tuple[float, float, float]]
@@ -68,7 +68,7 @@ class StepError(Exception):
 
 
 class Desk:
-    """What a step works with."""
+    """The tools of a step: the robot's view, prompts, commands and figures."""
 
     def __init__(self, subject: Subject) -> None:
         self.subject = subject
@@ -87,7 +87,7 @@ class Desk:
         self.actions.append(Say(text))
 
     def send(self, message: object) -> None:
-        """Command the robot."""
+        """Send a command to the robot."""
         self.actions.append(SendCommand(message))
 
     def prompt(self, what: str, text: str) -> None:
@@ -125,7 +125,7 @@ class Desk:
 
 
 class Step(NamedTuple):
-    """One step."""
+    """One step of the procedure."""
 
     name: str
     title: str
@@ -134,7 +134,7 @@ class Step(NamedTuple):
 
 @frozen
 class StepResult:
-    """What became of a step; of several tries the last one."""
+    """The result of a step; of several tries the last one."""
 
     name: str
     verdict: str

@@ -88,7 +88,7 @@ class RobotView:
 
     @property
     def mode(self) -> str:
-        """Of the balancer; empty before it has said any."""
+        """Return the balancer's mode; empty before its first message."""
         return "" if self.state is None else self.state.mode
 
     def rolled(self) -> tuple[float, float]:

@@ -25,7 +25,7 @@ LARGEST_SPREAD = 0.4
 
 
 def uwb(desk: Desk) -> Script:
-    """Each anchor of the configuration is heard."""
+    """Check that each anchor of the configuration is heard."""
     yield from desk.confirm(
         "lay-in-sight", "Lay the robot on its back in sight of the anchors, and leave it. A or Enter when it lies."
     )
