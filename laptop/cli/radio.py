@@ -15,7 +15,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read, print and draw."""
     link, readings = radio.measured(args)
     if args.plot is not None:
         with figure(args.plot, figsize=(6, 4), layout="constrained") as picture:

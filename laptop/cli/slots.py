@@ -71,7 +71,6 @@ class Recorded:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The runs."""
     parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="folder of a recorded run of consensus")
     parser.add_argument(
         "--iterations", type=whole(20, 10_000), default=60, metavar="N", help="iterations of each simulated run (60)"
@@ -80,7 +79,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read, fit and print."""
     runs = [_read(path) for path in args.runs]
     found: dict[str, FittedValue] = {}
     known: dict[str, float] = {}

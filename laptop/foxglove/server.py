@@ -60,7 +60,6 @@ class FoxgloveServer:
         self._thread.start()
 
     def close(self) -> None:
-        """Serve no more."""
         self._closing.set()
         self._thread.join()
         self._server.stop()

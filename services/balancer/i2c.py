@@ -88,36 +88,29 @@ class KernelBus:
         self._message = smbus2.i2c_msg
 
     def write(self, address: int, data: bytes) -> None:
-        """See `I2CBus`."""
         self._bus.i2c_rdwr(self._message.write(address, data))
 
     def read(self, address: int, count: int) -> bytes:
-        """See `I2CBus`."""
         incoming = self._message.read(address, count)
         self._bus.i2c_rdwr(incoming)
         return bytes(incoming)
 
     def write_read(self, address: int, data: bytes, count: int) -> bytes:
-        """See `I2CBus`."""
         incoming = self._message.read(address, count)
         self._bus.i2c_rdwr(self._message.write(address, data), incoming)
         return bytes(incoming)
 
     def recover(self) -> None:
-        """See `I2CBus`."""
         with contextlib.suppress(OSError):  # nobody acknowledges
             self._bus.i2c_rdwr(self._message.read(NOBODY, 1))
 
     def pause(self, seconds: float) -> None:
-        """See `I2CBus`."""
         time.sleep(seconds)
 
     def untimed(self) -> float:
-        """See `I2CBus`."""
         return 0.0
 
     def close(self) -> None:
-        """See `I2CBus`."""
         self._bus.close()
 
 

@@ -76,7 +76,6 @@ class Loop:
         self._stopping = True
 
     def run(self) -> None:
-        """The loop itself."""
         now, sleep, step = clock.now, time.sleep, self._balancer.step
         deadline = now()
         while not self._stopping:

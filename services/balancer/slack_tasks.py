@@ -179,7 +179,6 @@ class SlackTasks:
         return index, count
 
     def alight(self, data: bytes, now: float) -> None:
-        """See `Passenger`."""
         assert self._boarded is not None
         queued, self._boarded = self._boarded, None
         self._taken(queued, data[self._before :], now)

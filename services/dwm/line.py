@@ -76,7 +76,6 @@ class PortLine:
             raise LocalError(f"{path}: {os.strerror(error.errno) if error.errno else error}{hint}") from None
 
     def ask(self, call: ModuleCall[T]) -> T:
-        """See `ModuleConnection`."""
         outcome = self._exchange(call)
         for _ in range(_ATTEMPTS - 1):
             if isinstance(outcome, Answer) or outcome.kind.startswith("refused"):
@@ -90,7 +89,6 @@ class PortLine:
         return outcome.result
 
     def close(self) -> None:
-        """See `ModuleConnection`."""
         self._port.close()
 
     def _exchange(self, call: ModuleCall[T], timeout: float = SLOW_TIMEOUT) -> Answer[T] | Trouble:
@@ -122,7 +120,6 @@ class BusLine:
         self.bus.subscribe(key(robot, "dwm", "module"), self._take)
 
     def ask(self, call: ModuleCall[T]) -> T:
-        """See `ModuleConnection`."""
         self._count += 1
         request = ModuleRequest(f"{self._prefix}-{self._count}", call.request)
         end = clock.now() + _PATIENCE
@@ -137,7 +134,6 @@ class BusLine:
         raise NoAnswerError(Trouble("silent", reason))
 
     def close(self) -> None:
-        """See `ModuleConnection`."""
         self.bus.close()
 
     def _wait(self, ticket: str, end: float) -> ModuleAnswer | None:

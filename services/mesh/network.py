@@ -110,7 +110,6 @@ class Network:
         return sim.dial(address.path, self._air, peer)
 
     def close(self) -> None:
-        """Stop listening."""
         if self._record is not None:
             self._record.close()
         for listener in self.listeners:

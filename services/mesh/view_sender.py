@@ -70,7 +70,6 @@ class ViewSender:
                 self._send(origin, view)
 
     def close(self) -> None:
-        """Cease to listen."""
         if self._listening is not None:
             self._listening.close()
             self._listening = None

@@ -49,7 +49,6 @@ class Orders:
         return said
 
     def close(self) -> None:
-        """Take no more."""
         self._socket.close()
 
     def _carry_out(self, order: AppRequest) -> str:

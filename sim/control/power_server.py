@@ -53,7 +53,6 @@ class Power:
         self._off[robot] = now + seconds
 
     def close(self) -> None:
-        """Hear no more."""
         self._socket.close()
 
     def _take(self) -> bytes | None:

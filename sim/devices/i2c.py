@@ -30,7 +30,6 @@ class SimulatedBus:
         self._paused = 0.0
 
     def write(self, address: int, data: bytes) -> None:
-        """See `I2CBus`."""
         self._pass(address, len(data))  # devices obey at the STOP
         now = self._clock()
         self.robot.write(address, data, now)
@@ -38,14 +37,12 @@ class SimulatedBus:
             self._on_transfer(now)
 
     def read(self, address: int, count: int) -> bytes:
-        """See `I2CBus`."""
         try:
             return self.robot.read(address, count, self._clock())
         finally:
             self._pass(address, count)
 
     def write_read(self, address: int, data: bytes, count: int) -> bytes:
-        """See `I2CBus`."""
         self._pass(address, len(data))
         now = self._clock()
         self.robot.write(address, data, now)
@@ -55,19 +52,16 @@ class SimulatedBus:
             self._pass(address, count)
 
     def recover(self) -> None:
-        """See `I2CBus`."""
         self.robot.recover(self._clock())
         self._pass(NOBODY, 1)
 
     def pause(self, seconds: float) -> None:
-        """See `I2CBus`."""
         if self._take is None:
             self._paused += seconds
         else:
             self._take(seconds)
 
     def untimed(self) -> float:
-        """See `I2CBus`."""
         return 0.0 if self._take is not None else self.robot.wire_s() + self._paused
 
     def close(self) -> None:

@@ -137,7 +137,6 @@ class ModuleBoard:
                 each.handle_timer(now)
 
     def close(self) -> None:
-        """Unplug all modules."""
         for name in list(self._modules):
             self.remove(name)
         self._selector.close()

@@ -125,7 +125,6 @@ class Monitor:
         return found
 
     def close(self) -> None:
-        """Leave all buses."""
         for bus in self._buses.values():
             bus.close()
 

@@ -31,7 +31,6 @@ class RehearsalOverlays:
         self._answers: dict[str, Flooded | Sent] = {}
 
     def flood(self, payload: bytes, **_: object) -> Request:
-        """See `Overlays`."""
         for name in self._others:
             self._deliver(name, Message(self._robot, payload, flooded=True))
         ticket = self._next()
@@ -39,18 +38,15 @@ class RehearsalOverlays:
         return Request(ticket)
 
     def send(self, to: str, payload: bytes, **_: object) -> Request:
-        """See `Overlays`."""
         self._deliver(to, Message(self._robot, payload, flooded=False))
         ticket = self._next()
         self._answers[ticket] = Sent(0.0, ticket, "app", to, True, "")
         return Request(ticket)
 
     def answer(self, ticket: str) -> Flooded | Sent | None:
-        """See `Overlays`."""
         return self._answers.get(ticket)
 
     def messages(self) -> list[Message]:
-        """See `Overlays`."""
         self.used = True
         found, self._inbox = self._inbox, []
         return found

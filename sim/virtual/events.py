@@ -104,11 +104,9 @@ class LocalTime:
 
     @property
     def true(self) -> float:
-        """See `EventQueue`."""
         return self._world.now
 
     def when(self, time: float) -> float:
-        """See `EventQueue`."""
         return self._offset + self._rate * self._true(time)
 
     def at(self, time: float, call: Callable[..., object], *arguments: Any) -> None:
@@ -117,7 +115,6 @@ class LocalTime:
         self._world.at(self._true(time), call, *arguments)
 
     def soon(self, call: Callable[..., object], *arguments: Any) -> None:
-        """See `EventQueue`."""
         self._world.soon(call, *arguments)
 
     def _true(self, time: float) -> float:

@@ -236,11 +236,9 @@ class VirtualRun:
                 self._first_done()
 
     def progressed(self, source: Source) -> None:
-        """See `Observer`."""
         self._records.progressed(source)
 
     def parameters(self, robot: str, parameters: AppParameters) -> None:
-        """See `Observer`."""
         self._records.parameters(robot, parameters)
 
     def _first_done(self) -> None:

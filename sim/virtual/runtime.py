@@ -33,31 +33,25 @@ class VirtualRuntime:
 
     @property
     def now(self) -> float:
-        """See `Runtime`."""
         return self._time.now
 
     @property
     def counters(self) -> Counter[str]:
-        """See `Runtime`."""
         return self.bus.counters
 
     def every(self, period: float, call: Callable[[], None], keys: tuple[str, ...]) -> None:
-        """See `Runtime`."""
         PeriodicPublisher(self._time, self.bus, keys, period, self._time.now + period, call)
 
     @staticmethod
     def entry(call: T) -> T:
-        """See `Runtime`."""
         return call
 
     @staticmethod
     def outside(call: Callable[..., object], *arguments: Any) -> None:
-        """See `services.mesh.surroundings.Surroundings`."""
         call(*arguments)
 
     @staticmethod
     def worker(name: str) -> "InlineWorker":
-        """See `Runtime`."""
         return _WORKER
 
     def ready(self) -> None:
@@ -76,7 +70,6 @@ class InlineWorker:
 
     @staticmethod
     def run(job: Callable[[], T], done: Callable[[T], None], failed: Callable[[SwarmError], None]) -> None:
-        """See `Worker`."""
         try:
             done(job())
         except SwarmError as error:
@@ -84,7 +77,6 @@ class InlineWorker:
 
     @staticmethod
     def close(within: float) -> bool:
-        """See `Worker`."""
         return True
 
 

@@ -52,7 +52,6 @@ class Adapter:
             raise
 
     def close(self) -> None:
-        """Let go of it."""
         self._socket.close()
 
     def handle(self, peer: str) -> int:

@@ -144,7 +144,6 @@ class _Watch:
         """By bus and app, how its states lie in frames."""
 
     def run(self) -> None:
-        """Print until the end."""
         with contextlib.ExitStack() as stack:
             look_at = clock.now()
             while self._left != 0 and (self._end is None or clock.now() < self._end):

@@ -19,7 +19,6 @@ HELP = "pair all neighbours over Bluetooth; write missing addresses into swarm.t
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Look only, or pair."""
     parser.add_argument("--check", action="store_true", help="show which links are paired, and change nothing")
     parser.add_argument("--again", action="store_true", help="delete all pairings of these links, and pair again")
     everyone.add_arguments(parser, timeout_s=180)

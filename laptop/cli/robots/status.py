@@ -67,7 +67,6 @@ class StatusRow:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """`--watch`."""
     parser.add_argument("--watch", action="store_true", help=f"repeat every {WATCH_EVERY_S:g} s, until Ctrl-C")
     robot_command.add_simulation(parser)
     everyone.add_arguments(parser, timeout_s=20)

@@ -25,7 +25,6 @@ SPEED = (0.001, 1000.0)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the verb."""
     parser.add_argument("recording", type=Path, metavar="RUN", help="folder or file of a recorded run")
     parser.add_argument(
         "film",

@@ -12,7 +12,6 @@ PORT = 8765
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the verb."""
     live.add_arguments(parser)
     parser.add_argument(
         "--port", type=int, default=PORT, metavar="N", help=f"port on 127.0.0.1 ({PORT}); 0 = any free port"

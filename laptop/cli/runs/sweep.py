@@ -145,7 +145,6 @@ class _Progress:
             self._stream.flush()
 
     def close(self) -> None:
-        """Take the line away."""
         if self._stream.isatty():
             steer(self._stream, "\r\x1b[K")
             self._stream.flush()

@@ -14,7 +14,6 @@ HELP = "show the running swarm, or a recorded run, in the browser"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the verb."""
     parser.add_argument(
         "recording", nargs="?", type=Path, metavar="RUN", help="show a recorded run in place of a running swarm"
     )

@@ -57,7 +57,6 @@ class File:
 
     @property
     def run(self) -> str:
-        """The run's folder: APP-NUMBER."""
         return self.path.partition("/")[0]
 
     @property

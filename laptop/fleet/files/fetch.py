@@ -220,7 +220,6 @@ class _Progress:
         self._here = self._told = 0
 
     def add(self, size: int) -> None:
-        """So many bytes more."""
         self._here += size
         if self._here - self._told >= _TOLD_EVERY:
             self._told = self._here

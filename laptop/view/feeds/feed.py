@@ -125,7 +125,6 @@ class SimulationFeed(RealTime):
             raise LocalError("the simulation has ended")
 
     def close(self) -> None:
-        """Leave all buses."""
         self._closing.set()
         self._thread.join()
         for bus in self.buses.values():

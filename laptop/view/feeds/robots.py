@@ -83,7 +83,6 @@ class Robots(RealTime):
             raise LocalError("no robot is reached by ssh: `swarm estop` tries every way there is")
 
     def close(self) -> None:
-        """Leave all robots."""
         self._closing = True
         self._turn.set()
         self._thread.join()

@@ -29,7 +29,6 @@ class DeviceClaims:
             self._runtime.at(deadline, self._handle_timer, deadline)
 
     def close(self) -> None:
-        """The app ends."""
         self._devices.release()
 
     def _handle_timer(self, planned: float) -> None:

@@ -48,7 +48,6 @@ class Live:
         listen(runtime, key(runtime.robot, "dwm", "pose"), Pose, self._on_pose)
 
     def get(self, k: int, ready: Ready) -> None:
-        """See `Measurements`."""
         self._waiting.append(ready)
         self._serve()
 
@@ -86,7 +85,6 @@ class Replayed:
         self._asked = (-1, 0.0)
 
     def get(self, k: int, ready: Ready) -> None:
-        """See `Measurements`."""
         self._wanted = k, ready
         self._serve()
 

@@ -28,21 +28,17 @@ class Recorder:
         self._app = app
 
     def advanced(self, source: Source, line: StepRecord) -> None:
-        """See `Observer`."""
         if line.measurement is not None:
             self.measurement(line.k - 1, line.t, line.measurement)
         self.state(line.k, line.t, line.state, line.result, source.part)
 
     def progressed(self, source: Source) -> None:
-        """See `Observer`."""
         self.progress(source.progress, source.part)
 
     def ended(self, source: Source) -> None:
-        """See `Observer`."""
         self.progressed(source)
 
     def switched(self, source: Source, epoch: AppEpoch) -> None:
-        """See `Observer`."""
         self.epoch(epoch, source.part)
         self.progressed(source)
 
@@ -63,7 +59,6 @@ class Recorder:
             self._sink.flush()
 
     def parameters(self, robot: str, parameters: AppParameters) -> None:
-        """See `Observer`."""
         self._sink.write(f"{self._prefix}/parameters", parameters.t, parameters)
 
     def epoch(self, epoch: AppEpoch, channel: str = "") -> None:

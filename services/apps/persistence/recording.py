@@ -77,7 +77,6 @@ class AppRecording:
             self._file.tidy = budget.keep
 
     def close(self) -> None:
-        """End the file."""
         self._file.close()
 
     def _tell(self, problem: str) -> None:

@@ -66,5 +66,4 @@ class FileStorage:
         return BallotFile(name)
 
     def parameters(self, app: str) -> Path:
-        """See `Storage`."""
         return self._runtime / f"app.{app}.parameters"

@@ -111,7 +111,6 @@ class _Relay:
             self._stops.send(pack(stop), socket.MSG_DONTWAIT)
 
     def take(self, command: LoopCommand, heard: float) -> bool:
-        """See `services.balancer.bridge.bus_side.LoopLink`."""
         try:
             self._loop.send(pack_command(heard, command), socket.MSG_DONTWAIT)
         except BlockingIOError:
@@ -121,7 +120,6 @@ class _Relay:
         return True
 
     def show(self, request: SetDisplay) -> None:
-        """See `services.balancer.bridge.bus_side.LoopLink`."""
         until = math.inf if request.seconds is None else clock.now() + request.seconds
         self._composer.take_text(request.text, until)
 

@@ -105,7 +105,6 @@ class Actions:
         self._logged: set[str] = set()
 
     def add(self, *actions: Action) -> None:
-        """Ask for these."""
         self._actions += actions
 
     def log_once(self, problem: str, text: str) -> None:

@@ -98,5 +98,4 @@ class Record:
             raise
 
     def close(self) -> None:
-        """Take the record back."""
         self._sock.close()

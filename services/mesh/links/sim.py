@@ -88,7 +88,6 @@ class LinkConditions:
         return clock.now() < self.cut_until(peer)
 
     def close(self) -> None:
-        """Stop taking cuts."""
         self._closing.set()
         with contextlib.suppress(OSError):
             self._sock.shutdown(socket.SHUT_RDWR)
@@ -232,7 +231,6 @@ class SimListener:
         return SimPipe(sock, self._air, None)
 
     def close(self) -> None:
-        """Stop listening."""
         self._sock.close()
         self._path.unlink(missing_ok=True)
 

@@ -27,7 +27,6 @@ class StreamListener:
         return self._adopt(sock, address)
 
     def close(self) -> None:
-        """Stop listening."""
         self._sock.close()
 
     def _adopt(self, sock: socket.socket, address: Any) -> Pipe:

@@ -11,7 +11,6 @@ class NoSnapshots:
 
     @staticmethod
     def read() -> list[bytes]:
-        """See `Snapshots`."""
         return []
 
     @staticmethod
@@ -30,11 +29,9 @@ class MemorySnapshots:
         self._kept: deque[bytes] = deque(maxlen=count)
 
     def read(self) -> list[bytes]:
-        """See `Snapshots`."""
         return list(self._kept)
 
     def keep(self, snapshot: Snapshot) -> None:
-        """See `Snapshots`."""
         self._kept.append(snapshot.encode())
 
     def close(self) -> None:
@@ -50,11 +47,9 @@ class MemoryVotes:
         self._kept: SavedEpochs | None = None
 
     def read(self) -> SavedEpochs | None:
-        """See `Votes`."""
         return self._kept
 
     def write(self, kept: SavedEpochs) -> None:
-        """See `Votes`."""
         self._kept = kept
 
     def close(self) -> None:
@@ -70,7 +65,6 @@ class MemoryStorage:
         self._snapshots: dict[str, MemorySnapshots] | None = {} if snapshots else None
 
     def snapshots(self, name: str, count: int) -> MemorySnapshots | NoSnapshots:
-        """See `Storage`."""
         if self._snapshots is None:
             return NoSnapshots()
         return self._snapshots.setdefault(name, MemorySnapshots(count))
@@ -81,7 +75,6 @@ class MemoryStorage:
             self._snapshots.clear()
 
     def votes(self, name: str) -> MemoryVotes:
-        """See `Storage`."""
         return self._votes.setdefault(name, MemoryVotes())
 
     @staticmethod

@@ -141,7 +141,6 @@ class VirtualBalancer:
     # -- the loop ----------------------------------------------------------------------------------------------
 
     def halt(self, stop: Stop) -> None:
-        """See `services.balancer.bridge.bus_side.LoopLink`."""
         halt(self, stop)
 
     def take(self, command: LoopCommand, heard: float) -> bool:
@@ -150,7 +149,6 @@ class VirtualBalancer:
         return True
 
     def show(self, request: SetDisplay) -> None:
-        """See `services.balancer.bridge.bus_side.LoopLink`."""
         self._side.publish(Display(self._time.now, True, tuple(request.text.split("\n"))))
 
     # -- the balancer, see `services.balancer.bridge.orders.Obedient` ------------------------------------------------

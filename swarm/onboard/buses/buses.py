@@ -13,7 +13,6 @@ from swarm.process.simulations import default_run_dir, is_live, robots
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare `--robots` and `--run-dir`."""
     add_robots(parser, "names of robots (default: all of a simulation; on a robot this robot only)")
     add_run_dir(parser)
 

@@ -54,7 +54,6 @@ RELEASE = Path("/opt/swarm/current")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare `[ROBOT] [--out FILE]`."""
     parser.add_argument(
         "name", nargs="?", metavar="ROBOT", help="a robot of the simulation, or over ssh (default: this robot)"
     )

@@ -27,20 +27,16 @@ class StateFeedback:
 
     @property
     def tilt_per_way(self) -> float:
-        """See `Regulator`."""
         return self._gains[0] / self._gains[2]
 
     def tune(self, values: Mapping[str, float]) -> None:
-        """See `Regulator`."""
         self._gains = tuple(values[name] for name in GAINS)
 
     def reset(self, duty: float, tilt: float) -> None:
-        """See `Regulator`."""
         del tilt
         self._last = duty
 
     def duty(self, off: Deviation, demand: Demand) -> float:
-        """See `Regulator`."""
         k_x, k_v, k_th, k_rate, k_u = self._gains
         ahead = self._duty_per_speed * demand.speed + self._duty_per_acceleration * demand.acceleration
         lean = self._tilt_per_acceleration * demand.acceleration

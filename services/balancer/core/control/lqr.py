@@ -136,7 +136,6 @@ def dare(a: Matrix, b: Matrix, q: Matrix, r: Matrix) -> Matrix:
 
 
 def identity(size: int) -> Matrix:
-    """Unit matrix."""
     return diagonal((1.0,) * size)
 
 
@@ -146,12 +145,10 @@ def diagonal(values: tuple[float, ...]) -> Matrix:
 
 
 def transpose(a: Matrix) -> Matrix:
-    """A'."""
     return [list(column) for column in zip(*a, strict=True)]
 
 
 def add(a: Matrix, b: Matrix) -> Matrix:
-    """A + B."""
     return [[x + y for x, y in zip(ra, rb, strict=True)] for ra, rb in zip(a, b, strict=True)]
 
 

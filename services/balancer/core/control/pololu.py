@@ -64,11 +64,9 @@ class Pololu:
         self._motor = self._angle = self._distance = 0.0
 
     def tune(self, values: Mapping[str, float]) -> None:
-        """See `Regulator`."""
         self._values = {name: values[name] for name in self.parameters}
 
     def reset(self, duty: float, tilt: float) -> None:
-        """See `Regulator`."""
         self._motor = duty * _MOTOR_UNITS
         self._angle = tilt
         self._distance = -2 * self._counts_per_radian * tilt

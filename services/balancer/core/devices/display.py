@@ -122,7 +122,6 @@ class Screen:
         return bool(self.present) and self._begun is not None and now - self._begun >= BEHIND_S
 
     def next(self, now: float, room: Room = WHOLE) -> Transfer | None:
-        """See `SlackTask`."""
         if not self.present:
             return self._setup(room) if now >= self._look_at else None
         self._slice = None if self.drawn else self._changed(max(1, room.send - 1))
@@ -139,7 +138,6 @@ class Screen:
         return Transfer(ADDRESS, bytes((_DATA,)) + data)
 
     def take(self, data: bytes, now: float) -> None:
-        """See `SlackTask`."""
         del data, now
         if not self.present:
             self._commands += self._sent

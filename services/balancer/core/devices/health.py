@@ -24,13 +24,11 @@ class BoardHealth:
         """What was read of it so far."""
 
     def next(self, now: float, room: Room = WHOLE) -> Transfer | None:
-        """See `SlackTask`."""
         if now < self._look_at:
             return None
         return piece(balboa.BUTTONS + len(self._data), balboa.BUTTONS + balboa.HOUSEKEEPING_SIZE, room)
 
     def take(self, data: bytes, now: float) -> None:
-        """See `SlackTask`."""
         self._data += data
         if len(self._data) < balboa.HOUSEKEEPING_SIZE:
             return
@@ -50,6 +48,5 @@ class BoardHealth:
             )
 
     def fail(self, error: OSError, now: float) -> None:
-        """See `SlackTask`."""
         del error  # the control loop meets it too, and names it
         self._look_at, self._data = now + LOOK_S, b""

@@ -104,7 +104,6 @@ class Mailbox:
             self._end(now, f"no answer within {PATIENCE_S:g} s")
 
     def next(self, now: float, room: Room = WHOLE) -> Transfer | None:
-        """See `SlackTask`."""
         self.expire(now)
         request = self._request
         if request is None or now < self._look_at:
@@ -128,7 +127,6 @@ class Mailbox:
         return Transfer(balboa.ADDRESS, bytes((balboa.MAILBOX_PAGE, page)), 1 + count)
 
     def take(self, data: bytes, now: float) -> None:
-        """See `SlackTask`."""
         assert self._request is not None
         self._failures = 0
         if self._phase == "lay":
@@ -143,7 +141,6 @@ class Mailbox:
             self._read(data, now)
 
     def fail(self, error: OSError, now: float) -> None:
-        """See `SlackTask`."""
         self._failures += 1
         self._look_at = now + WAIT_S
         if self._failures >= FAILURES and self._request is not None:

@@ -57,7 +57,6 @@ class RateMeter:
         self._end(now, problem)
 
     def next(self, now: float, room: Room = WHOLE) -> Transfer | None:
-        """See `SlackTask`."""
         del now, room
         if self._request is None:
             return None
@@ -65,7 +64,6 @@ class RateMeter:
         return write(balboa.MAILBOX_WINDOW, bytes(size)) if self._writing else read(balboa.VERSION, size)
 
     def take(self, data: bytes, now: float) -> None:
-        """See `SlackTask`."""
         del data
         assert self._request is not None
         self._failures = 0
@@ -74,7 +72,6 @@ class RateMeter:
             self._end(now, "")
 
     def fail(self, error: OSError, now: float) -> None:
-        """See `SlackTask`."""
         self._failures += 1
         self._failed += 1
         if self._failures >= FAILURES and self._request is not None:

@@ -79,7 +79,6 @@ class Player:
         return write(balboa.NOTES, tune[: 1 + 2 * self._notes])
 
     def take(self, data: bytes, now: float) -> None:
-        """See `SlackTask`."""
         del data
         tune, seconds = self._tunes.pop(0)
         end = 1 + 2 * self._notes
@@ -90,7 +89,6 @@ class Player:
         self._failures = 0
 
     def fail(self, error: OSError, now: float) -> None:
-        """See `SlackTask`."""
         del error, now
         self._failures += 1
         if self._failures >= TRIES:

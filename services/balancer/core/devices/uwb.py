@@ -139,7 +139,6 @@ class UwbReader:
         self._newest = newest
 
     def next(self, now: float, room: Room = WHOLE) -> Transfer | None:
-        """See `SlackTask`."""
         if self._span is None:
             if now >= self._look_at:
                 return piece(_LOOK + len(self._look), _LOOK + balboa.PROGRESS_SIZE, room)
@@ -150,7 +149,6 @@ class UwbReader:
         return piece(*self._span, room)
 
     def take(self, data: bytes, now: float) -> None:
-        """See `SlackTask`."""
         self._failures = 0
         if self._span is None:
             self._look += data
@@ -168,7 +166,6 @@ class UwbReader:
             self._whole(bytes(self._block))
 
     def fail(self, error: OSError, now: float) -> None:
-        """See `SlackTask`."""
         del error  # the control loop meets it too, and names it
         self._failures += 1
         if self._span is None:

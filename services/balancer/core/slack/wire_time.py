@@ -77,7 +77,6 @@ class TypicalTime:
         self._up, self._down = up, down
 
     def add(self, seconds: float) -> None:
-        """Take a sample."""
         change = max(_SHORTEST_S, seconds) / self.seconds - 1.0
         self.seconds *= 1.0 + max(-self._down, min(self._up, change))
 

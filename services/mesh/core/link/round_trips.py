@@ -48,7 +48,6 @@ class RoundTrips:
         return min(self._least)
 
     def add(self, rtt: float, now: float) -> None:
-        """One more was measured."""
         if self.smoothed:
             self.deviation += _DEVIATION_GAIN * (abs(rtt - self.smoothed) - self.deviation)
             self.smoothed += _RTT_GAIN * (rtt - self.smoothed)
