@@ -155,7 +155,8 @@ def _number(name: str, text: str, base: int) -> int:
 
 
 def _default_run(app: loader.LoadedApp, config: Config, settings: list[Setting]) -> int:
-    """By the sources of app and config, and by what is set: robots that differ in these are not in one run."""
+    """Return the default number of a run, by the sources of app and config and by the settings. So robots that
+    differ in these are never in one run."""
     text = app.digest + config.path.read_bytes() + "".join(map(repr, settings)).encode()
     return int.from_bytes(hashlib.blake2b(text, digest_size=8).digest(), "big")
 

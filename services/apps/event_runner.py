@@ -117,5 +117,5 @@ def version(app: EventApp, digest: bytes) -> int:
 
 
 def place_of(call: HandlerCall, k: int) -> str:
-    """A call in words: handler and step."""
+    """Describe a call by handler and step."""
     return f"step {k}" if call.handler == "step" else f"{call.handler}() at k = {k}"

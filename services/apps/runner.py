@@ -32,7 +32,7 @@ BUILT_IN = "services.apps.builtin."
 
 
 class AppRunner:
-    """What runners of all kinds of apps share: the app's state and result, and its faults in words."""
+    """The shared part of all runners of apps: the app's state and result, and its faults in words."""
 
     def __init__(self, app: BaseApp, source: str) -> None:
         """`source`: path of the app's file; a fault is reported with the line in it."""
@@ -49,7 +49,7 @@ class AppRunner:
         return self.schema.message_values({name: getattr(self.app, name) for name in self.schema.names})
 
     def result(self) -> dict[str, Value]:
-        """What the app reports now; its names never change."""
+        """Return the app's result. Its names never change."""
         where = f"result() at iteration {self.k}"
         answer: object = self._call(where, self.app.result)
         if not isinstance(answer, dict | Mapping) or not all(isinstance(name, str) for name in answer):
@@ -66,7 +66,7 @@ class AppRunner:
         return result
 
     def _measured(self, name: str, result: Mapping[str, Value]) -> float:
-        """A metric by what is true now; nan where nobody knows that."""
+        """Return a metric by the simulation's truth; nan where that is unknown."""
         robot = self.app.robot
         truth = None if robot.truth is None else robot.truth()
         if truth is None:
@@ -82,7 +82,7 @@ class AppRunner:
         return float(answer)
 
     def hangs(self, where: str, thread: int | None, limit: float) -> str:
-        """What is wrong with code of the author that has run for `limit` s in a thread, with the line it is at."""
+        """Describe code of the author that has run for `limit` s in a thread, with the line at which it is."""
         frame = None if thread is None else sys._current_frames().get(thread)
         while frame is not None and frame.f_code.co_filename != self.source:
             frame = frame.f_back
@@ -237,7 +237,7 @@ class Runner(AppRunner):
 
 
 def _own(array: Any) -> object:
-    """An unpacked array that may be written to."""
+    """Return a copy of an unpacked array, which may be written to."""
     return array.copy()
 
 
@@ -265,8 +265,8 @@ def called_from(error: BaseException, source: str) -> str:
 
 
 def mend_of(error: BaseException, fields: Iterable[Field]) -> str:
-    """How to mend arithmetic with vectors that are tuples, or with what is not known yet, a change of a neighbour's
-    array, and a name that is misspelled; empty for other errors."""
+    """Explain how to mend common errors of authors: arithmetic with tuples or None, a change of a neighbour's array,
+    a misspelled name. Empty for other errors."""
     tuples = [field for field in fields if field.kind in ("vector", "matrix")]
     if tuples and isinstance(error, TypeError) and any(word in str(error) for word in ("tuple", "sequence")):
         first = tuples[0]
@@ -284,8 +284,7 @@ def mend_of(error: BaseException, fields: Iterable[Field]) -> str:
 
 
 def describe(error: BaseException, source: str) -> str:
-    """An author's error in one line: file, line, kind, text. The deepest line within `source` is the one to
-    mend."""
+    """Describe an author's error in one line: file, line, kind, text. The line is the deepest one within `source`."""
     if isinstance(error, SyntaxError) and error.lineno is not None:
         return f"{error.filename}, line {error.lineno}: {type(error).__name__}: {error.msg}"
     frames = traceback.extract_tb(error.__traceback__)

@@ -38,13 +38,14 @@ _log = logging.getLogger("balancer")
 
 
 class Passenger(Protocol):
-    """Who may have some bytes of the ATmega read along with the encoders, where a tick has no time for more."""
+    """A reader of some bytes of the ATmega along with the encoders, where a tick has no time for a transfer of its
+    own."""
 
     def board(self, now: float) -> tuple[int, int]:
-        """What to read along with this control step: the ATmega's index, and how many bytes, 0 for none."""
+        """Return what to read along with this control step: the ATmega's index, and how many bytes, 0 for none."""
 
     def alight(self, data: bytes, now: float) -> None:
-        """What was read. Asked for only where the step's transfers succeeded."""
+        """Take the bytes that were read. Called only where the step's transfers succeeded."""
 
 
 class Balancer:
@@ -104,7 +105,7 @@ class Balancer:
 
     @property
     def gyro_zero(self) -> Zero | None:
-        """In use; None before it was found."""
+        """Return the gyro's zero in use; None before it was found."""
         return None if self._estimator is None else self._estimator.gyro_zero
 
     @property
@@ -143,7 +144,7 @@ class Balancer:
 
     @property
     def parameters(self) -> Mapping[str, float]:
-        """What may be changed while it runs, as it is."""
+        """Return the present values of the parameters that may be changed while it runs."""
         return self._controller.parameters
 
     @property
@@ -158,7 +159,7 @@ class Balancer:
 
     @property
     def leds(self) -> Shown | None:
-        """As they shine; None before they were first written."""
+        """Return the LEDs as they are lit; None before they were first written."""
         return self._leds
 
     def command(self, mode: str, now: float) -> None:
@@ -215,7 +216,7 @@ class Balancer:
 
     @property
     def leds_due(self) -> float:
-        """When the LEDs shall change next by an app's order, s; infinity where none waits."""
+        """Return the time of the next change of the LEDs by an app's order, s; infinity where none waits."""
         return self._claim.next_change
 
     def stop(self, reason: str) -> bool:
@@ -224,7 +225,8 @@ class Balancer:
         return self._controller.fail(MotorFault(faults.STOPPED, f"stopped: {reason}"))
 
     def step(self, now: float) -> None:
-        """One tick: read, estimate, decide, command the motors. Bus failures end up in `fault`, not here."""
+        """Run one tick: read, estimate, decide, command the motors. Failures of the bus lead to `fault`, not to
+        errors."""
         if not self._connected and not self._connect(now):
             return
         try:
@@ -245,7 +247,7 @@ class Balancer:
             self._errors_in_row = 0
 
     def _read(self, now: float) -> imu.ImuReading:
-        """All that is read in a tick; how long it takes tells how fast the bus is."""
+        """Read all inputs of a tick; the duration tells how fast the bus is."""
         index, more = (balboa.ENCODERS, 0) if self.passenger is None else self.passenger.board(now)
         retried = self.imu.retried + self.balboa.retried
         self.balboa.settle()  # pauses are no part of what is timed
@@ -280,7 +282,7 @@ class Balancer:
             self._controller.lie_down(now, MotorFault(faults.BATTERY, f"battery empty: {volts}"))
 
     def leds_wanted(self, now: float) -> Shown | None:
-        """What is to be written to the LEDs at `now`; None where they show it already."""
+        """Return the LEDs to write at `now`; None where they are lit so already."""
         wanted = shown(
             self.mode,
             "" if self.fault is None else self.fault.name,

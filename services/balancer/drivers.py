@@ -40,7 +40,7 @@ class Imu:
         imu.check_setup(self._fetch(imu.CTRL1_XL, len(imu.SETUP)))
 
     def read(self) -> imu.ImuReading:
-        """One sample of both sensors, in one burst."""
+        """Read one sample of both sensors, in one burst."""
         try:
             self.block = self._read()
         except OSError as error:
@@ -111,11 +111,10 @@ class Balboa:
         self._write_surely(bytes((balboa.MOTORS,)) + duties)
 
     def write_leds(self, red: bool, yellow: bool, green: bool) -> None:
-        """Switch the LEDs."""
         self._write(bytes((balboa.LEDS,)) + balboa.encode_leds(red, yellow, green))
 
     def transfer(self, transfer: Transfer) -> bytes:
-        """One transfer of a task, to whichever device; returns what was read."""
+        """Run one transfer of a task with any device; return the bytes read."""
         if transfer.address != balboa.ADDRESS:
             self._bus.write(transfer.address, transfer.data)
             return self._bus.read(transfer.address, transfer.reads) if transfer.reads else b""

@@ -46,8 +46,8 @@ class I2CBus(Protocol):
         """START, address+W, data, repeated START, address+R, `count` bytes, STOP."""
 
     def recover(self) -> None:
-        """After a failed transfer: have a device that holds SDA, because it missed a clock pulse, let it go. Quick
-        (0.2 ms), harmless on a bus that is well, and silent where it does not help."""
+        """Free the bus after a failed transfer from a device that holds SDA because it missed a clock pulse. This is
+        quick (0.2 ms), harmless on a free bus, and silent where it does not help."""
 
     def pause(self, seconds: float) -> None:
         """Leave the devices alone for so long."""

@@ -110,7 +110,8 @@ class Loop:
         return halt(self._balancer, stop)
 
     def _use_slack(self, until: float) -> None:
-        """A little at each tick: no tick shall have to do all of it. The next one is at `until`."""
+        """Do a little of the other work in the slack before the next tick, at `until`. So no tick has to do all of
+        it."""
         for heard, message in self._bridge.commands():
             now = clock.now()
             if heard <= self._stopped_at and moves(message):
@@ -181,7 +182,7 @@ class Loop:
         return self._telemetry.state(self.ticks, self.missed, errors, self._lateness.p99_and_max(), self._tasks.behind)
 
     def _tell_again(self) -> None:
-        """For whoever came to the bus meanwhile."""
+        """Publish the state again for subscribers that came meanwhile."""
         self._tell_leds()
         if self._balancer.firmware is not None:
             self._bridge.send(Firmware(clock.now(), *self._balancer.firmware))

@@ -76,7 +76,7 @@ def _measured(args: argparse.Namespace, robot: str, measure: Measure) -> int:
 
 
 def table(robot: str, results: list[I2CRates]) -> list[str]:
-    """For people; beside it what the thesis had."""
+    """Return the rates as lines for people, beside those of the thesis."""
     lines = [f"{robot}: I2C with the ATmega, kbit/s of data", " bytes  transfers  failed     read    write"]
     for each in results:
         rates = "".join(f"{'-' if rate is None else f'{rate / 1e3:.1f}':>9}" for rate in (each.read, each.write))
@@ -108,7 +108,7 @@ def _through(bus: Bus, robot: str) -> Measure:
 
 
 def measure(bus: I2CBus, driver: Balboa, request: MeasureI2C) -> I2CRates:
-    """All transfers of a request, one after the other."""
+    """Run all transfers of a request, one after the other."""
     meter = RateMeter()
     meter.measure(request)
     while (transfer := meter.next(clock.now())) is not None:

@@ -158,7 +158,7 @@ class SlackTasks:
         return self._balancer.leds_due < until or self._balancer.leds_wanted(until) is not None
 
     def _granted(self, queued: QueuedTask, now: float) -> float:
-        """What a task may take of the margin, s."""
+        """Return how much of the margin a task may use, s."""
         return MARGIN_S - STARVED_MARGIN_S if queued.waited(now) >= STARVED_S else 0.0
 
     def _fits(self, queued: QueuedTask, now: float, seconds: float) -> bool:
@@ -310,7 +310,7 @@ class SlackTasks:
         task.fail(error, now)
 
     def _display(self, now: float) -> Display | None:
-        """What is to be told of the display, once it is drawn or known not to be there."""
+        """Return the display's state to publish, once it is drawn or known to be absent."""
         screen = self._screen
         if screen.present is None or (screen.present and not screen.drawn):
             return None

@@ -67,7 +67,7 @@ class Telemetry:
         )
 
     def news(self) -> BalancerFault | Notice | Parameters | None:
-        """One of what is new: the fault first."""
+        """Return one message that is new: the fault first."""
         if self._balancer.fault != self._fault_told:
             return self.fault()
         if self._balancer.notices:

@@ -109,7 +109,7 @@ class Flood(SyncApp):
     """That order."""
 
     def start(self) -> None:
-        """At first everybody knows one value, the own."""
+        """Begin with the own value as the only one that is known."""
         swarm = self.robot.swarm
         if len(swarm) > ROOM:
             raise AppError(f"flood has room for {ROOM} robots, the swarm has {len(swarm)}: take another algorithm")

@@ -41,7 +41,7 @@ class DrivingApp(PeriodicApp):
         return None if pose is None else (pose.x, pose.y)
 
     def others(self) -> dict[str, Point]:
-        """Where other robots are, m, by name."""
+        """Return the places of other robots, m, by name."""
         return {self.robot.swarm[number]: place for number, place in self._places.others(self.robot.now).items()}
 
     def go(self, wish: Point) -> None:
@@ -67,7 +67,8 @@ class DrivingApp(PeriodicApp):
         self.robot.drive(speed, turn)
 
     def told(self) -> Mapping[str, Value]:
-        """For `result`: the place it believes in (nan is no number: -1000 where it has none), and whom it knows."""
+        """Return the common part of `result`: the robot's place in m (-1000 where it is unknown), and how many
+        others it knows."""
         pose = self.robot.pose
         return {
             "x": -1000.0 if pose is None else pose.x,

@@ -24,12 +24,11 @@ class FloodingDemo(EventApp):
     _began: dict[str, float]
 
     def start(self) -> None:
-        """Nothing is under way."""
         self._began = {}
         self.robot.display("flooding: press a", "button")
 
     def on_button(self, button: str) -> None:
-        """Flood."""
+        """Flood a text with the number of this press."""
         self.floods += 1
         text = f"{self.robot.name} says {button} {self.floods}"
         ticket = self.robot.flood(text.encode(), priority="sync", announce=True).ticket
@@ -42,7 +41,7 @@ class FloodingDemo(EventApp):
         self._show("heard", message.payload.decode(errors="replace"), yellow=True)
 
     def on_answer(self, ticket: str, outcome: Flooded | Sent) -> None:
-        """All have it, or not all could be reached."""
+        """Show whether all robots have our text, and the time that it took."""
         assert isinstance(outcome, Flooded)
         took = self.robot.now - self._began.pop(ticket, self.robot.now)
         self.robot.record("took", took)
@@ -54,13 +53,13 @@ class FloodingDemo(EventApp):
             self._show("incomplete", f"{len(outcome.robots)} reached: {outcome.problem}", red=True)
 
     def on_announced(self, origin: str, outcome: Flooded) -> None:
-        """All have another robot's."""
+        """Show that all robots have the text of another one."""
         if outcome.complete:
             self.complete += 1
             self._show("complete", f"all have {origin}'s", green=True)
 
     def on_timer(self, name: str) -> None:
-        """Dark again."""
+        """Switch the LEDs off."""
         self.robot.leds(red=False, yellow=False, green=False)
 
     def _show(self, what: str, text: str, *, red: bool = False, yellow: bool = False, green: bool = False) -> None:

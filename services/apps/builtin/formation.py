@@ -27,7 +27,7 @@ class Formation(DrivingApp):
     _resting: bool = False
 
     def step(self, neighbours: Sequence[Any]) -> None:
-        """One look, one command."""
+        """Command the velocity towards the place in the shape."""
         here = self.look(neighbours)
         if here is None:
             self.go((0.0, 0.0))
@@ -44,5 +44,6 @@ class Formation(DrivingApp):
         return formation.offset(self.shape, swarm.index(name), len(swarm), self.size)
 
     def result(self) -> Mapping[str, Value]:
-        """Its place (m), how many others it knows, how far it is from its place in the shape, and where that is, m."""
+        """Return the robot's place (m), how many others it knows, its distance from its place in the shape, and
+        where that is, m."""
         return {**self.told(), "off": self._off, "goal_x": self._place[0], "goal_y": self._place[1]}

@@ -50,8 +50,8 @@ class Goto(DrivingApp):
             self.robot.display("waypoints", "not read")
 
     def step(self, neighbours: Sequence[Any]) -> None:
-        """One look, one command; the end when all have arrived. Until then those who have give way to others. A robot
-        that got new waypoints after its arrival drives there first."""
+        """Command the velocity towards the next waypoint; finish when all robots have arrived. A robot that has
+        arrived gives way to others until then. A robot that gets new waypoints after its arrival drives there first."""
         here = self.look(neighbours)
         self.go((0.0, 0.0) if here is None else self._wish(here))
         for neighbour in neighbours:
@@ -87,7 +87,7 @@ class Goto(DrivingApp):
         return min(xs) + max(xs) - here[0], min(ys) + max(ys) - here[1]
 
     def result(self) -> Mapping[str, Value]:
-        """Its place (m), how many others it knows, and waypoints reached."""
+        """Return the robot's place (m), how many others it knows, and the number of waypoints reached."""
         return {**self.told(), "reached": self._reached, "of": len(self._goals)}
 
 

@@ -30,12 +30,11 @@ class UnicastDemo(EventApp):
     """By ticket: the receiver, and when."""
 
     def start(self) -> None:
-        """Nothing is under way."""
         self._under_way = {}
         self.robot.display("unicast: press a", "button", f"A {self._target('a')}", f"B {self._target('b')}")
 
     def on_button(self, button: str) -> None:
-        """Send."""
+        """Send a text to the robot of this button."""
         to = self._target(button)
         if to == self.robot.name:
             self._show("alone", f"no robot for {button.upper()}", red=True)
@@ -52,7 +51,7 @@ class UnicastDemo(EventApp):
         self._show("received", message.payload.decode(errors="replace"), green=True)
 
     def on_answer(self, ticket: str, outcome: Flooded | Sent) -> None:
-        """What became of it."""
+        """Show whether the text was delivered, and the time that it took."""
         assert isinstance(outcome, Sent)
         to, began = self._under_way.pop(ticket)
         took = self.robot.now - began
@@ -64,7 +63,7 @@ class UnicastDemo(EventApp):
             self._show("lost", f"{to}: {outcome.problem}", red=True)
 
     def on_timer(self, name: str) -> None:
-        """Dark again."""
+        """Switch the LEDs off."""
         self.robot.leds(red=False, yellow=False, green=False)
 
     def _target(self, button: str) -> str:

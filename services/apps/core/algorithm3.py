@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 
 class Look(NamedTuple):
-    """What a look at the clock says."""
+    """The result of a look at the clock."""
 
     fires: bool
     phase: float
@@ -31,7 +31,7 @@ class Blink:
         self.tolerance = tolerance
 
     def look(self, t: float, frequency: float, phase: float) -> Look:
-        """At the common time `t` (s); `frequency` (Hz) and `phase` (s) are the consensus states."""
+        """Look at the common time `t` (s). `frequency` (Hz) and `phase` (s) are the consensus states."""
         own = t % (1.0 / frequency)
         tolerance = self.tolerance / frequency
         return Look(phase - tolerance <= own <= phase + tolerance, own)

@@ -27,7 +27,7 @@ ABEAM = 3.0
 
 
 class Barrier(NamedTuple):
-    """What is kept."""
+    """The distances that the avoidance keeps."""
 
     distance: float = 0.30
     """D, m, between axles: robots touch at 0.15; the rest is for errors of poses, sway and the way of stopping."""

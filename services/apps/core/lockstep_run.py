@@ -40,7 +40,7 @@ class Renew:
 
 
 class RunState(NamedTuple):
-    """What the app was at one iteration."""
+    """The app's state at one iteration."""
 
     k: int
     own: bytes
@@ -52,7 +52,7 @@ Action = lockstep_actions.Action | epoch_actions.Action | Renew
 
 
 class LockstepRun:
-    """What a driver asks, tells and carries out; see the module's text for its two sides."""
+    """One lockstep of an app, without input and output; the module's text describes its two sides."""
 
     def __init__(
         self,
@@ -111,7 +111,7 @@ class LockstepRun:
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """What was dropped and asked for."""
+        """Return the counters of dropped and requested frames."""
         return {**self.epochs.counters, **(self._lockstep.counters if self._lockstep is not None else {})}
 
     @property
@@ -124,7 +124,8 @@ class LockstepRun:
     # The app's side
 
     def saved(self, pages: Sequence[bytes]) -> list[Snapshot]:
-        """What an earlier process of this run and version has left behind. Both go from the oldest to the newest."""
+        """Return the snapshots that an earlier process of this run and version has left, from the oldest to the
+        newest, as `pages` are."""
         found = [Snapshot.decode(page) for page in pages]
         return [one for one in found if (one.run, one.schema) == (self.terms.run, self.terms.schema)]
 
@@ -205,8 +206,8 @@ class LockstepRun:
         self.epochs.settle()
 
     def receive(self, sender: str, channel: Channel, payload: bytes, now: float, *, around: bool = False) -> None:
-        """A frame; `around`: over other robots, not the link with its sender. Before the own start there is no slot for
-        it: its sender is asked again."""
+        """Take a frame; `around`: it came over other robots, not over the link with its sender. Before the own start
+        a frame is dropped, and its sender is asked again later."""
         core = self._lockstep
         if self.terms.drop:
             self._heard[sender] = now
@@ -216,7 +217,7 @@ class LockstepRun:
             core.receive(sender, channel, payload, now, around=around)
 
     def receive_note(self, sender: str, payload: bytes, now: float) -> None:
-        """What a robot has to say about the membership, passed on by `sender`."""
+        """Take a robot's note about the membership, passed on by `sender`."""
         if self.terms.drop:
             self._heard[sender] = now
         self.epochs.receive(payload, now)
@@ -247,7 +248,7 @@ class LockstepRun:
         self.epochs.handle_timer(now)
 
     def next_deadline(self, now: float) -> float | None:
-        """When `handle_timer` wants to be called."""
+        """Return the time at which the driver must call `handle_timer`."""
         if self.phase == "starting":
             return None
         # After each message: without lists and generators where nothing is about the members.
@@ -266,7 +267,8 @@ class LockstepRun:
         return earliest
 
     def actions(self) -> list[Action]:
-        """What the driver is to do now, in this order; Advanced, Fault, Finished, Waiting and SwitchEpoch are news."""
+        """Return the actions of the driver, in this order. Advanced, Fault, Finished, Waiting and SwitchEpoch are
+        reports."""
         found: list[Action] = []
         for action in self._lockstep.actions() if self._lockstep is not None else ():
             # Of each iteration, so by the very type: a match takes three times as long.
@@ -307,7 +309,7 @@ class LockstepRun:
 
     @property
     def _stalled_at(self) -> float:
-        """When the others are to hear that this robot does not get on."""
+        """Return the time at which the others shall hear that this robot is stalled."""
         return self._progress_at + self.terms.after / 2
 
     def _awaited(self) -> list[tuple[str, float]]:
@@ -344,7 +346,6 @@ class LockstepRun:
         return Lockstep(self._me, neighbours, self.channel, size, last=last, rtt=self.rtt)
 
     def _enter(self, epoch: Epoch, own: bytes, private: bytes, now: float) -> None:
-        """Begin an epoch."""
         self._lockstep = self._lockstep_of(epoch)
         own += Stopping.first() if self._stopping is not None else b""
         self._progress_at = self.computed_at = now

@@ -36,7 +36,8 @@ class _Seen(NamedTuple):
 
 
 class Places:
-    """What one robot knows. Times are of its own clock, s; robots go by their number in the swarm."""
+    """The places of other robots that one robot knows. Times are of its own clock, s; a robot is named by its index
+    in the swarm."""
 
     def __init__(self, me: int) -> None:
         self._me = me
@@ -47,7 +48,7 @@ class Places:
         self._seen[self._me] = _Seen(now - age, *place, *velocity)
 
     def hear(self, rows: Iterable[Row], age: float, now: float) -> None:
-        """A neighbour has told `rows`, `age` s ago. Of each robot the newest counts."""
+        """Take `rows` that a neighbour sent `age` s ago. The newest entry of each robot counts."""
         for number, x, y, vx, vy, row_age in rows:
             robot, t = int(number), now - age - max(0.0, row_age)
             if robot < 0 or robot == self._me:
@@ -67,7 +68,7 @@ class Places:
         return (*rows, *[EMPTY] * (ROWS - len(rows)))
 
     def others(self, now: float) -> dict[int, Point]:
-        """Where the other robots are by now, m, by number."""
+        """Return the present places of the other robots, m, by index."""
         self._forget(now)
         return {robot: seen.at(now) for robot, seen in sorted(self._seen.items()) if robot != self._me}
 

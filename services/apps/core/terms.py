@@ -39,7 +39,7 @@ class Program(Protocol):
 
 @frozen
 class Terms:
-    """What holds for a whole run, the same on all robots."""
+    """The settings of a whole run, the same on all robots."""
 
     run: int
     schema: int

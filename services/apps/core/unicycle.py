@@ -8,7 +8,7 @@ from services.apps.core.avoidance import Barrier, Point, allowed_speed, way_roun
 
 
 class UnicyclePose(NamedTuple):
-    """Where a robot is: m, rad counter-clockwise from x."""
+    """The pose of a robot: m, rad counter-clockwise from x."""
 
     x: float
     y: float
@@ -16,7 +16,7 @@ class UnicyclePose(NamedTuple):
 
 
 class UnicycleLimits(NamedTuple):
-    """What is asked of a robot at most; less than it can, which keeps its balance quiet."""
+    """The limits of what is commanded. They are below what a robot can do, so it balances quietly."""
 
     speed: float = 0.2
     """m/s."""

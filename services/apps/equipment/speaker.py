@@ -93,7 +93,7 @@ class _Handler(logging.Handler):
 
 
 class _Printed(io.TextIOBase):
-    """In place of stdout."""
+    """A replacement of stdout that passes on what an app prints."""
 
     def __init__(self, before: TextIO, log: logging.Logger | None) -> None:
         self._before = before

@@ -45,7 +45,7 @@ class AppStatus:
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """What it publishes."""
+        """Return the keys under which the status is published."""
         return self._state_key, f"{self._state_key}/{THROTTLED}", self._progress_key
 
     def look(self) -> tuple[bool, bool]:

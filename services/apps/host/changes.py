@@ -57,7 +57,8 @@ class Changes:
         listen(runtime, key(self._robot, f"app/{name}", "set", "parameters"), SetAppParameters, self._on_set)
 
     def kept(self) -> dict[str, Value]:
-        """What an earlier process of this run was told; without what the app's file no longer takes."""
+        """Return the values that an earlier process of this run has accepted, without those that the app's file no
+        longer has."""
         found: dict[str, Value] = {}
         for name, value in self._kept.items():
             try:
@@ -109,7 +110,7 @@ class Changes:
 
 
 def in_force(app: BaseApp, now: float) -> AppParameters:
-    """An app's parameters as they are now, and what they may be."""
+    """Return an app's present parameters with their declarations."""
     told = app.told_parameters()
     return AppParameters(
         now,

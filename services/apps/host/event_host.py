@@ -119,7 +119,7 @@ class EventHost:
 
     @property
     def progress(self) -> AppProgress:
-        """What the app does now, and what keeps it from going on."""
+        """Return the app's progress, and what holds it up."""
         phase, peers, reason = self._report()
         return AppProgress(self._runtime.now, phase, self._core.k, peers, reason)
 
@@ -185,7 +185,7 @@ class EventHost:
         self._plan()
 
     def _on_latest(self, name: str, payload: bytes) -> None:
-        """A neighbour's state: `swarm/<sender>/app/<app>/latest/<channel>`."""
+        """Take a neighbour's state: `swarm/<sender>/app/<app>/latest/<channel>`."""
         sender = self._sender(name)
         if sender is not None:
             self._core.receive(*sender, payload, self._runtime.now)

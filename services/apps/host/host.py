@@ -39,7 +39,7 @@ class Part(NamedTuple):
 
 
 class _Sender(NamedTuple):
-    """What the key of a frame says."""
+    """The parts of a frame's key."""
 
     driver: LockstepDriver
     robot: str
@@ -119,7 +119,6 @@ class LockstepHost:
         return {channel: driver.run.obstacle for channel, driver in self.drivers.items() if driver.run.obstacle}
 
     def start(self) -> None:
-        """Begin all locksteps."""
         for driver in self.drivers.values():
             driver.start()
 
@@ -156,7 +155,7 @@ class LockstepHost:
         return not self.failed
 
     def _changed(self) -> None:
-        """A lockstep has begun, has come to another epoch, or has ended."""
+        """Look anew at the locksteps after one has begun, has changed its epoch, or has ended."""
         self._sender.cache_clear()
         for driver in self.drivers.values():
             driver.watch.forget()
@@ -181,7 +180,7 @@ class LockstepHost:
             driver.receive_note(robot, payload)
 
     def _parse_key(self, name: str) -> _Sender | None:
-        """What the key of a frame says; None where the frame is for another robot, or not of this run and app."""
+        """Parse the key of a frame; None where the frame is for another robot, run or app."""
         address = address_of(name)
         if address is None:
             self._refuse(name, "not the key of a frame")

@@ -99,7 +99,7 @@ class LockstepDriver:
 
     @property
     def progress(self) -> AppProgress:
-        """What it does now, and what keeps it from going on."""
+        """Return the lockstep's progress, and what holds it up."""
         return AppProgress(self._runtime.now, *self._report())
 
     def start(self) -> None:
@@ -133,15 +133,15 @@ class LockstepDriver:
     # What happens
 
     def receive(self, sender: str, channel: Channel, payload: bytes, *, around: bool) -> None:
-        """A frame of this run and version of the app; `around`: it came over other robots, not over the link with its
-        sender."""
+        """Take a frame of this run and version of the app. `around`: it came over other robots, not over the link
+        with its sender."""
         self.run.receive(sender, channel, payload, self._runtime.now, around=around)
         if not self._performing:  # once for all frames that come in one moment
             self._performing = True
             self._runtime.soon(self._perform)
 
     def receive_note(self, sender: str, payload: bytes) -> None:
-        """What a robot has to say about the members, passed on by `sender`."""
+        """Take a robot's note about the members, passed on by `sender`."""
         self.run.receive_note(sender, payload, self._runtime.now)
         self._perform()
 

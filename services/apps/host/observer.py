@@ -21,7 +21,7 @@ class StepRecord(NamedTuple):
 
 
 class Source(Protocol):
-    """Who tells: the driver of a lockstep, or the host of an event-driven app."""
+    """The part of an app that an observer hears: the driver of a lockstep, or the host of an event-driven app."""
 
     @property
     def robot(self) -> str:
@@ -37,15 +37,15 @@ class Source(Protocol):
 
     @property
     def runner(self) -> AppRunner:
-        """The app."""
+        """Return the runner of the app."""
 
     @property
     def progress(self) -> AppProgress:
-        """What it does now, and what keeps it from going on."""
+        """Return the progress, and what holds it up."""
 
 
 class Observer(Protocol):
-    """Who is told."""
+    """A listener to the iterations of an app."""
 
     def advanced(self, source: Source, line: StepRecord) -> None:
         """The app has done an iteration, a step or an event."""

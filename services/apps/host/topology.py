@@ -44,7 +44,7 @@ _log = logging.getLogger("topology")
 
 
 class RunPlace(NamedTuple):
-    """Where an app runs, and in which run. Of thousands of robots in one process all may have the same objects."""
+    """The place of an app: its robot, swarm and run. Thousands of robots in one process may share the same objects."""
 
     run: int
     """The run's number, the same on all robots."""
@@ -71,7 +71,7 @@ class RunPlace(NamedTuple):
 
 
 class RunLinks(NamedTuple):
-    """Who is linked with whom in a run."""
+    """The links between the robots of a run."""
 
     config: Config
     """The configuration with these links in the place of its own."""
@@ -141,7 +141,7 @@ def save(runtime: Path, app: str, run: int, links: RunLinks) -> None:
 
 
 class TopologyWatch:
-    """What the mesh's topology and other hosts' epochs mean for a run that goes on."""
+    """A watch on the mesh's topology and on other hosts' epochs for a run that goes on."""
 
     def __init__(self, neighbours: Iterable[str], on_lost: Callable[[str], None]) -> None:
         """`neighbours` are those that the run needs; `on_lost(text)` is called when the topology in force takes a link
@@ -161,7 +161,8 @@ class TopologyWatch:
         self._lost = lost
 
     def heard(self, sender: str, theirs: Channel, ours: Channel) -> None:
-        """A frame under this app's name: of this run, or of something else that never mixes with it."""
+        """Take the identity of a frame under this app's name, and note a robot whose frames do not belong to this
+        run."""
         if theirs.run != ours.run:
             reason = "is in another run: another number, other sources of the app, or another swarm.toml"
         elif theirs.schema != ours.schema:
@@ -211,7 +212,7 @@ def _load(path: Path, run: int) -> tuple[tuple[str, ...], ...] | None:
 
 
 def of_edges(config: Config, edges: tuple[tuple[str, ...], ...], *, kept: bool = False) -> RunLinks:
-    """A run's links where these are in force."""
+    """Return the links of a run from the links in force."""
     pairs = Graph(config.names, _pairs(edges)).edges
     epoch = CONFIGURED if pairs == config.edges else zlib.crc32(repr(pairs).encode()) or 1
     return RunLinks(replace(config, edges=pairs), epoch, kept)

@@ -64,7 +64,7 @@ class BallotFile:
 
 
 def told(epoch: Epoch, now: float) -> AppEpoch:
-    """What a host tells, and records, of the epoch it is in."""
+    """Return the message about an epoch that a host publishes and records."""
     return AppEpoch(
         *(now, epoch.counter, epoch.k, epoch.members, epoch.edges, epoch.away, epoch.forced),
         epoch.number,

@@ -10,7 +10,7 @@ from swarm.messages.keys import key
 
 
 class Sink(Protocol):
-    """Where messages go: a `RecordingFile`, or in virtual time a `DirectRecording`."""
+    """A destination of messages: a `RecordingFile`, or in virtual time a `DirectRecording`."""
 
     def write(self, topic: str, t: float, message: object, name: str = "") -> None:
         """Take a message recorded at `t`; `name` is what its schema is called."""

@@ -99,7 +99,7 @@ def place_of(app: str, run: int, *, wanted: bool) -> Path | None:
 
 
 def _clock(robot: str, epoch_ns: int) -> str:
-    """A name for this process' clock: other processes of the machine give the same one, or one of their own."""
+    """Return a name of this process' clock. Processes of one machine give the same name where it has a boot id."""
     try:
         return BOOT_ID.read_text().strip()
     except OSError:

@@ -16,7 +16,7 @@ MAX_SNAPSHOT = SlotFile.most(_SLOT)
 
 
 class SnapshotFile(SlotFile):
-    """`RUNTIME/app.<name>.snapshot`."""
+    """The file `RUNTIME/app.<name>.snapshot`."""
 
     def __init__(self, path: Path, slots: int = 2) -> None:
         """Raises `LocalError` where the file cannot be made."""

@@ -13,7 +13,7 @@ class Snapshots(Protocol):
     """The newest snapshots of a lockstep. They outlive the process."""
 
     def read(self) -> list[bytes]:
-        """What was kept, the newest last."""
+        """Return the snapshots that were kept, the newest last."""
 
     def keep(self, snapshot: Snapshot) -> None:
         """Keep this in place of the oldest. Raises `SwarmError` where that is impossible."""
@@ -23,13 +23,13 @@ class Snapshots(Protocol):
 
 
 class Votes(Protocol):
-    """What a robot has voted. It outlives a reboot."""
+    """The votes of a robot. They outlive a reboot."""
 
     lost: bool
     """Whether what was kept is damaged, once it was read."""
 
     def read(self) -> SavedEpochs | None:
-        """What was kept last."""
+        """Return the votes that were kept last."""
 
     def write(self, kept: SavedEpochs) -> None:
         """Keep this instead. Raises `SwarmError` where that is impossible."""
@@ -39,13 +39,13 @@ class Votes(Protocol):
 
 
 class Storage(Protocol):
-    """Of one robot."""
+    """The storage of one robot."""
 
     def snapshots(self, name: str, count: int) -> Snapshots:
-        """Those of a lockstep, so many at most."""
+        """Return the snapshots of a lockstep, at most `count`."""
 
     def votes(self, name: str) -> Votes:
-        """Those of a lockstep."""
+        """Return the votes of a lockstep."""
 
     def parameters(self, app: str) -> Path | None:
         """The file for parameters that were changed while the app ran; None where they need not be kept."""

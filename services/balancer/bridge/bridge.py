@@ -64,7 +64,7 @@ class _Relay:
         service.bus.subscribe([key(service.robot, "app", "*", "state", THROTTLED)], self._app_state)
 
     def run(self) -> None:
-        """Until the loop is gone or the service shall stop."""
+        """Relay until the loop is gone or the service shall stop."""
         poll = select.poll()
         poll.register(self._loop, select.POLLIN)
         poll.register(self._wake, select.POLLIN)
@@ -124,7 +124,7 @@ class _Relay:
         self._composer.take_text(request.text, until)
 
     def _put(self, name: str, payload: bytes) -> None:
-        """A command, on Zenoh's thread: aside with it."""
+        """Put a command into the inbox. Zenoh's thread calls this."""
         with self._lock:
             first = not self._inbox
             self._inbox.put(WaitingCommand(name, payload, clock.now()))
@@ -143,7 +143,7 @@ class _Relay:
             self._side.command(name, payload, heard)
 
     def _app_state(self, name: str, payload: bytes) -> None:
-        """For the display; runs on Zenoh's thread. What is none is its sender's business."""
+        """Show an app's state on the display. Zenoh's thread calls this. Damaged samples are ignored."""
         with contextlib.suppress(PayloadError):
             if isinstance(message := read(name, payload), AppState):
                 self._composer.take_app(parse(name).topic.partition("/")[0], message)

@@ -65,7 +65,7 @@ _COMMANDS = ("mode", "velocity", "parameters", "leds", "module", "imu", "notes",
 
 
 class LoopLink(Protocol):
-    """What obeys."""
+    """The balancer's loop as the bus side sees it."""
 
     def halt(self, stop: Stop) -> None:
         """Stop the motors. Called by the bus's thread, and must not wait."""
@@ -162,7 +162,7 @@ class BusSide:
             process.log.warning("command %s: %s", counter, reason[:200])
 
     def _stop(self, name: str, payload: bytes) -> None:
-        """A sample of `swarm/stop`: to the loop at once, whatever the payload is."""
+        """Pass a sample of `swarm/stop` to the loop at once, whatever its payload is."""
         stop = read(name, payload)
         assert isinstance(stop, Stop)
         self._loop.halt(stop)

@@ -31,7 +31,7 @@ class Bridge:
     """One running bridge process, or the wait for the next."""
 
     def __init__(self, now: float) -> None:
-        """Starts the process."""
+        """Start the process."""
         self._pid = 0
         self._socket: socket.socket | None = None
         self._stops: socket.socket | None = None

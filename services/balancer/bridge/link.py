@@ -108,7 +108,7 @@ def pack_command(heard: float, command: LoopCommand) -> bytes:
 
 
 def unpack_command(datagram: bytes) -> tuple[float, LoopMessage]:
-    """When a command was heard, and the command; raises `PayloadError` where the datagram carries none."""
+    """Return the command of a datagram, and when it was heard. Raises `PayloadError` where there is none."""
     if len(datagram) < _HEARD.size:
         raise PayloadError(f"command of {len(datagram)} bytes")
     return _HEARD.unpack_from(datagram)[0], unpack(datagram[_HEARD.size :])

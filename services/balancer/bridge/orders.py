@@ -11,7 +11,7 @@ from swarm.messages import SetLeds, SetMode, SetParameters, SetVelocity, Stop, T
 
 
 class Obedient(Protocol):
-    """What can be commanded: a balancer. Its methods raise `LocalError` where they cannot obey."""
+    """A balancer that obeys commands. Its methods raise `LocalError` where they cannot obey."""
 
     def drive(self, speed: float, turn_rate: float, seconds: float, now: float) -> None:
         """Drive forward (m/s) and turn left (rad/s) for a time."""

@@ -39,5 +39,5 @@ class MotorFault(NamedTuple):
 
     @property
     def recovery(self) -> str:
-        """What a person has to do."""
+        """Return what a person has to do."""
         return RECOVERY[self.name]

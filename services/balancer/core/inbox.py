@@ -63,6 +63,6 @@ class Inbox:
         return taken
 
     def dropped(self) -> dict[str, int]:
-        """How many commands of each key found no room since the last call."""
+        """Return how many commands of each key found no room since the last call."""
         dropped, self._dropped = self._dropped, {}
         return dropped

@@ -35,6 +35,6 @@ class BalancerParameters:
 
 
 def around(value: float, factor: float = 3.0) -> BalancerParameter:
-    """A gain that may be changed to a `factor` less or more, its sign kept."""
+    """Return a gain that may be changed by up to `factor` in both directions, its sign kept."""
     low, high = sorted((value / factor, value * factor))
     return BalancerParameter(value, low, high)

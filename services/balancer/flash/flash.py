@@ -152,7 +152,7 @@ def _check(bus: I2CBus, firmware: Image) -> None:
 
 
 def _mode() -> str:
-    """What the balancer does; empty where none runs."""
+    """Return the balancer's mode; empty where none runs."""
     state = newest(runtime_dir(), who_am_i(load()), BalancerState, "balancer", "state", STATE_S)
     return "" if state is None else state.mode
 
@@ -164,7 +164,7 @@ def _systemctl(action: str) -> None:
 
 
 def _print(text: str) -> None:
-    """Who listens may have gone away in mid-flash: it goes on."""
+    """Print a line. The flash goes on where the reader has gone away."""
     with contextlib.suppress(OSError):
         sys.stdout.write(text + "\n")
         sys.stdout.flush()

@@ -99,7 +99,7 @@ class Phase(SyncApp):
     """Input: the phase of the last blink; -1: none since the last step."""
 
     def start(self) -> None:
-        """Begin anywhere."""
+        """Begin with a random phase."""
         if self.value < 0.0:
             self.value = self.robot.random.uniform(0.0, 0.5)
 
@@ -131,7 +131,7 @@ class ThesisLedSync(EventApp):
         self.robot.after(0.0, "look")
 
     def on_timer(self, name: str) -> None:
-        """One line of the loop after the other: look, on, rest."""
+        """Run the next line of the loop: look, on, rest."""
         frequency = float(self.frequency.value)
         _, on, rest = algorithm3.Blink(self.tolerance).waits(frequency)
         if name == "look":
@@ -166,7 +166,7 @@ class ThesisLedSync(EventApp):
         self.robot.after(seconds + self.overhead, name)
 
     def result(self) -> Mapping[str, Value]:
-        """What is agreed, and the frequency with which the LED really blinks."""
+        """Return the agreed values, and the frequency at which the LED really blinks."""
         return {
             "frequency": float(self.frequency.value),
             "phase": float(self.phase.value),

@@ -40,7 +40,7 @@ class Flood(Localization):
     """Share of a new measurement in range and own place."""
 
     def start(self) -> None:
-        """At first everybody knows the own measurement."""
+        """Begin with the own measurement as the only one that is known."""
         robot = self.robot
         if len(robot.swarm) > ROOM:
             raise AppError(f"flood has room for {ROOM} robots, the swarm has {len(robot.swarm)}: take `info`")
@@ -55,7 +55,7 @@ class Flood(Localization):
         self.entries = tuple([known.get(name, 0.0) for name in (*self._order, *[""] * (ROOM - len(self._order)))])
 
     def step(self, neighbours: Sequence[Any]) -> None:
-        """Of each robot take what the neighbour nearest to it knows."""
+        """Take each robot's measurement from the neighbour that is nearest to it."""
         beta = self.smoothing
         distance, x, y = (old + beta * (new - old) for old, new in zip(self._seen, self.seen(), strict=True))
         self._seen = (distance, x, y)
@@ -90,7 +90,7 @@ class Flood(Localization):
 
 
 def pack(distance: float, x: float, y: float) -> float:
-    """A range and a place, m, as one whole number that a float64 holds exactly; never 0."""
+    """Pack a range and a place, m, into a whole number that a float64 holds exactly; never 0."""
     number = 0
     for value, low in ((distance, 0), (x, -_SPAN // 2), (y, -_SPAN // 2)):
         number = number * _SPAN + min(max(round(value / UNIT) - low, 0), _SPAN - 1)
@@ -98,7 +98,7 @@ def pack(distance: float, x: float, y: float) -> float:
 
 
 def unpack(entry: float) -> tuple[float, float, float]:
-    """What `pack` packed, to the mm."""
+    """Unpack what `pack` has packed, to the mm."""
     rest, y = divmod(int(entry) - 1, _SPAN)
     distance, x = divmod(rest, _SPAN)
     return distance * UNIT, (x - _SPAN // 2) * UNIT, (y - _SPAN // 2) * UNIT

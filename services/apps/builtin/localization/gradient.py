@@ -14,7 +14,7 @@ Vector2 = tuple[float, float]
 
 @frozen
 class Node:
-    """What a robot shares: 48 bytes."""
+    """The 48 bytes that a robot shares."""
 
     x: Vector2 = (0.0, 0.0)
     """Estimate of the target, m."""

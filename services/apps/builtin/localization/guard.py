@@ -36,7 +36,7 @@ _TARGET = (0.5, 1.0)
 
 @frozen
 class Scene:
-    """What the limit depends on, m: all by the index of the robot."""
+    """The geometry on which the limit depends, m, by the index of the robot."""
 
     weights: tuple[tuple[tuple[int, float], ...], ...]
     """Of each robot: its neighbours and itself."""
@@ -102,7 +102,7 @@ def limit_step_size(
 
 
 def check_start(graph: Graph, anchors: Sequence[Anchor], gamma: float, *, metropolis: bool) -> None:
-    """What a robot can check by itself, before any robot has told its place: `AppError` for a gamma (1/m^2) too large.
+    """Check gamma (1/m^2) before any robot has told its place. Raises `AppError` where it is too large.
 
     0.9 of `BOUND`, scaled to the size of the anchors' field, is safe on all of the thesis' graphs. A larger one has to
     settle, with the same margin, in the thesis' scene of that size, which is of three robots: 4e-6 1/cm^2 does on a
@@ -125,7 +125,8 @@ def check_start(graph: Graph, anchors: Sequence[Anchor], gamma: float, *, metrop
 
 
 def check_step_size(gamma: float, limit: float) -> str | None:
-    """A warning for a gamma (1/m^2) above what is safe; `AppError` for one above the limit itself."""
+    """Return a warning for a gamma (1/m^2) above the safe part of the limit. Raises `AppError` above the limit
+    itself."""
     text = f"step size {gamma:.3g} 1/m^2 ({gamma * 1e-4:.3g} 1/cm^2)"
     bound = f"limit of this graph and geometry, {limit:.3g} 1/m^2 ({limit * 1e-4:.3g} 1/cm^2)"
     if gamma > limit:

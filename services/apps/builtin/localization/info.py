@@ -33,7 +33,7 @@ class Info(Localization):
         self.q = self._m
 
     def step(self, neighbours: Sequence[Any]) -> None:
-        """One round of dynamic average consensus."""
+        """Compute one round of dynamic average consensus."""
         new, beta = self.statistics(), self.smoothing
         m = tuple([old + beta * (now - old) for old, now in zip(self._m, new, strict=True)])
         weighted = self.weighted(neighbours)

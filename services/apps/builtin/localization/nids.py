@@ -70,7 +70,7 @@ class Nids(Judged):
         return self.report(self._x, self.judged())
 
     def _begin(self) -> None:
-        """A plain gradient step, and the first bracket."""
+        """Compute a plain gradient step, and the first bracket."""
         start = self._x
         self._g = self._gradient()
         self._x = (start[0] - self.gain * self._g[0], start[1] - self.gain * self._g[1])

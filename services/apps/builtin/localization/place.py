@@ -42,7 +42,7 @@ class Localization(SyncApp):
         return now.distance, now.x - ox, now.y - oy
 
     def statistics(self) -> Statistics:
-        """What the measurement of this step says."""
+        """Return the statistics of this step's measurement."""
         return ranges.statistics(*self.seen(), self.sigma())
 
     def report(self, place: tuple[float, float], found: TargetEstimate) -> Mapping[str, Value]:
@@ -87,12 +87,12 @@ class Judged(Localization):
     """How far the place has moved in the last step, m."""
 
     def begin_judging(self) -> None:
-        """For `start`."""
+        """Begin to judge; `start` calls this."""
         self._m = self._entered = self._q = self.statistics()
         self.part = self._q[0]
 
     def judge_anew(self) -> None:
-        """For `on_epoch`: the sum is to be that of the members' statistics."""
+        """Begin anew with the sum of the members' statistics; `on_epoch` calls this."""
         self._q = self._entered = self._m
         self.part = self._q[self.k % len(self._q)]
 
@@ -101,7 +101,8 @@ class Judged(Localization):
         return self._moved < STANDS
 
     def judge(self, neighbours: list[tuple[float, float]], moved: float) -> None:
-        """For `step`; `neighbours`: Metropolis weight and `part` of each; `moved`: by how much the place has, m."""
+        """Compute one round of the judgement; `step` calls this. `neighbours`: Metropolis weight and `part` of each;
+        `moved`: the distance by which the estimate has moved, m."""
         self._moved = moved
         smoothing = 0.1
         self._m = tuple([old + smoothing * (new - old) for old, new in zip(self._m, self.statistics(), strict=True)])
@@ -114,5 +115,5 @@ class Judged(Localization):
         self.part = q[(i + 1) % len(q)]
 
     def judged(self) -> TargetEstimate:
-        """What the ranges of all say, as far as it has come here."""
+        """Return the estimate from the ranges of all robots, as far as they have come here."""
         return ranges.solve(self._q, len(self.robot.swarm)) or UNKNOWN

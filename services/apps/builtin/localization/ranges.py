@@ -39,7 +39,7 @@ _BISECTIONS = 200  # at most; it ends when floats do, after some 60
 
 @frozen
 class TargetEstimate:
-    """Where the target is, as far as the ranges tell."""
+    """The target's place as the ranges tell it."""
 
     x: float
     """m."""
@@ -64,8 +64,8 @@ class TargetEstimate:
 
 
 def statistics(distance: float, x: float, y: float, sigma: float) -> Statistics:
-    """What one range, m, at place (x, y) says; `sigma`: standard deviation of range and own place together,
-    m."""
+    """Return the statistics of one range, m, at the place (x, y). `sigma`: standard deviation of range and own place
+    together, m."""
     weight = 1.0 / (4.0 * max(distance, SHORTEST) ** 2 * sigma**2)
     a, c = -2.0 * x, -2.0 * y
     b = distance**2 - x * x - y * y
@@ -125,7 +125,7 @@ def solve(s: Statistics, robots: int) -> TargetEstimate | None:
 
 
 def _turned(uu: float, uh: float, hh: float, cos: float, sin: float) -> tuple[float, float, float]:
-    """A symmetric matrix of the axes u, h in those of x, y."""
+    """Rotate a symmetric matrix from the axes u, h to x, y."""
     return (
         cos * cos * uu - 2 * cos * sin * uh + sin * sin * hh,
         cos * sin * (uu - hh) + (cos * cos - sin * sin) * uh,

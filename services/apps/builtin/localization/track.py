@@ -46,7 +46,7 @@ _SINGULAR = 1e-14  # prior and ranges differ by many powers of ten
 
 @frozen
 class TargetMotion:
-    """Where the target is and where it goes."""
+    """The target's place and velocity."""
 
     x: float
     """m."""
@@ -59,14 +59,15 @@ class TargetMotion:
 
 
 def information(distance: float, x: float, y: float, sigma: float) -> Information:
-    """What one range, m, at place (x, y) says; `sigma`: standard deviation of range and own place together, m."""
+    """Return the information of one range, m, at the place (x, y). `sigma`: standard deviation of range and own
+    place together, m."""
     m11, m12, m13, m22, m23, m33, v1, v2, v3 = ranges.statistics(distance, x, y, sigma)
     rest = (0.0,) * 4
     return (m11, m12, m13, *rest, m22, m23, *rest, m33, *rest, *(0.0,) * 10, v1, v2, v3, *rest)
 
 
 def predict(information: Information, keep: float) -> Information:
-    """One iteration on; `keep`: the share that is not forgotten."""
+    """Predict the information of the next iteration. `keep`: the share that is not forgotten."""
     matrix = [[0.0] * SIZE for _ in range(SIZE)]
     for (i, j), value in zip(TRIANGLE, information, strict=False):
         matrix[i][j] = matrix[j][i] = value
@@ -147,7 +148,7 @@ def _descend(matrix: Matrix, vector: Information, start: Unknowns, prior: float)
 
 
 def _full(x: float, y: float, vx: float, vy: float) -> tuple[float, ...]:
-    """Y."""
+    """Return the vector Y."""
     return (x, y, x * x + y * y, vx, vy, x * vx + y * vy, vx * vx + vy * vy)
 
 

@@ -18,6 +18,7 @@ REGULATORS: dict[str, Callable[[BodyModel], Regulator]] = {
 
 
 def make_controller(body: BodyModel, trim: float, settings: Balancing) -> Controller:
-    """With its regulator and its limits; `trim` in rad. Raises `LocalError` for a body that cannot be balanced."""
+    """Make a controller with its regulator and its limits; `trim` in rad. Raises `LocalError` for a body that cannot
+    be balanced."""
     limits = DriveLimits(settings.max_speed, settings.max_turn_rate, settings.acceleration, settings.turn_acceleration)
     return Controller(REGULATORS[settings.controller](body), Drive(body, limits), trim)

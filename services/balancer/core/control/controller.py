@@ -92,7 +92,7 @@ class Controller:
 
     @property
     def parameters(self) -> Mapping[str, float]:
-        """In force."""
+        """Return the parameters in force."""
         return self._parameters.values
 
     @property

@@ -28,7 +28,7 @@ TURN_LIMIT = 0.25
 
 
 class DriveLimits(NamedTuple):
-    """Of driving."""
+    """The limits of driving."""
 
     speed: float
     """m/s."""

@@ -54,7 +54,8 @@ def linear_model(body: BodyModel) -> tuple[Matrix, Matrix]:
 
 
 def feed_forward(body: BodyModel) -> tuple[float, float, float]:
-    """What goes with steady motion: duty a speed (1/(m/s)), tilt (rad) and duty an acceleration (1/(m/s^2)).
+    """Return the feed-forward of steady motion: duty per speed (1/(m/s)), tilt (rad) and duty per acceleration
+    (1/(m/s^2)).
 
     From the model above with th'' = 0: the lean that holds an acceleration, and the torque that holds the lean.
     """
@@ -153,13 +154,13 @@ def add(a: Matrix, b: Matrix) -> Matrix:
 
 
 def multiply(a: Matrix, b: Matrix) -> Matrix:
-    """A B."""
+    """Return the product A B."""
     columns = list(zip(*b, strict=True))
     return [[math.fsum(map(mul, row, column)) for column in columns] for row in a]
 
 
 def inverse(a: Matrix) -> Matrix:
-    """A^-1 by Gauss-Jordan elimination with row pivots; `LocalError` where A is singular."""
+    """Return A^-1 by Gauss-Jordan elimination with row pivots. Raises `LocalError` where A is singular."""
     size = len(a)
     rows = [[*row, *unit] for row, unit in zip(a, identity(size), strict=True)]
     for column in range(size):

@@ -22,7 +22,7 @@ from services.balancer.core.parameters import BalancerParameter
 
 
 class Constants(NamedTuple):
-    """What was found by experiment."""
+    """The constants that were found by experiment."""
 
     angle_rate_ratio: float
     """ms: the time constant of falling."""

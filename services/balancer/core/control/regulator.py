@@ -14,7 +14,7 @@ DUTY_LIMIT = 0.75
 
 
 class Deviation(NamedTuple):
-    """From where the body shall be."""
+    """The deviation of the body from its desired state."""
 
     way: float
     """m ahead of the place."""
@@ -61,5 +61,5 @@ class Regulator(Protocol):
 
 
 def limited(value: float, limit: float) -> float:
-    """`value` within -limit..limit."""
+    """Limit `value` to -limit..limit."""
     return min(limit, max(-limit, value))

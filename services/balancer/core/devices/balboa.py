@@ -98,7 +98,7 @@ PROGRESS_SIZE = _PROGRESS.size
 
 
 class MotionBlock(NamedTuple):
-    """What is read in every tick."""
+    """The block of registers that is read in every tick."""
 
     left: int
     """Encoder counts, -32768..32767, wrapping."""
@@ -111,7 +111,7 @@ class MotionBlock(NamedTuple):
 
 
 class Housekeeping(NamedTuple):
-    """What is read now and then."""
+    """The block of registers that is read once in a while."""
 
     buttons: tuple[bool, bool, bool]
     """A, B, C."""
@@ -133,7 +133,7 @@ class Housekeeping(NamedTuple):
 
 
 class UwbProgress(NamedTuple):
-    """How the UWB module's line and the buzzer fare."""
+    """The state of the UWB module's serial line and of the buzzer."""
 
     uwb_state: int
     uwb_error: int

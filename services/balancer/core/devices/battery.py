@@ -28,7 +28,7 @@ class BatteryGuard:
     """See the module."""
 
     def __init__(self, warning: float, limit: float) -> None:
-        """Thresholds in V."""
+        """Set the thresholds in V."""
         self._warning, self.limit = warning, limit
         self._readings: deque[tuple[float, float]] = deque()
         self._since: float | None = None

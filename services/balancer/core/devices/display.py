@@ -57,7 +57,7 @@ assert max(len(SETUP), 1 + SLICE) <= LONGEST
 
 @frozen
 class ScreenText:
-    """What the bridge hands the loop: lines for `Screen.show`."""
+    """The lines for `Screen.show` that the bridge hands to the loop."""
 
     lines: tuple[str, ...]
 
@@ -67,7 +67,7 @@ _SPREAD = tuple(sum(0b11 << (2 * bit) for bit in range(4) if nibble >> bit & 1) 
 
 
 def render(line: str) -> bytes:
-    """A page with the first letters of `line`."""
+    """Draw the first letters of `line` as a page of the display."""
     columns = b"".join(b"\0" + LETTERS.get(letter, UNKNOWN) for letter in line[:LETTERS_PER_LINE])
     return columns.ljust(COLUMNS, b"\0")
 
@@ -105,7 +105,7 @@ class Screen:
         self._pointer = (0, COLUMNS)
 
     def show(self, lines: Sequence[str]) -> None:
-        """From now on this text: the first line large, then up to six."""
+        """Show this text from now on: the first line large, then up to six."""
         lines = tuple(lines[:LINES]) + ("",) * (LINES - len(lines))
         for number, line in enumerate(lines):
             if line == self._lines[number]:
@@ -161,7 +161,7 @@ class Screen:
         self.present, self.drawn, self._look_at, self._commands = False, False, now + RETRY_S, 0
 
     def _setup(self, room: Room) -> Transfer:
-        """As many commands of the set-up as there is room for, one at least."""
+        """Return as many commands of the set-up as fit into `room`, at least one."""
         data = bytes((_COMMANDS,))
         self._sent = 0
         for command in _SETUP[self._commands :]:

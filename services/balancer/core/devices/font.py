@@ -50,7 +50,7 @@ _ART = """
 
 
 def _letters(art: str) -> dict[str, bytes]:
-    """By letter its columns from the left, the top point in bit 0, as an SSD1306 has them in a page."""
+    """Return each letter's columns from the left, the top point in bit 0, as an SSD1306 has them in a page."""
     letters: dict[str, bytes] = {}
     for block in art.strip().split("\n\n"):
         for rows in zip(*(line.split() for line in block.split("\n")), strict=True):

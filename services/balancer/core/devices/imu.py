@@ -107,7 +107,7 @@ def decode(block: bytes) -> ImuReading:
 
 
 def decode_all(block: bytes) -> Rates:
-    """All axes of a block that `decode` has accepted."""
+    """Decode all axes of a block that `decode` has accepted."""
     gx, gy, gz, ax, ay, az = _WORDS.unpack(block)
     return Rates(
         (gx * GYRO_SCALE, gy * GYRO_SCALE, gz * GYRO_SCALE),

@@ -69,7 +69,7 @@ def _own(mode: str, now: float) -> Shown:
 
 
 class LedOrder(NamedTuple):
-    """What an app wants shown, and from when until when, s."""
+    """An app's order for the LEDs, with its times, s."""
 
     leds: Shown
     at: float
@@ -85,7 +85,7 @@ class LedClaim:
         """By time."""
 
     def take(self, order: LedOrder, now: float) -> bool:
-        """From `order.at` on this one holds, whatever was said of that time before. False where too many wait."""
+        """Queue an order. It replaces earlier orders from `order.at` on. Return False where too many wait."""
         before = [other for other in self._coming if other.at < order.at]
         if order.at <= now:
             self._current = order
@@ -117,7 +117,7 @@ class LedClaim:
         self._coming = []
 
     def leds(self, now: float) -> Shown | None:
-        """What is to be shown at `now`; None where the app wants nothing."""
+        """Return the LEDs of the order at `now`; None without an order."""
         while self._coming and self._coming[0].at <= now:
             self._current = self._coming.pop(0)
         if self._current is not None and now >= self._current.until:
@@ -126,14 +126,14 @@ class LedClaim:
 
     @property
     def next_change(self) -> float:
-        """When the next order begins, s; infinity where none waits."""
+        """Return the time at which the next order begins, s; infinity where none waits."""
         return self._coming[0].at if self._coming else math.inf
 
 
 def moment(at: float, until: float) -> float | None:
-    """When in this slack, which ends with the tick at `until`, LEDs that shall change at `at` are to be written.
+    """Return when in this slack, which ends with the tick at `until`, to write LEDs that shall change at `at`.
 
-    None: not in this one. The transfer takes `WRITE_S`, so it begins as much earlier.
+    None: not in this slack. The transfer takes `WRITE_S`, so it begins that much earlier.
     """
     last = until - MARGIN_S - WRITE_S
     wish = at - WRITE_S

@@ -29,7 +29,7 @@ _STATE = read(balboa.MAILBOX_STATE, 4)
 
 
 class MailboxState(enum.IntEnum):
-    """MAILBOX_STATE."""
+    """The values of the register MAILBOX_STATE."""
 
     EMPTY = 0
     BUSY = 1

@@ -44,7 +44,7 @@ class RateMeter:
         self._failures = self._failed = 0
 
     def timed(self, seconds: float) -> None:
-        """How long the transfer took."""
+        """Note the duration of the transfer."""
         self._seconds[self._writing].append(seconds)
 
     @property

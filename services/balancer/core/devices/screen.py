@@ -11,7 +11,8 @@ PERIOD_S = 0.5
 
 
 def wrap(text: str, lines: int) -> list[str]:
-    """At most `lines` lines of the display's width; words stay whole where they fit. What is left is cut off."""
+    """Wrap a text to at most `lines` lines of the display's width. Words stay whole where they fit; the rest is cut
+    off."""
     wrapped: list[str] = []
     for paragraph in text.split("\n"):
         rest = paragraph
@@ -39,20 +40,20 @@ class Composer:
         self._next_at = 0.0
 
     def take_state(self, state: BalancerState) -> None:
-        """The body's."""
+        """Take the body's state."""
         self._state = state
 
     def take_app(self, name: str, state: AppState) -> None:
-        """An app's values, as many as fit."""
+        """Take as many of an app's values as fit."""
         values = [f"{field} {_short(value)}" for field, value in state.state.items()]
         self._app = "\n".join([f"{name} k={state.k}", *values])
 
     def take_text(self, text: str, until: float = math.inf) -> None:
-        """What somebody wants shown instead of the app's values up to a time, s; empty = those again."""
+        """Show a text in place of the app's values up to the time `until`, s. An empty text shows the values again."""
         self._text, self._text_until = text, until
 
     def lines(self, now: float) -> ScreenText | None:
-        """What is to be shown, None where that has not changed or changed a moment ago."""
+        """Return the lines to show; None where they have not changed, or changed a moment ago."""
         if self._state is None or now < self._next_at:
             return None
         if now >= self._text_until:

@@ -38,12 +38,13 @@ def pitch(frequency: float) -> int:
 
 
 def loudness(volume: float) -> int:
-    """Of 0 to 15, each step half as loud, for a volume of 0 to 1."""
+    """Return the loudness from 0 to 15, each step half as loud, for a volume of 0 to 1."""
     return max(1, LOUDEST + round(math.log2(volume))) if volume > 0.0 else 0
 
 
 def tunes(notes: SetNotes) -> list[tuple[bytes, float]]:
-    """What to write at NOTES, one after the other, and how long each lasts, s. No notes: what ends a tune."""
+    """Return the bytes to write at NOTES, one after the other, and how long each lasts, s. Without notes they end a
+    tune."""
     result: list[tuple[bytearray, float]] = []
     for note in notes.notes:
         level = loudness(note.volume)

@@ -183,7 +183,7 @@ class UwbReader:
         self._span = next(self._spans)
 
     def _report(self) -> Iterator[tuple[int, int]]:
-        """What to read of a report, one span after the other."""
+        """Yield the spans of a report to read, one after the other."""
         block = self._block
         yield balboa.UWB, balboa.UWB + _RANGES
         count = min(block[_HEAD.size - 1], balboa.UWB_RANGES)

@@ -28,7 +28,7 @@ _DONE = b"\r"
 
 
 class BootloaderExchange(NamedTuple):
-    """What is sent, and how many bytes must come back within how many seconds."""
+    """The bytes to send, how many bytes must come back, and within how many seconds."""
 
     request: bytes
     answer: int

@@ -29,7 +29,7 @@ MARK = b"balboa-swarm firmware\0"
 
 
 class Image(NamedTuple):
-    """A firmware."""
+    """The image of a firmware."""
 
     data: bytes
     """From address 0, whole pages."""
@@ -45,12 +45,12 @@ class Image(NamedTuple):
 
 
 def chip(signature: bytes) -> str:
-    """A chip's name by its signature."""
+    """Return a chip's name by its signature."""
     return CHIPS.get(signature, f"a chip with signature {signature.hex(' ')}")
 
 
 def read(text: str) -> Image:
-    """A firmware from Intel HEX. Raises `LocalError` where it is not one for this robot and this release."""
+    """Read a firmware from Intel HEX. Raises `LocalError` where it is not one for this robot and this release."""
     data = intel_hex.parse(text, ROOM)
     at = data.find(MARK)
     if at < 0 or len(data) < at + len(MARK) + 5:

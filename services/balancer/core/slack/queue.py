@@ -39,11 +39,11 @@ class QueuedTask:
         self.since = None
 
     def waited(self, now: float) -> float:
-        """Seconds."""
+        """Return how long the task has waited, s."""
         return 0.0 if self.since is None else now - self.since
 
     def urgency(self, now: float) -> float:
-        """How many times its patience it has waited; 0 up to once."""
+        """Return how many times its patience the task has waited; 0 up to once."""
         share = self.waited(now) / self.patience
         return share if share > 1.0 else 0.0
 

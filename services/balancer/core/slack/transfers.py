@@ -10,7 +10,7 @@ class SlackTask(Protocol):
     """Something done in the slack, one transfer after the other. It decides; who runs it does the transfers."""
 
     def next(self, now: float, room: Room) -> Transfer | None:
-        """What to do next, None where nothing is to be done now. Asked again until `take` or `fail`.
+        """Return the next transfer, None where none is due. It is called again until `take` or `fail`.
 
         A task that can makes its transfer as short as `room` has it. One that cannot returns the shortest that it has.
         """
@@ -19,7 +19,7 @@ class SlackTask(Protocol):
         """The transfer succeeded; `data` is what was read. Raises `RemoteError` where that makes no sense."""
 
     def fail(self, error: OSError, now: float) -> None:
-        """The transfer failed."""
+        """Note that the transfer failed."""
 
 
 def read(offset: int, count: int) -> Transfer:

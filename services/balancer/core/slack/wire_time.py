@@ -50,7 +50,7 @@ class Transfer(NamedTuple):
 
 
 class Room(NamedTuple):
-    """How many bytes a transfer may have to fit a time; at most `LONGEST`, below 1 where none fits."""
+    """The bytes that a transfer may have to fit a time; at most `LONGEST`, below 1 where none fits."""
 
     read: int
     """Read from the ATmega."""
@@ -69,7 +69,7 @@ _SHORTEST_S = 1e-7
 
 
 class TypicalTime:
-    """What something usually takes, s: near the upper end of most samples, whatever the few longest ones are."""
+    """An estimate of a usual duration, s: near the upper end of most samples, whatever the few longest ones are."""
 
     def __init__(self, seconds: float, up: float = _UP, down: float = _DOWN) -> None:
         """`up` and `down` are the largest relative steps."""
@@ -107,17 +107,17 @@ class WireTime:
 
     @property
     def call_s(self) -> float:
-        """What a transfer takes besides its bytes: the kernel, Python."""
+        """Return the duration of a transfer besides its bytes, s: the kernel, Python."""
         return max(0.0, self._imu.seconds - _IMU_BITS * self.bit_s)
 
     @property
     def byte_s(self) -> float:
-        """A byte to or from the ATmega."""
+        """Return the duration of a byte to or from the ATmega, s."""
         return BITS_PER_BYTE * self.bit_s + self._hold.seconds
 
     def learn(self, select: float, sample: float, count: int, motion: float) -> None:
-        """A tick's transfers took so long, s: the index written to the ATmega, the IMU's sample, and a read of `count`
-        bytes from the ATmega."""
+        """Learn from the durations of a tick's transfers, s: the index written to the ATmega, the IMU's sample, and
+        a read of `count` bytes from the ATmega."""
         for estimate in (self._select, self._least_select):
             estimate.add(select)
         for estimate in (self._imu, self._least_imu):
@@ -126,7 +126,7 @@ class WireTime:
         self._hold.add((motion - self.call_s - wire) / (1 + count))
 
     def duration(self, transfer: Transfer) -> float:
-        """What it takes, s: on the wire, and the pauses before and between writing and reading."""
+        """Return the duration of a transfer, s: on the wire, and the pauses before and between writing and reading."""
         parts = 2 if transfer.reads else 1
         size = parts + len(transfer.data) + transfer.reads
         each = BITS_PER_TRANSFER * self.bit_s + self.call_s
@@ -135,7 +135,7 @@ class WireTime:
         return parts * each + size * BITS_PER_BYTE * self.bit_s
 
     def room(self, seconds: float) -> Room:
-        """What fits a time."""
+        """Return the bytes that fit into `seconds`."""
         each, byte = BITS_PER_TRANSFER * self.bit_s + self.call_s, self.byte_s
         return Room(
             read=min(LONGEST, int((seconds - 2 * (each + balboa.PAUSE_S)) / byte) - 3),

@@ -55,7 +55,7 @@ class BodyEstimate(NamedTuple):
 
     @property
     def way(self) -> float:
-        """Of the axle since the start, m."""
+        """Return the distance of the axle since the start, m."""
         return (self.left + self.right) / 2
 
 

@@ -23,7 +23,7 @@ zero makes two degrees of tilt."""
 
 
 class Zero(NamedTuple):
-    """Of the three axes, rad/s."""
+    """The zero of the three axes, rad/s."""
 
     pitch: float
     up: float = 0.0
@@ -34,8 +34,8 @@ class GyroZero:
     """Finds the zero: time for the filters to settle, then 100 samples at rest."""
 
     def __init__(self, settle_s: float = SETTLE_S, kept: Zero | None = None) -> None:
-        """A sensor that has been on for long needs no time to settle: 0. `kept` is taken where nothing speaks against
-        it."""
+        """Use `settle_s` = 0 for a sensor that has been on for long. `kept` is an earlier zero, used unless samples
+        contradict it."""
         self._settle_s = settle_s
         self._kept = kept
         self._start: float | None = None
