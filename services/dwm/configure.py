@@ -34,7 +34,7 @@ class ModuleInfo:
 
 @frozen
 class DesiredModule:
-    """How a module shall be."""
+    """The desired settings of a module."""
 
     anchor: bool
     initiator: bool | None = None
@@ -58,7 +58,7 @@ def inspect(line: ModuleConnection) -> ModuleInfo:
 
 
 def wish_of(config: Config | None, address: str) -> DesiredModule | None:
-    """How the module of this address shall be by swarm.toml; None where the file does not know it.
+    """Return the desired settings of the module with this address by swarm.toml; None where the file does not have it.
 
     A robot that serves as an anchor at a place of its own is in [[anchors]], too.
     """
@@ -106,7 +106,7 @@ def apply(line: ModuleConnection, wish: DesiredModule) -> list[str]:
 
 
 def unfulfilled(info: ModuleInfo, wish: DesiredModule) -> list[str]:
-    """What of a wish is not so, in words."""
+    """Return in words which parts of a wish are not fulfilled."""
     missing = []
     settings = wanted(info.settings, wish)
     if not _fulfils(info.settings, settings):

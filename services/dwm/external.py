@@ -69,13 +69,13 @@ def checked(report: ExternalReport) -> ExternalReport:
 
 
 def location_of(report: ExternalReport) -> Location:
-    """Its ranges as a module would answer them."""
+    """Return the report's ranges as a module would answer them."""
     ranges = (AnchorRange(anchor, distance, 100, _NO_FIX) for anchor, distance in report.ranges.items())
     return Location(_NO_FIX, tuple(ranges))
 
 
 def pose_of(report: ExternalReport, now: float, sequence: int) -> Pose:
-    """Its place as the pose of the robot."""
+    """Return the report's place as the robot's pose."""
     assert report.x is not None and report.y is not None  # noqa: PT018 - `checked` has seen to it
     return Pose(
         now - report.age,

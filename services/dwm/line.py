@@ -54,7 +54,7 @@ class ModuleConnection(Protocol):
         """The answer; raises `NoAnswerError`."""
 
     def close(self) -> None:
-        """Let it go."""
+        """Release the module."""
 
 
 class PortLine:

@@ -52,7 +52,7 @@ def load_calibration(config: Config, robot: str) -> Calibration:
 
 
 def uncalibrated(config: Config, robot: str) -> str | None:
-    """What to say where the config names a calibration that `robot` does not have; None where all is well."""
+    """Return a warning where the config names a calibration that `robot` does not have; None where it has it."""
     path = calibration_path(config, robot)
     if path is None or path.exists():
         return None
@@ -63,7 +63,7 @@ def uncalibrated(config: Config, robot: str) -> str | None:
 
 
 def known_modules(config: Config) -> dict[str, str]:
-    """What modules besides the anchors are, by address."""
+    """Return what the modules besides the anchors are, by address."""
     known = dict(config.robots_by_module)
     if config.dwm.target is not None:
         known.setdefault(config.dwm.target, "target")
@@ -71,7 +71,7 @@ def known_modules(config: Config) -> dict[str, str]:
 
 
 class _Host(Protocol):
-    """What is used of the service: `swarm.process.service.Service` in a process."""
+    """The part of a service that is used here: `swarm.process.service.Service` in a process."""
 
     config: Config
     robot: str

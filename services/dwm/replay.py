@@ -26,7 +26,8 @@ class _Row:
     k: int
 
     def measurement(self) -> Measurement:
-        """What the app asks for; its `t` is the recording's own time: a row has one answer for ever."""
+        """Return the measurement that the app asks for. Its `t` is the recording's own time, so a row has one answer
+        for ever."""
         distance, x, y = self.recording.rows[self.k]
         return Measurement(self.recording.times[self.k], self.k, distance, x, y)
 

@@ -23,7 +23,7 @@ MAX_REQUEST = 255
 
 
 class ModuleRequests:
-    """What is asked for and not yet answered."""
+    """The requests that have no answer yet."""
 
     def __init__(self, service: Service, wake: Callable[[], None], *, repeats: bool = False) -> None:
         """`wake()` is called on Zenoh's thread when there is something to take. With `repeats` a request that is
@@ -37,7 +37,7 @@ class ModuleRequests:
         service.bus.subscribe(key(service.robot, "dwm", "set", "module"), self._take)
 
     def new(self) -> list[ModuleRequest]:
-        """What came since the last call."""
+        """Return the requests since the last call."""
         return [self._queue.get_nowait() for _ in range(self._queue.qsize())]
 
     def answer(self, ticket: str, data: bytes, problem: str) -> None:

@@ -290,7 +290,7 @@ def _anchors(args: argparse.Namespace, config: Config | None, lines: Sequence[Mo
 
 
 def _seen(locations: Sequence[Location], config: Config | None, robot: str | None) -> dict[str, dict[str, Any]]:
-    """By address: distance, how often, where it says it is, where swarm.toml has it."""
+    """Return by address: the distance, how often it came, the module's own place and that of swarm.toml."""
     calibrate = _calibrate(config, robot)
     listed = {anchor.address: anchor for anchor in config.anchors} if config else {}
     robots = config.robots_by_module if config else {}

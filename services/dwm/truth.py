@@ -59,7 +59,7 @@ def _truth(name: str, payload: bytes, *, simulated: bool) -> tuple[float, float,
 
 
 def lines_of(robot: str, truth: str, found: dict[str, Any]) -> list[str]:
-    """For people, in cm."""
+    """Return the lines for people, in cm."""
     if not found["truths"]:
         return [f"{robot}: nothing is heard on {key_of(truth, robot)}: does the bridge run? it names places as x and y"]
     if found["pose"] is None:

@@ -91,7 +91,7 @@ def _flat(
 
 
 def _filled(pairs: Mapping[tuple[int, int], float], count: int) -> Array:
-    """All distances; those not measured by the shortest way (Floyd, Warshall)."""
+    """Return the matrix of all distances; those not measured are the shortest path (Floyd, Warshall)."""
     matrix = np.full((count, count), np.inf)
     np.fill_diagonal(matrix, 0.0)
     for (i, j), distance in pairs.items():

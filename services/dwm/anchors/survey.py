@@ -56,7 +56,7 @@ def medians(locations: Iterable[Location], calibrate: Calibrate) -> dict[str, fl
 def take_turns(
     lines: Sequence[ModuleConnection], seconds: float, calibrate: Calibrate, wait: Callable[[float], None], say: Say
 ) -> dict[Pair, float]:
-    """All anchors hang on lines of ours: each becomes a tag, ranges to the others, and becomes an anchor again.
+    """Measure all distances where every anchor is connected here: each one is the tag for `seconds`.
 
     Another one keeps the network while the initiator has its turn. Every module ends as it was found. Raises
     `NoAnswerError`, `LocalError`.
@@ -106,7 +106,7 @@ def beside(
     wait: Callable[[float], None],
     ask: Say,
 ) -> dict[Pair, float]:
-    """A tag is held beside each anchor in turn; `ask(text)` returns when it is there."""
+    """Measure with a tag that a person holds beside each anchor in turn."""
     distances: dict[Pair, float] = {}
     for address in anchors:
         ask(f"hold the tag's antenna beside anchor {address}, at its height")
@@ -115,7 +115,7 @@ def beside(
 
 
 def surveyed(infos: Mapping[str, Sequence[AnchorRange]], calibrate: Calibrate) -> dict[Pair, float]:
-    """What anchors tell of each other after the phone app's auto-positioning: ranges by the anchor that told them."""
+    """Return the distances that anchors tell of each other after the phone app's auto-positioning."""
     return {
         (address, item.anchor): calibrate(item.anchor, item.distance)
         for address, ranges in infos.items()

@@ -197,7 +197,7 @@ def _recorded(options: argparse.Namespace, config: Config) -> list[RangeSample]:
 
 
 def places_of(options: argparse.Namespace, config: Config) -> list[Place]:
-    """Where to measure: as `--places` says, else a grid over the anchors. Raises `LocalError`."""
+    """Return the places at which to measure: those of `--places`, else a grid over the anchors. Raises `LocalError`."""
     if options.places is not None:
         return _read_places(options.places)
     if len(config.anchors) < 2:

@@ -30,7 +30,7 @@ _LONGEST_REPORT = 1 << 20
 
 @frozen
 class LearnedOffset:
-    """By how much a robot's ranges are too long, and what that was learned from."""
+    """The amount by which a robot's ranges are too long, and the samples from which it was learned."""
 
     offset: float
     """m."""
@@ -77,7 +77,7 @@ def read(path: Path, places: Sequence[Place] | None, target: str | None) -> list
 
 
 def distance_part(data: CalibrationData, made: str) -> tuple[CalibrationFile, fitting.FittedRanges]:
-    """A file with the ranges' model alone, without robot and layout yet."""
+    """Fit the model of ranges alone; the file has no robot and layout yet."""
     if not data.groups:
         raise LocalError(
             "no range to a module of known place among the samples: give the target's place with --target X Y, or list "
@@ -90,7 +90,7 @@ def distance_part(data: CalibrationData, made: str) -> tuple[CalibrationFile, fi
 
 
 def position_part(data: CalibrationData, made: str) -> tuple[CalibrationFile, fitting.PlaceFitted]:
-    """A file with the places' model alone, without robot and layout yet."""
+    """Fit the model of places alone; the file has no robot and layout yet."""
     fit = fitting.fit_places(data.spots)
     evidence = _evidence(fit.name, made, data, len(data.spots), fit.left_out, fit.nested)
     part = (fit.model, _with(evidence, fit.residuals))
@@ -199,7 +199,7 @@ def thesis_text(found: Sequence[RangeSample]) -> str:
 
 
 def verdict(models: Calibration, file: CalibrationFile | None, data: CalibrationData) -> tuple[list[str], bool]:
-    """What fresh samples say of the models in use, and whether they may stay."""
+    """Judge the models in use by fresh samples: lines for people, and whether the models may stay."""
     lines: list[str] = []
     good = True
     if data.groups:

@@ -57,7 +57,7 @@ def _ranges(axes: Any, data: CalibrationData, model: RangeModel) -> None:
 
 
 def _range_distribution(axes: Any, data: CalibrationData, model: RangeModel) -> None:
-    """Figure 2.11."""
+    """Draw the distribution of range errors (figure 2.11)."""
     raw = [abs(value - g.true) for g in data.groups for value in g.values]
     calibrated = [abs(error_of(model, g, value)) for g in data.groups for value in g.values]
     _cumulative(axes, {"raw": raw, "calibrated": calibrated}, "range error (cm)")
@@ -82,7 +82,7 @@ def _map(axes: Any, data: CalibrationData, model: Affine) -> None:
 
 
 def _place_distribution(axes: Any, data: CalibrationData, model: Affine) -> None:
-    """Figure 2.14."""
+    """Draw the distribution of place errors (figure 2.14)."""
     raw = [hypot(x - s.x, y - s.y) for s in data.spots for x, y in s.values]
     calibrated = [place_error(model, s, value) for s in data.spots for value in s.values]
     _cumulative(axes, {"raw": raw, "calibrated": calibrated}, "place error (cm)")

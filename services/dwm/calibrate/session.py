@@ -40,7 +40,7 @@ Message = Ranges | Pose | Buttons
 
 
 class Hearing:
-    """What the bus brings of one robot, in order."""
+    """The messages of one robot on the bus, in order."""
 
     def __init__(self, bus: Bus, robot: str) -> None:
         self.messages: queue.SimpleQueue[Message] = queue.SimpleQueue()
@@ -84,7 +84,7 @@ class Presses:
         self._last: tuple[int, int, int] | None = None
 
     def take(self, message: Buttons) -> list[GuideButton]:
-        """What was pressed since the message before."""
+        """Return the buttons that were pressed since the message before."""
         counts = (message.presses_a, message.presses_b, message.presses_c)
         last, self._last = self._last, counts
         if last is None or any(new < old for new, old in zip(counts, last, strict=True)):
@@ -116,7 +116,8 @@ class Keyboard:
             termios.tcsetattr(self._stream, termios.TCSADRAIN, saved)
 
     def pressed(self, wait: float, *, waiting: bool) -> GuideButton | None:
-        """What was pressed within `wait` s. A pipe is only read while the guide is `waiting`; its end means quit."""
+        """Return the key pressed within `wait` s. A pipe is only read while the guide is `waiting`; its end means
+        quit."""
         if not self._is_terminal and not waiting:
             return None
         if b"\n" not in self._rest and not self._ended:
@@ -180,7 +181,7 @@ def _new(path: Path) -> TextIO:
 
 
 def _drained(messages: "queue.SimpleQueue[Message]", wait: float) -> Iterator[Message]:
-    """What waits, and where nothing does what comes within `wait` s."""
+    """Yield the messages that wait; where none waits, those that come within `wait` s."""
     try:
         yield messages.get(timeout=wait) if wait else messages.get_nowait()
         while True:

@@ -30,7 +30,7 @@ _HEADER = """\
 
 @frozen
 class Evidence:
-    """What a model was made from and what is known of its worth."""
+    """The samples from which a model was made, and its accuracy."""
 
     model: str
     """Its name."""
@@ -58,7 +58,7 @@ class CalibrationFile:
     position: tuple[Affine, Evidence] | None = None
 
     def over(self, normal: Calibration) -> Calibration:
-        """What is to be used: `normal` where this file says nothing."""
+        """Return the calibration in use: `normal` where this file has no model."""
         ranges = self.distance[0] if self.distance else normal.ranges
         return Calibration(ranges, self.position[0] if self.position else normal.position)
 
@@ -68,7 +68,7 @@ class CalibrationFile:
 
 
 def layout_of(anchors: Sequence[Anchor]) -> str:
-    """A hash of addresses and places (to the mm), whatever their order."""
+    """Return a hash of addresses and places (to the mm), whatever their order."""
     lines = sorted(f"{a.address} {_mm(a.x)} {_mm(a.y)} {_mm(a.z)}" for a in anchors)
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:_SHOWN]
 

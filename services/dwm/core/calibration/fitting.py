@@ -136,7 +136,8 @@ def fit_ranges(groups: Sequence[SampleGroup]) -> FittedRanges:
 
 
 def robot_offset(model: RangeModel, groups: Sequence[SampleGroup]) -> float:
-    """By how much a robot's ranges are too long under `model`, m: the mean over places, each counting once.
+    """Return the amount by which a robot's ranges are too long under `model`, m: the mean over places, each counting
+    once.
 
     From one place alone it cannot be told from that place's own error (multipath, an anchor measured wrongly).
     """
@@ -147,7 +148,7 @@ def robot_offset(model: RangeModel, groups: Sequence[SampleGroup]) -> float:
 
 
 def _range_models(groups: Sequence[SampleGroup]) -> dict[str, RangeFit]:
-    """What may be tried with these samples."""
+    """Return the models that these samples allow."""
     models: dict[str, RangeFit] = {"linear": fit_linear}
     if len(_by_distance(groups)) >= _FEWEST_DISTANCES:
         models["curved"] = fit_curved
@@ -232,14 +233,14 @@ def fit_affine(spots: Sequence[Spot]) -> Affine:
 
 
 def fit_stretched(spots: Sequence[Spot]) -> Affine:
-    """A scale for each axis and an offset."""
+    """Fit a scale for each axis and an offset."""
     a, e = least_squares([[spot.mean[0], 1.0] for spot in spots], [spot.x for spot in spots])
     d, f = least_squares([[spot.mean[1], 1.0] for spot in spots], [spot.y for spot in spots])
     return Affine(((a, 0.0), (0.0, d)), (e, f))
 
 
 def fit_scaled(spots: Sequence[Spot]) -> Affine:
-    """One scale and an offset: what too long ranges do to a place."""
+    """Fit one scale and an offset, which correct the effect of too long ranges on a place."""
     rows = [[spot.mean[0], 1.0, 0.0] for spot in spots] + [[spot.mean[1], 0.0, 1.0] for spot in spots]
     scale, e, f = least_squares(rows, [spot.x for spot in spots] + [spot.y for spot in spots])
     return Affine(((scale, 0.0), (0.0, scale)), (e, f))

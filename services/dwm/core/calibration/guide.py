@@ -23,7 +23,7 @@ SETTLE = 2
 
 
 class GuideButton(Enum):
-    """What the person wants."""
+    """The wish of the person at the guide."""
 
     START = "start"
     """Begin to measure here, or stop before it is enough."""
@@ -67,11 +67,11 @@ class Guide:
 
     @property
     def stop(self) -> GuideStop:
-        """Where the robot has to be; only while not done."""
+        """Return the place at which the robot has to be; only while not done."""
         return self._stops[self._at]
 
     def press(self, press: GuideButton) -> None:
-        """What the person wants; without effect once done."""
+        """Take a press of the person; without effect once done."""
         if self.done:
             return
         if press is GuideButton.QUIT:
@@ -110,7 +110,7 @@ class Guide:
         return new
 
     def prompt(self) -> str:
-        """What the person has to do now."""
+        """Return what the person has to do now."""
         if self.done:
             return "done"
         stop = self.stop
@@ -118,7 +118,7 @@ class Guide:
         return f"{where}, heading {degrees(stop.heading):.0f} degrees"
 
     def progress(self, module: str) -> str:
-        """How the measuring goes, with the live spread of the ranges to `module`."""
+        """Return the progress in words, with the live spread of the ranges to `module`."""
         if self.done:
             return f"{len(self.samples)} samples"
         values = [

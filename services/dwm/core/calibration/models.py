@@ -16,7 +16,7 @@ from swarm.frozen import frozen
 
 @frozen
 class RangeModel:
-    """From a reported range to the distance; lengths in m."""
+    """A model that corrects a reported range; lengths in m."""
 
     gain: float = 1.0
     offset: float = 0.0

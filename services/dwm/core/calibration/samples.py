@@ -74,12 +74,12 @@ class SampleGroup:
 
     @cached_property
     def mean(self) -> float:
-        """Of what is no outlier (eq. 2.1)."""
+        """Return the mean without outliers (eq. 2.1)."""
         return mean(inliers(self.values))
 
     @cached_property
     def raw_mean(self) -> float:
-        """Of all."""
+        """Return the mean of all values."""
         return mean(self.values)
 
 
@@ -95,12 +95,12 @@ class Spot:
 
     @cached_property
     def mean(self) -> Place:
-        """Of what is no outlier (figure 2.12)."""
+        """Return the mean place without outliers (figure 2.12)."""
         return _centroid(inlying_places(self.values))
 
     @cached_property
     def raw_mean(self) -> Place:
-        """Of all."""
+        """Return the mean of all places."""
         return _centroid(self.values)
 
 
@@ -118,7 +118,7 @@ def read(text: str, name: str, places: Sequence[Place] | None = None, module: st
 
 
 def write(sample: RangeSample) -> str:
-    """A line of our layout, without its end."""
+    """Return a sample as a line of our layout, without its end."""
     return ",".join("" if value is None else str(value) for value in sample)
 
 
@@ -159,7 +159,8 @@ def spots(samples: Sequence[RangeSample]) -> list[Spot]:
 
 
 def of_recording(recording: ThesisRecording, place: Place, module: str = TARGET) -> list[RangeSample]:
-    """What a robot of a localization run measured to the target, called `module`, from its true place (x, y in m)."""
+    """Return the samples of a robot in a localization run: ranges to the target, called `module`, from its true
+    place (x, y in m)."""
     return [
         RangeSample(0, *place, None, t, module, row.distance, row.x, row.y)
         for t, row in zip(recording.times, recording.rows, strict=True)

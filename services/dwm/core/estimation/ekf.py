@@ -34,7 +34,7 @@ Point = tuple[float, float, float]
 
 @frozen
 class EkfNoise:
-    """What is assumed of motion and ranges; standard deviations."""
+    """The assumed standard deviations of motion and ranges."""
 
     along: float = 0.005
     """m / sqrt(s) along the way at any speed: slip and sway while standing."""
@@ -64,7 +64,7 @@ class EkfNoise:
 
 
 class Innovation(NamedTuple):
-    """What one range told."""
+    """The innovation of one range."""
 
     anchor: int
     error: float

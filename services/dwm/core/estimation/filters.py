@@ -57,12 +57,11 @@ def inlying_places(places: Sequence[Place], percents: tuple[float, float] = QUAR
 
 
 def mean(values: Sequence[float]) -> float:
-    """Arithmetic mean."""
     return fsum(values) / len(values)
 
 
 def recursive_average(values: Sequence[float], window: int) -> list[float]:
-    """What the original program does in place of eq. 2.2: it averages in place, so earlier **means** enter.
+    """Return the averages of the original program, which averages in place, so earlier **means** enter (not eq. 2.2).
 
     Kept to reproduce the thesis' figures; it weights the first values of a place most.
     """
@@ -85,7 +84,6 @@ class RangeFilter:
         return mean(inliers(self._values))
 
     def clear(self) -> None:
-        """Forget all values."""
         self._values.clear()
 
 
@@ -102,5 +100,4 @@ class PlaceFilter:
         return mean([place[0] for place in kept]), mean([place[1] for place in kept])
 
     def clear(self) -> None:
-        """Forget all places."""
         self._places.clear()

@@ -34,7 +34,7 @@ class DeadReckoning:
 
     @property
     def newest(self) -> OdometryNode:
-        """Where the robot is."""
+        """Return the robot's newest place."""
         return self._nodes[-1]
 
     def add(self, t: float, distance: float, turn: float, tilt: float) -> None:

@@ -81,7 +81,7 @@ def multilaterate(anchors: Sequence[Point], distances: Sequence[float], height: 
 
 
 def _wonder(residuals: Sequence[float], sigma: float) -> float:
-    """How unlikely residuals are: squares, but too long by more than `TOO_LONG` sigma is no more so than by as much."""
+    """Return a cost of residuals: the sum of squares, where a residual above `TOO_LONG` sigma counts as that much."""
     limit = TOO_LONG * sigma
     return fsum(r * r if r <= limit else limit * limit for r in residuals)
 
@@ -105,7 +105,7 @@ def _solve(anchors: Sequence[Point], distances: Sequence[float], height: float, 
 
 
 def degenerate(anchors: Sequence[Point]) -> str | None:
-    """What is wrong with the anchors' geometry in the plane; None where nothing is."""
+    """Explain what is wrong with the anchors' geometry in the plane; None where nothing is."""
     x, y = (fsum(anchor[axis] for anchor in anchors) / len(anchors) for axis in (0, 1))
     xx = fsum((anchor[0] - x) ** 2 for anchor in anchors)
     yy = fsum((anchor[1] - y) ** 2 for anchor in anchors)
@@ -136,8 +136,8 @@ def _starts(
 
 
 def _meetings(one: tuple[float, float, float], other: tuple[float, float, float]) -> list[tuple[float, float]]:
-    """Where two circles (x, y, radius) meet; where they do not, the point of the line through their centres between
-    them."""
+    """Return the intersections of two circles (x, y, radius). Where they do not intersect, return the point between
+    them on the line through their centres."""
     dx, dy = other[0] - one[0], other[1] - one[1]
     distance = hypot(dx, dy)
     if distance < 1e-6:

@@ -58,7 +58,7 @@ class Pipeline:
         """Takes the odometry; idle without any."""
 
     def dropped(self) -> Counter[str]:
-        """What was dropped since the last call, by reason."""
+        """Return the counters of what was dropped since the last call, by reason."""
         dropped, self._book.counters = self._book.counters, Counter()
         return dropped
 
@@ -116,7 +116,7 @@ class Pipeline:
         return Pose(now, self._sequence, *self._fix, None, place.quality, source)
 
     def _multilaterated(self, ranges: Sequence[tuple[str, float]], now: float) -> Pose:
-        """From ranges to configured anchors; smoothed as the module's own places are."""
+        """Return the pose from ranges to configured anchors, smoothed like the module's own places."""
         heard = [(self._anchors[name], distance) for name, distance in ranges if name in self._anchors]
         fix = multilaterate(
             [place for place, _ in heard], [d for _, d in heard], self._settings.height, EkfNoise().range

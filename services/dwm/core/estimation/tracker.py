@@ -48,7 +48,7 @@ _LOOSE = 0.005
 
 @frozen
 class PoseEstimate:
-    """Where the robot is, and how well that is known."""
+    """The robot's pose, and its accuracy."""
 
     t: float
     x: float
@@ -192,12 +192,13 @@ class Tracker:
         self._stood, self._known, self._doubt = self._motion.newest, False, 0.0
 
     def _median(self, index: int) -> float:
-        """Of the first reports' ranges to an anchor; of an even number the lower one, for detours are longer."""
+        """Return the median of the first reports' ranges to an anchor. Of an even number the lower one counts, since
+        detours are longer."""
         ranges = sorted(report[index] for report in self._first if index in report)
         return ranges[(len(ranges) - 1) // 2]
 
     def _branch(self, ekf: Ekf) -> None:
-        """One filter for each heading there may be."""
+        """Begin one filter for each possible heading."""
         self._stood, self._rolled = None, 0.0
         ekf.spread(_MOVED**2)
         self._filters = []
@@ -235,7 +236,8 @@ class Tracker:
 
     @staticmethod
     def _way(heading: float, start: OdometryNode, end: OdometryNode) -> tuple[float, float]:
-        """From one node of the motion to another in the anchors' frame, the robot at `start` heading so."""
+        """Return the displacement in the anchors' frame between two nodes of the motion, for a robot with `heading`
+        at `start`."""
         c, s = cos(heading - start.heading), sin(heading - start.heading)
         u, v = end.u - start.u, end.v - start.v
         return c * u - s * v, s * u + c * v

@@ -27,7 +27,7 @@ class Block:
         self._state, self._times = "", 0
 
     def receive(self, block: Uwb, now: float) -> list[ModuleReport | ModuleHealth]:
-        """A message of the balancer."""
+        """Take a message of the balancer."""
         self._heard = now
         self._times = self._times + 1 if block.state == self._state else 1
         self._state = block.state
@@ -45,7 +45,7 @@ class Block:
         return self._tell(_NOBODY) if now - self._heard > PATIENCE else []
 
     def _trouble(self, block: Uwb) -> str | None:
-        """What is wrong, empty where nothing is, None where the message does not decide it."""
+        """Explain what is wrong; empty where nothing is, None where the message does not decide it."""
         if block.state == "ok":
             return ""
         if self._times < _FAILURES:

@@ -41,7 +41,7 @@ _IS_ANCHOR, _IS_INITIATOR, _IS_BRIDGE, _STATIONARY = 1 << 5, 1 << 4, 1 << 3, 1 <
 
 @frozen
 class UpdateRate:
-    """How often a tag measures."""
+    """The rate at which a tag measures."""
 
     moving: int
     """Period while it moves, in units of 0.1 s."""
@@ -52,8 +52,8 @@ class UpdateRate:
 
 @frozen
 class Settings:
-    """What `cfg_get` tells, and `cfg_tag_set` or `cfg_anchor_set` change. Of each pair one is a tag's, one an anchor's
-    alone: the module ignores the other's."""
+    """The settings that `cfg_get` tells, and `cfg_tag_set` or `cfg_anchor_set` change. Some hold for tags alone,
+    some for anchors alone; the module ignores the others."""
 
     anchor: bool
     initiator: bool = False
@@ -77,7 +77,7 @@ class Settings:
 
 @frozen
 class Version:
-    """What `ver_get` tells."""
+    """The answer of `ver_get`."""
 
     firmware: tuple[int, int, int, int]
     """major, minor, patch, variant: PANS R2 is 1.3.0."""
@@ -92,7 +92,7 @@ class Version:
 
 @frozen
 class ModuleStatus:
-    """What `status_get` tells."""
+    """The answer of `status_get`."""
 
     located: bool
     """A new location since the last `loc_get`."""
@@ -101,12 +101,12 @@ class ModuleStatus:
 
 
 def pos_set(place: Position) -> ModuleCall[None]:
-    """Where an anchor is; kept in flash. Raises `LocalError` for what the fields do not hold."""
+    """Set an anchor's place; kept in flash. Raises `LocalError` for values that the fields do not hold."""
     return _command("pos_set", encode_part(POS_SET, encode_position(place)))
 
 
 def upd_rate_set(rate: UpdateRate) -> ModuleCall[None]:
-    """How often a tag measures; kept in flash, in force at once."""
+    """Set how often a tag measures; kept in flash, in force at once."""
     for period in (rate.moving, rate.still):
         if not 1 <= period <= SLOWEST:
             raise LocalError(f"update period {period * RATE_UNIT:g} s: expected {RATE_UNIT:g} to 60 s")
@@ -132,7 +132,7 @@ def encode_settings(settings: Settings) -> bytes:
 
 
 def decode_settings(value: bytes) -> Settings:
-    """The inverse."""
+    """Decode the settings of `cfg_get`."""
     first, second = value
     return Settings(
         anchor=bool(second & _IS_ANCHOR),
@@ -151,12 +151,12 @@ def decode_settings(value: bytes) -> Settings:
 
 
 def decode_tag(value: bytes) -> Settings:
-    """What `cfg_tag_set` asks for."""
+    """Decode the settings that a request of `cfg_tag_set` has."""
     return decode_settings(bytes((value[0], value[1] & ~(_IS_ANCHOR | _IS_INITIATOR | _IS_BRIDGE))))
 
 
 def decode_anchor(value: bytes) -> Settings:
-    """What `cfg_anchor_set` asks for."""
+    """Decode the settings that a request of `cfg_anchor_set` has."""
     first = value[0]
     roles = _IS_ANCHOR | _IS_INITIATOR * bool(first & _INITIATOR) | _IS_BRIDGE * bool(first & _BRIDGE)
     return decode_settings(bytes((first & ~(_INITIATOR | _BRIDGE), roles)))
@@ -178,7 +178,7 @@ def encode_rate(rate: UpdateRate) -> bytes:
 
 
 def decode_rate(value: bytes) -> UpdateRate:
-    """Its value, and that of `upd_rate_set`."""
+    """Decode an update rate, as `upd_rate_set` and `upd_rate_get` have it."""
     return UpdateRate(*_RATES.unpack(value))
 
 

@@ -80,7 +80,7 @@ def of_trouble(trouble: Trouble) -> ModuleFinding:
 
 
 def of_version(version: Version) -> list[ModuleFinding]:
-    """The module's firmware."""
+    """Check the module's firmware."""
     if version.firmware[:2] == FIRMWARE:
         return []
     return [
@@ -89,7 +89,7 @@ def of_version(version: Version) -> list[ModuleFinding]:
 
 
 def of_settings(settings: Settings, rate: UpdateRate, status: ModuleStatus, *, anchor: bool) -> list[ModuleFinding]:
-    """How the module is set up, against what it shall be: an `anchor` or a tag."""
+    """Compare the module's settings with those desired of an `anchor` or a tag."""
     found = []
     configure = "`swarm dwm configure`"
     if settings.anchor != anchor:
@@ -147,7 +147,7 @@ def of_answers(
     known: Mapping[str, str],
     own: str | None = None,
 ) -> list[ModuleFinding]:
-    """A few seconds of a tag's answers, against swarm.toml; it may move meanwhile.
+    """Check a tag's answers of a few seconds against swarm.toml; the tag may move meanwhile.
 
     `known`: what other modules are (robots, target), by address; `own`: the tag's address.
     """
@@ -237,7 +237,7 @@ def _of_single_answers(locations: Sequence[Location], own: str | None) -> list[M
 
 
 def _seen(locations: Sequence[Location], placed: Mapping[str, Anchor], known: Mapping[str, str]) -> list[ModuleFinding]:
-    """Which anchors the answers hold, and whether the module makes a place of them."""
+    """Check which anchors the answers hold, and whether the module computes a place from them."""
     times = Counter(item.anchor for location in locations for item in {r.anchor: r for r in location.ranges}.values())
     often = {address for address, count in times.items() if count >= FEW * len(locations)}
     found = []

@@ -73,7 +73,7 @@ class ModuleExchange(Generic[T_co]):
             return None
 
     def expire(self) -> Trouble:
-        """No answer in time: what there was instead."""
+        """Return the trouble of a call without an answer in time: what came in its place."""
         heard = bytes(self._heard)
         if not heard:
             return Trouble("silent", "it does not answer: is it wired, powered, and a DWM1001 with PANS?")

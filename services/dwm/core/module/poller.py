@@ -47,7 +47,7 @@ class ModuleHealth:
 
 @frozen
 class Answered:
-    """What became of a request of others."""
+    """The result of another process's request."""
 
     ticket: str
     answer: bytes
@@ -77,13 +77,13 @@ class Poller:
         self._trouble: str | None = None  # kind of the trouble last told; None before anything was
 
     def next_deadline(self) -> float:
-        """When to call `handle_timer` next."""
+        """Return the time at which to call `handle_timer` next."""
         if self._exchange is not None:
             return self._answer_by
         return min(self._due, self._away_until) if self._waiting else self._due
 
     def ask(self, ticket: str, request: bytes) -> None:
-        """A request of others: it goes next. `Answered` follows in any case."""
+        """Queue another process's request as the next one. `Answered` follows in any case."""
         try:
             call = calls.call_of(request)
         except FrameError as error:
@@ -121,7 +121,7 @@ class Poller:
         return data
 
     def events(self) -> list[ModuleReport | ModuleHealth | Answered]:
-        """What happened since the last call, in order."""
+        """Return the events since the last call, in order."""
         events, self._events = self._events, []
         return events
 

@@ -282,7 +282,7 @@ def encode_refusal(code: int) -> bytes:
 
 
 def encode_part(kind: int, value: bytes) -> bytes:
-    """Type, length, value."""
+    """Pack type, length and value."""
     return bytes((kind, len(value))) + value
 
 
