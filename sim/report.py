@@ -129,7 +129,8 @@ def summary(outcome: RunOutcome) -> Json:
 
 
 def _is_consensus(scenario: Scenario) -> bool:
-    """Whether it is the built-in app, whose truth is known: an author's own may have its name and other fields."""
+    """Return whether it is the built-in app, whose truth is known: an author's own may have its name and other
+    fields."""
     return scenario.app == "consensus" and scenario.loaded is not None and scenario.loaded.is_built_in
 
 
@@ -158,7 +159,7 @@ def metrics(paths: Mapping[str, Trajectory]) -> Json:
 
 
 def is_metric(column: str) -> bool:
-    """Whether a column is what an app measures of itself."""
+    """Return whether a column is what an app measures of itself."""
     return column == "result.error" or column.startswith("result.error_")
 
 

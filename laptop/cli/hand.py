@@ -176,7 +176,7 @@ def _send(pid: int, runtime: Path, number: signal.Signals) -> bool:
 
 
 def _belongs_to(pid: int, runtime: Path) -> bool:
-    """Whether the process was started as a service of the robot with this runtime directory."""
+    """Return whether the process was started as a service of the robot with this runtime directory."""
     try:
         variables = Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
     except OSError:

@@ -43,7 +43,7 @@ def _command(options: argparse.Namespace) -> str:
 
 
 async def _all(ssh: Ssh, robots: tuple[Host, ...], command: str, *, as_json: bool) -> bool:
-    """Whether one has failed; the others go on."""
+    """Return whether one has failed; the others go on."""
 
     async def one(host: Host) -> bool:
         try:

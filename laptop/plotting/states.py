@@ -171,7 +171,7 @@ def _number(text: str) -> bool:
 
 
 def _is_whole(path: Trajectory, column: str) -> bool:
-    """Whether it counts: between two iterations there is nothing to be drawn as a slope."""
+    """Return whether it counts: between two iterations there is nothing to be drawn as a slope."""
     index = path.columns.index(column)
     return all(row[index].lstrip("-").isdigit() for row in path.rows.values())
 

@@ -61,5 +61,5 @@ class Questions:
 
 
 def is_halt(asked: object) -> bool:
-    """Whether a page asks for a stop or for its end. Both go the same way, so that the later one holds."""
+    """Return whether a page asks for a stop or for its end. Both go the same way, so that the later one holds."""
     return isinstance(asked, dict) and isinstance(act := asked.get("do"), dict) and act.get("act") in ("stop", "arm")

@@ -20,7 +20,7 @@ Row = list[float | int | None]
 
 
 def most_of(robots: int) -> int:
-    """How many points each of `robots` robots may have."""
+    """Return how many points each of `robots` robots may have."""
     return max(20, min(MOST, MOST_IN_ALL // max(1, robots)))
 
 

@@ -211,7 +211,7 @@ class Runner(AppRunner):
         return self._pack(where)
 
     def content(self) -> bool:
-        """Whether the app says after its last step that it has converged, or has hardly moved."""
+        """Return whether the app says after its last step that it has converged, or has hardly moved."""
         said: object = self._call(f"converged() at iteration {self.k}", self.app.converged)
         if said is not None:
             return bool(said)
@@ -242,7 +242,7 @@ def _own(array: Any) -> object:
 
 
 def _within(value: object, bound: float) -> bool:
-    """Whether no number of a field's value is beyond a bound."""
+    """Return whether no number of a field's value is beyond a bound."""
     return all(abs(number) <= bound for number in _numbers((value,)))
 
 

@@ -86,7 +86,7 @@ def table(robot: str, results: list[I2CRates]) -> list[str]:
 
 
 def _answers(bus: Bus, robot: str) -> bool:
-    """Whether the robot's balancer is there."""
+    """Return whether the robot's balancer is there."""
     asked = Answers({robot: bus}, Status, "balancer", "status")
     return asked.wait(2.0, lambda: bool(asked.newest))
 

@@ -147,14 +147,14 @@ class SlackTasks:
         return nothing
 
     def _goes_on(self, queued: QueuedTask, now: float) -> bool:
-        """Whether what a task wants begins where the last read ended: the cheapest there is, and soon done."""
+        """Return whether what a task wants begins where the last read ended: the cheapest there is, and soon done."""
         if queued not in self._along or self._mark == 0:
             return False
         transfer = queued.task.next(now, Room(1, 0, 0))
         return transfer is not None and transfer.data[0] == self._mark
 
     def _leds_change(self, until: float) -> bool:
-        """Whether LEDs are to be written in this tick: there is time for no more then."""
+        """Return whether LEDs are to be written in this tick: there is time for no more then."""
         return self._balancer.leds_due < until or self._balancer.leds_wanted(until) is not None
 
     def _granted(self, queued: QueuedTask, now: float) -> float:

@@ -119,7 +119,7 @@ def unfulfilled(info: ModuleInfo, wish: DesiredModule) -> list[str]:
 
 
 def _fulfils(settings: Settings, wish: Settings) -> bool:
-    """Whether a module with `settings` is as wished, in what a module of that role heeds."""
+    """Return whether a module with `settings` is as wished, in what a module of that role heeds."""
     if settings.anchor != wish.anchor or settings.uwb != wish.uwb:
         return False
     if wish.anchor:

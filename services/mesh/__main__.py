@@ -56,7 +56,6 @@ def _save(this: Service, data: bytes) -> None:
 
 
 def main() -> None:
-    """Run until SIGTERM."""
     with Service("mesh", direct=True) as this:
         local = local_by_file(this.config, this.robot)
         ground = ground_of(this.config)

@@ -49,7 +49,7 @@ class BusInterface:
         serve("graph", lambda asked: look(lambda each, now: each.graph(now, asked.get("after", ""))))
 
     def _obey(self, key: str, payload: bytes) -> None:
-        """A sample of `swarm/stop` or of a key with `set`."""
+        """Obey a sample of `swarm/stop` or of a key with `set`."""
         try:
             message = read(key, payload)
         except PayloadError as error:

@@ -65,7 +65,7 @@ def parse_address(address: str, whole: str) -> Tcp:
 
 
 def of_robot(robot: RobotConfig) -> LinkAddress:
-    """How the others reach a robot; raises `ConfigError` naming the robot."""
+    """Return the address of a robot for the others. Raises `ConfigError` with the robot's name."""
     if robot.link is None and robot.bluetooth is None:
         raise ConfigError(f"robot {robot.name}: it has neither a link nor a Bluetooth address to be reached at")
     try:

@@ -38,7 +38,7 @@ T = TypeVar("T")
 
 
 class Chance(NamedTuple):
-    """Where a mesh's random numbers come from."""
+    """The random numbers of a mesh."""
 
     random: Callable[[], float]
     """Gives uniform numbers from 0 up to 1."""

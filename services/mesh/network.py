@@ -127,7 +127,7 @@ def _check_bluetooth(open_bluetooth: rfcomm.Open) -> None:
 
 
 def _advertise(listener: rfcomm.RfcommListener) -> pybluez.Record | None:
-    """A service record, where PyBluez and bluetoothd are there for it; no link needs one."""
+    """Publish a service record where PyBluez and bluetoothd are there for it; no link needs one."""
     try:
         return pybluez.Record(listener.fileno())
     except (LocalError, OSError) as error:

@@ -35,7 +35,7 @@ _PAUSE_EXHAUSTED = 0.5
 
 
 class Listener(Protocol):
-    """Where neighbours reach this robot."""
+    """A listener for neighbours of this robot."""
 
     def fileno(self) -> int:
         """For select."""
@@ -48,8 +48,8 @@ class Listener(Protocol):
 
 
 class Watched:
-    """What the reading thread waits for, by descriptor. Made when it changes: a robot with five neighbours is woken 130
-    times a second, and would else ask each of them every time."""
+    """The descriptors for which the reading thread waits. A new one is made when they change: a robot with five
+    neighbours is woken 130 times a second, and would otherwise ask each of them every time."""
 
     def __init__(self, always: Sequence[int], pipes: Mapping[Session, Pipe], blocked: Mapping[Session, Pipe]) -> None:
         """`always`: descriptors besides the pipes'; `blocked`: pipes whose socket is full."""

@@ -8,7 +8,7 @@ from swarm.process.runtime import Schedule
 
 
 class Surroundings(Schedule, Protocol):
-    """What a mesh runs on."""
+    """The environment in which a mesh runs."""
 
     def outside(self, call: Callable[..., object], *arguments: Any) -> None:
         """Call after the present entry, when other threads may enter again: a call that waits delays nobody there. The

@@ -16,7 +16,7 @@ _log = logging.getLogger("mesh")
 
 
 def load(directory: Path, ground: Ground) -> TopologyVersion | None:
-    """What was kept; None where there is nothing, or nothing of this configuration."""
+    """Return the value that was kept; None where there is none of this configuration."""
     path = directory / NAME
     try:
         value = ground.from_file(path.read_bytes())

@@ -22,7 +22,7 @@ _ASK_S = 2.0
 
 
 class ViewSender:
-    """Of one mesh process."""
+    """The sender of one mesh process' views."""
 
     def __init__(self, robot: str, robots: int, runtime: Path) -> None:
         """`robots`: how many the swarm has; `runtime` is where this one's bus is."""
@@ -41,7 +41,7 @@ class ViewSender:
         bus.subscribe(key(self._robot, "mesh", "set", "watch"), self._asked_here)
 
     def heard(self, key: str, payload: bytes) -> None:
-        """A message of another robot."""
+        """Take a message of another robot."""
         if not key.endswith("/mesh/watch"):
             return
         try:

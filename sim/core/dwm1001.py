@@ -114,7 +114,7 @@ class Dwm1001:
         return f"{self.identity & 0xFFFF:04X}"
 
     def is_ranged(self, now: float) -> bool:
-        """Whether tags get a range to it."""
+        """Return whether tags get a range to it."""
         return self.settings.anchor and self.settings.uwb == UWB_ACTIVE and now >= self._away_until
 
     def moved(self, now: float) -> None:

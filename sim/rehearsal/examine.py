@@ -254,7 +254,7 @@ def _reversed_step(runner: Runner, act: Callable[[], tuple[bytes, bytes]]) -> tu
 
 
 def _near(runner: Runner, done: tuple[bytes, bytes], other: Callable[[], tuple[bytes, bytes]]) -> bool:
-    """Whether two states are the same but for the rounding of a sum in another order."""
+    """Return whether two states are the same but for the rounding of a sum in another order."""
     again = other()
     if again == done:
         return True

@@ -128,7 +128,7 @@ class Device:
         """Count plans; one that another has replaced does nothing."""
 
     def is_in(self, piconet: str, now: float) -> bool:
-        """Whether it hears that piconet now."""
+        """Return whether it hears that piconet now."""
         return self.tuned == piconet and max(self.ready, self.scanning, self.busy) <= now + ABOUT
 
 
@@ -146,7 +146,7 @@ class SlotRadio:
     # -- links -------------------------------------------------------------------------------------------------
 
     def has_room(self, name: str) -> bool:
-        """Whether a central can have one more peripheral."""
+        """Return whether a central can have one more peripheral."""
         return len(self.devices[name].central_of) < MAX_PERIPHERALS
 
     def connect(self, central: str, peripheral: str) -> RadioLink:

@@ -90,7 +90,8 @@ class VirtualBus:
         return self._targets(key)
 
     def wanted(self, key: str) -> bool:
-        """Whether anybody hears what this session publishes there: making a message may cost more than sending it."""
+        """Return whether anybody hears what this session publishes there: making a message may cost more than
+        sending it."""
         return bool(self._targets(key))
 
     def await_change(self, call: Callable[[], None]) -> None:

@@ -363,7 +363,7 @@ class _Beside:
 
 
 def _has_no_steps(source: Source) -> bool:
-    """Whether it waits for events alone."""
+    """Return whether it waits for events alone."""
     return isinstance(source, EventHost) and source.runner.period is None
 
 

@@ -133,7 +133,7 @@ class Devices:
         self._watch("buttons", "balancer", Buttons, self._take_buttons)
 
     def asked(self, topic: str) -> bool:
-        """Whether the app has looked at `pose`, `state`, `battery` or `buttons`."""
+        """Return whether the app has looked at `pose`, `state`, `battery` or `buttons`."""
         return topic in self._watched
 
     # -- acting

@@ -60,11 +60,11 @@ class Adapter:
         return hci.connection_handle(self._connection(peer))
 
     def is_central(self, peer: str) -> bool:
-        """Whether this adapter is the central of that connection; `LocalError` where there is none."""
+        """Return whether this adapter is the central of that connection; `LocalError` where there is none."""
         return hci.is_central(self._connection(peer))
 
     def is_connected(self, peer: str) -> bool:
-        """Whether there is a connection to that address, not only a page."""
+        """Return whether there is a connection to that address, not only a page."""
         try:
             return hci.is_connected(self._connection(peer))
         except LocalError:

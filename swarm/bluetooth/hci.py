@@ -189,12 +189,12 @@ def connection_handle(filled: bytes | bytearray) -> int:
 
 
 def is_connected(filled: bytes | bytearray) -> bool:
-    """Whether the connection in it has been made; else it is being made, or ends."""
+    """Return whether the connection in it has been made; else it is being made, or ends."""
     return _CONNECTION.unpack(bytes(filled))[6] in _CONNECTED
 
 
 def is_central(filled: bytes | bytearray) -> bool:
-    """Whether the own adapter is the central of the connection in it."""
+    """Return whether the own adapter is the central of the connection in it."""
     mode: int = _CONNECTION.unpack(bytes(filled))[7]
     return bool(mode & _LINK_CENTRAL)
 

@@ -28,7 +28,7 @@ class BusLike(Protocol):
         """Send a message dataclass or raw bytes; silently lost while the router is away."""
 
     def wanted(self, key: str) -> bool:
-        """Whether anybody hears what is published under a key."""
+        """Return whether anybody hears what is published under a key."""
 
     def subscribe(self, keys: str | Iterable[str], callback: OnSample) -> object:
         """Call `callback(key, payload)` for every sample of other sessions."""

@@ -45,7 +45,7 @@ class Publisher:
         self._listener = self._publisher.declare_matching_listener(direct(self.audience.matched))
 
     def heard(self) -> bool:
-        """Whether anybody may listen. Raises `zenoh.ZError`."""
+        """Return whether anybody may listen. Raises `zenoh.ZError`."""
         audience = self.audience
         if audience.certain_at and clock.now() >= audience.certain_at:
             # In this order, since who comes meanwhile is told of by `matched`.

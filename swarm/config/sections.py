@@ -48,7 +48,7 @@ _PARAMETER = "a finite number, a 64-bit whole number, true or false, a text or a
 
 
 def is_port(text: str) -> bool:
-    """Whether HOST:PORT ends in a port one can listen at."""
+    """Return whether HOST:PORT ends in a port one can listen at."""
     return 1 <= int(text.rpartition(":")[2]) <= 65535
 
 

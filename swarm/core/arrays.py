@@ -87,7 +87,7 @@ def checked(value: object, shape: tuple[int, ...], *, single: bool) -> "Numbers"
 
 
 def are_finite(array: Any) -> bool:
-    """Whether all its numbers are."""
+    """Return whether all its numbers are."""
     return bool(numpy().isfinite(array).all())
 
 
@@ -100,7 +100,7 @@ def from_numbers(numbers: tuple[float, ...], shape: tuple[int, ...], *, single: 
 
 
 def is_array(value: object) -> bool:
-    """Whether it is an array of numpy, one number of it included: told without importing that."""
+    """Return whether it is an array of numpy, one number of it included: told without importing that."""
     return type(value).__module__ == "numpy" and hasattr(value, "dtype")
 
 

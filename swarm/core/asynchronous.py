@@ -157,7 +157,7 @@ class Asynchronous:
         return self._running
 
     def hangs(self, now: float) -> bool:
-        """Whether a handler takes too long to be well."""
+        """Return whether a handler takes too long to be well."""
         return self._running is not None and now - self._since >= HANG
 
     def known(self, now: float) -> list[NeighbourState]:

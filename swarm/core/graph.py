@@ -144,7 +144,7 @@ class Graph:
         return found
 
     def is_connected(self) -> bool:
-        """Whether every robot reaches every other. A graph of one robot is; one of none is, too."""
+        """Return whether every robot reaches every other. A graph of one robot is; one of none is, too."""
         return not self.names or len(self.distances(self.names[0])) == len(self.names)
 
     def diameter(self) -> int:

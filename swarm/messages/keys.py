@@ -73,10 +73,10 @@ def whose_token(text: str) -> tuple[str, str]:
 
 
 def is_key(text: str) -> bool:
-    """Whether Zenoh takes it as a key: chunks of letters, digits and `_.:-`, with `/` between them."""
+    """Return whether Zenoh takes it as a key: chunks of letters, digits and `_.:-`, with `/` between them."""
     return len(text) <= MAX_KEY_LENGTH and _ANY_KEY.fullmatch(text) is not None
 
 
 def is_name(text: str) -> bool:
-    """Whether `text` may name a robot or an app: a lower-case letter, then up to 15 of a-z, 0-9, _ and -."""
+    """Return whether `text` may name a robot or an app: a lower-case letter, then up to 15 of a-z, 0-9, _ and -."""
     return _NAME.fullmatch(text) is not None

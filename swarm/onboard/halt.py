@@ -178,7 +178,8 @@ def _command(opened_buses: Mapping[str, Bus], *, stop: bool, reason: str, timeou
 
 
 def _is_final(row: Row, opened_buses: Mapping[str, Bus]) -> bool:
-    """Whether waiting changes nothing. Whose own bus is asked may only not have answered yet, whatever others say."""
+    """Return whether waiting changes nothing. Whose own bus is asked may only not have answered yet, whatever others
+    say."""
     return (row.confirmed and row.state == "here") or (row.state in AWAY and row.robot not in opened_buses)
 
 

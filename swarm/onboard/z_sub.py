@@ -92,7 +92,7 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
 
 
 def _is_far(options: argparse.Namespace) -> bool:
-    """Whether a real robot is meant that is not this one."""
+    """Return whether a real robot is meant that is not this one."""
     if not options.robots or options.run_dir:
         return False
     return bool(options.config or options.ssh_config) or not is_live(default_run_dir().absolute())
@@ -279,7 +279,7 @@ class _Rates:
 
 
 def _nobody_reads() -> bool:
-    """Whether the other end of a pipe behind stdout was closed: without samples no write would tell."""
+    """Return whether the other end of a pipe behind stdout was closed: without samples no write would tell."""
     try:
         poll = select.poll()
         poll.register(sys.stdout.fileno(), 0)
@@ -289,7 +289,7 @@ def _nobody_reads() -> bool:
 
 
 def _input_has_ended() -> bool:
-    """Whether whoever started us by ssh is gone: what comes in says nothing, its end does."""
+    """Return whether whoever started us by ssh is gone: what comes in says nothing, its end does."""
     if not select.select([sys.stdin], [], [], 0)[0]:
         return False
     return not os.read(sys.stdin.fileno(), 4096)

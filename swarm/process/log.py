@@ -57,7 +57,7 @@ def setup(name: str) -> logging.Logger:
 
 
 def _is_journal() -> bool:
-    """Whether stderr is the journal, as systemd names it; a child may inherit the name but not the pipe."""
+    """Return whether stderr is the journal, as systemd names it; a child may inherit the name but not the pipe."""
     try:
         stream = os.fstat(sys.stderr.fileno())
     except (OSError, ValueError):

@@ -94,7 +94,7 @@ def _lock(descriptor: int) -> bool:
 
 
 def is_live(directory: Path) -> bool:
-    """Whether a simulation runs in `directory` at this moment."""
+    """Return whether a simulation runs in `directory` at this moment."""
     try:
         return is_held(directory / LOCK)
     except OSError:

@@ -124,7 +124,7 @@ def _note(known: ExistingContent, opcode: int, content: bytes, length: int) -> N
 
 
 def _complete(file: int, chunk: mcap.Chunk, at: int, counts: dict[int, int]) -> bool:
-    """Whether the indexes name as many messages as there are in the chunk at `at`."""
+    """Return whether the indexes name as many messages as there are in the chunk at `at`."""
     if chunk.size > mcap.LARGEST:
         return False
     records = os.pread(file, chunk.size, at + mcap.HEAD.size + _CHUNK_HEAD)

@@ -174,13 +174,13 @@ def read(path: Path, *, whole: bool = True) -> Trajectory:
 
 
 def is_state(topic: str) -> bool:
-    """Whether an app's states travel under this topic."""
+    """Return whether an app's states travel under this topic."""
     chunks = topic.split("/")
     return len(chunks) in (5, 6) and chunks[2] == "app" and chunks[-1] == "state"
 
 
 def _tells(topic: str) -> bool:
-    """Whether it may be what an app tells of itself: its progress comes before its first state."""
+    """Return whether it may be what an app tells of itself: its progress comes before its first state."""
     return is_state(topic) or topic.endswith(("/epoch", "/progress"))
 
 

@@ -65,7 +65,8 @@ class File:
         return self.run.rpartition("-")[0]
 
     def is_of(self, robot: str) -> bool:
-        """Whether its name says that it is this robot's own; the others are the same on every robot of the run."""
+        """Return whether its name says that it is this robot's own; the others are the same on every robot of the
+        run."""
         return self.path.rpartition("/")[2].startswith(f"{robot}.")
 
     def own(self, robot: str) -> str:

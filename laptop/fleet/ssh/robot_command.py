@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def is_far(args: argparse.Namespace) -> bool:
-    """Whether real robots are meant that ssh reaches."""
+    """Return whether real robots are meant that ssh reaches."""
     if args.real or args.config or args.ssh_config:
         return True
     if args.run_dir or os.environ.get("SWARM_RUNTIME") or DEFAULT_RUNTIME.is_dir():

@@ -32,7 +32,8 @@ class Plan:
         self._versions[robot], self._known[robot] = versions, known
 
     def is_new(self, robot: str) -> bool:
-        """Whether the app begins anew on a robot that was found. Raises `HostError` where it is not to be started."""
+        """Return whether the app begins anew on a robot that was found. Raises `HostError` where it is not to be
+        started."""
         if wrong := apps.differences(self._versions, self._config):
             first = self._refused.setdefault(wrong, robot)
             raise HostError(wrong if robot == first else f"see {first}")

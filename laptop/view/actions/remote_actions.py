@@ -291,7 +291,7 @@ class RemoteActions:
             self._view.picture.put(robot, APPS, {"apps": sorted(known)}, self._view.now())
 
     def _is_near(self, host: Host) -> bool:
-        """Whether there is a connection with its bus."""
+        """Return whether there is a connection with its bus."""
         tunnel = self._view.buses.get(host.robot)
         return tunnel is not None and tunnel.connected
 
@@ -301,7 +301,7 @@ class RemoteActions:
         return isinstance(reach, dict) and reach.get("by") is not None
 
     def _is_up(self, robot: str, peer: str) -> bool:
-        """Whether both ends of a link, as far as they have told, say that it is up."""
+        """Return whether both ends of a link, as far as they have told, say that it is up."""
         with self._view.lock:
             told = [(self._view.picture.newest(a, "mesh/links"), b) for a, b in ((robot, peer), (peer, robot))]
         states = [

@@ -146,7 +146,7 @@ class Picture:
             self.note(self._now, robot, "warning", f"{what} is left out, and whatever is like it: {why}")
 
     def _keep(self, robot: str, topic: str, value: object) -> bool:
-        """Whether it is kept as the newest."""
+        """Return whether it is kept as the newest."""
         topics = self._topics.setdefault(robot, {})
         size = self._sizes[robot] + _size(value) - _size(topics.get(topic, (0, None))[1])
         if size > MAX_SIZE or (topic not in topics and len(topics) >= MAX_TOPICS):
@@ -176,7 +176,7 @@ class Picture:
         return value.value
 
     def _fits(self, robot: str, topic: str, message: object) -> bool:
-        """Whether a decoded message has the types of its key, as far as it goes."""
+        """Return whether a decoded message has the types of its key, as far as it goes."""
         try:
             _check(topic, message)
         except PayloadError as error:

@@ -197,7 +197,7 @@ class Robots(RealTime):
         self.picture.take("", name, payload, now - self.began)
 
     def _speaks_for_itself(self, robot: str) -> bool:
-        """Whether a robot's own bus is heard."""
+        """Return whether a robot's own bus is heard."""
         tunnel = self.buses.get(robot)
         return tunnel is not None and tunnel.connected and self._bus.get(robot, True)
 

@@ -34,7 +34,7 @@ class Program(Protocol):
         """Be at k with this state, among these robots; the state the app goes on with, packed: shared, private."""
 
     def content(self) -> bool:
-        """Whether the last step has changed the state so little that the app might stop."""
+        """Return whether the last step has changed the state so little that the app might stop."""
 
 
 @frozen

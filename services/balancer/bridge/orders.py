@@ -61,7 +61,7 @@ def halt(balancer: Obedient, stop: Stop) -> bool:
 
 
 def moves(message: LoopMessage) -> bool:
-    """Whether a command may set a robot in motion, or keep it moving."""
+    """Return whether a command may set a robot in motion, or keep it moving."""
     return isinstance(message, SetVelocity | TryMotors) or (isinstance(message, SetMode) and message.mode != "rest")
 
 

@@ -36,7 +36,7 @@ class Inbox:
         self._dropped: dict[str, int] = {}
 
     def __bool__(self) -> bool:
-        """Whether there is something to take, or a loss to tell of."""
+        """Return whether there is something to take, or a loss to tell of."""
         return bool(self._waiting or self._dropped)
 
     def put(self, command: WaitingCommand) -> None:

@@ -98,7 +98,7 @@ MAX_LOGGED = 256
 
 
 class Actions:
-    """What a node asks of its shell, in the order in which it is to be carried out."""
+    """The actions that a node asks of its shell, in the order in which the shell carries them out."""
 
     def __init__(self) -> None:
         self._actions: list[Action] = []
@@ -118,6 +118,6 @@ class Actions:
         self._actions += (LinksChanged(), LogLine(text, problem=False))
 
     def take(self) -> list[Action]:
-        """Those since the last call."""
+        """Return the actions since the last call."""
         actions, self._actions = self._actions, []
         return actions

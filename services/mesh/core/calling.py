@@ -45,7 +45,7 @@ class Calling:
         self._actions.add(Dial(link.peer))
 
     def called(self, peer: str, now: float) -> float:
-        """A call is over. Return for how long the radio was busy with it: calls wait for one another."""
+        """Note that a call is over. Return how long the radio was busy with it: calls wait for one another."""
         began = self._calls.pop(peer, now)
         for other in self._calls:
             self._calls[other] = now
@@ -59,7 +59,7 @@ class Calling:
                 self._actions.add(LinksChanged())
 
     def next_deadline(self) -> float:
-        """When `handle_timer` or `to_knock_at` has something to do."""
+        """Return the time at which `handle_timer` or `to_knock_at` has something to do."""
         earliest = self._look_at
         for link in self._links.values():
             if link.session is None and link.dialler is not None:
@@ -69,7 +69,8 @@ class Calling:
         return earliest
 
     def patience(self, peer: str) -> float:
-        """How long a handshake may take with a neighbour that this robot has called, s: longer after calls in vain."""
+        """Return how long a handshake with a neighbour that this robot has called may take, s: longer after calls in
+        vain."""
         link, least = self._links.get(peer), self._local.handshake
         doubled = 0 if link is None else min(link.unanswered, 16)
         return min(least * 2.0**doubled, max(self._local.patience, least))
@@ -98,7 +99,7 @@ class Calling:
         return self._callers.refusal(caller, self._half_open.values(), now)
 
     def is_knock(self, robot: str, now: float) -> bool:
-        """Whether a call is a knock of a robot that this one calls; then it is called soon."""
+        """Return whether a call is a knock of a robot that this one calls; then it is called soon."""
         link = self._links.get(robot)
         if not self._local.pages or not self._local.dials.get(robot) or (link is not None and link.session is not None):
             return False
@@ -113,12 +114,13 @@ class Calling:
         self._half_open[session] = caller
 
     def confirmed(self, session: Session) -> None:
-        """A handshake has succeeded."""
+        """Note that a handshake has succeeded."""
         if (caller := self._half_open.pop(session, None)) is not None:
             self._callers.confirmed(caller)
 
     def failed(self, session: Session, now: float, *, refused: bool) -> tuple[str, str]:
-        """A handshake has failed. Return whom it was with, and a caller's address; `refused`: by this robot."""
+        """Note that a handshake has failed. Return its peer and the caller's address; `refused`: this robot refused
+        it."""
         caller = self._half_open.pop(session, None)
         if caller is not None and refused:
             self._callers.refused(caller, now)

@@ -35,7 +35,7 @@ SUPERVISED = 1.25
 
 
 class Connections:
-    """Of one robot. Calls with `now` must not go back in time; no call may overlap another."""
+    """The connections of one robot. Calls with `now` must not go back in time; no call may overlap another."""
 
     def __init__(
         self,
@@ -116,7 +116,7 @@ class Connections:
         self._digest(session, now)
 
     def transport_down(self, session: Session, reason: str, now: float) -> None:
-        """A session's transport has ended; ignored where the session had ended before."""
+        """End a session whose transport has ended; ignored where it had ended before."""
         if session.state != DOWN:
             self._counters["transport_lost"] += 1
             session.transport_down(reason)
@@ -145,7 +145,7 @@ class Connections:
                 self._digest(session, now)
 
     def handle_timer(self, now: float) -> None:
-        """Whatever is due."""
+        """Do everything that is due at `now`."""
         for session in tuple(self._sessions):
             session.handle_timer(now)
             self._digest(session, now)
@@ -225,12 +225,12 @@ class Connections:
         return ready
 
     def states(self) -> tuple[LinkState, ...]:
-        """All links as they are, sorted by peer."""
+        """Return the state of all links, sorted by peer."""
         links = [link for _, link in sorted(self.links.items()) if link.lasting or link.session is not None]
         return tuple([link.state() for link in links])
 
     def next_deadline(self) -> float:
-        """When a session or a dialler has something to do."""
+        """Return the time at which a session or a dialler has something to do."""
         # After each packet of an overlay, so without lists, generators and calls for each link.
         earliest = self._calling.next_deadline()
         for session in self._sessions:
@@ -264,7 +264,7 @@ class Connections:
             self._ready.append(session)
 
     def _on_probe(self, session: Session, event: Received, now: float) -> None:
-        """A ping that is to be answered, or an answer. One that is no such thing is dropped."""
+        """Take a ping that is to be answered, or an answer to one. Other messages are dropped."""
         try:
             result = self.prober.receive(event.key, event.payload, now)
         except FrameError as error:
@@ -346,7 +346,7 @@ class Connections:
             self._actions.log_once(f"clash {robot}", text)
 
     def _hear(self, peer: str, said: int | None, now: float) -> None:
-        """What the other end of a connection says at its end."""
+        """Take the code that the other end gives when it ends a connection."""
         if said == frames.CLASH:
             text = f"{peer} refuses a link with this one"
             self._overlays.clashes.seen(self._local.robot, self._local.process, text, now)

@@ -88,7 +88,7 @@ class MeshNode:
         return session
 
     def publish(self, source: int | None, key: str, payload: bytes, now: float) -> None:
-        """A sample of the own bus; `source` is the index of the subscription that delivered it, None for what came
+        """Send a sample of the own bus; `source` is the index of the subscription that delivered it, None for
         another way."""
         for send in self._relay.publish(source, key, payload, now):
             self._send(send, now)
@@ -117,13 +117,13 @@ class MeshNode:
     # -- outputs -----------------------------------------------------------------------------------
 
     def next_deadline(self) -> float:
-        """When `handle_timer` wants to be called. It may turn out to be early, never late."""
+        """Return the time at which `handle_timer` must be called. It may turn out to be early, never late."""
         return self._deadline
 
     # -- inside ------------------------------------------------------------------------------------
 
     def _earliest(self) -> float:
-        """When something is due."""
+        """Return the time at which something is due."""
         earliest = min(self.overlays.next_deadline(), self.connections.next_deadline())
         held = self._relay.next_deadline()
         return earliest if held is None else min(earliest, held)

@@ -24,15 +24,15 @@ MAX_ROUTES = 4096
 
 
 def match(expression: str, key: str) -> dict[str, str] | None:
-    """What `{self}` and `{peer}` stand for in a key of an expression, in which `*` is one chunk and `**` any number of
-    them, none included; None where it is no such key. Keys are looked up seldom, robots in a process may be many: so
-    no regular expressions, which take a quarter of a millisecond and 3 kB each."""
+    """Match a key with an expression, in which `*` is one chunk and `**` any number of them, none included. Return
+    what `{self}` and `{peer}` stand for; None without a match. Keys are looked up seldom and robots in a process may
+    be many, so no regular expressions, which take a quarter of a millisecond and 3 kB each."""
     chunks = key.split("/")
     return _match(expression.split("/"), chunks) if all(chunks) else None
 
 
 def matches(expression: str, key: str) -> bool:
-    """Whether a key is one of an expression's."""
+    """Return whether a key is one of an expression's."""
     return match(expression, key) is not None
 
 
@@ -53,17 +53,17 @@ def _match(expression: Sequence[str], chunks: Sequence[str]) -> dict[str, str] |
 
 
 def instantiate(expression: str, me: str, peer: str) -> str:
-    """A rule's key expression with its names put in."""
+    """Return a rule's key expression with its names put in."""
     return expression.replace("{self}", me).replace("{peer}", peer)
 
 
 def commands(text: str) -> int:
-    """How many chunks of a key or a key expression are `set`."""
+    """Return how many chunks of a key or a key expression are `set`."""
     return text.split("/").count("set")
 
 
 def may_cross(key: str, robot: str) -> bool:
-    """Whether a key is well formed, belongs to `robot` and is no command."""
+    """Return whether a key is well formed, belongs to `robot` and is no command."""
     try:
         parsed = parse(key)
     except PayloadError:
@@ -91,7 +91,7 @@ class Leg:
 
 
 class KeyRoute(NamedTuple):
-    """Where a key of this robot goes."""
+    """The destinations of a key of this robot."""
 
     source: int
     """The subscription that delivers it; where subscriptions overlap, the others' copies are not used."""
@@ -128,32 +128,32 @@ class KeyRelay:
         """Key expressions to subscribe to on the own bus; a sample's `source` is the index in here."""
 
     def admits(self, peer: str, key: str) -> bool:
-        """Whether a key of `peer` may appear on our bus."""
+        """Return whether a key of `peer` may appear on our bus."""
         return may_cross(key, peer) and any(
             rule.overlay == NEIGHBOURS and matches(instantiate(rule.config.keys, peer, self._me), key)
             for rule in self._rules
         )
 
     def admits_neighbour(self, robot: str, key: str) -> bool:
-        """Whether a key of `robot`, which links of others carry, may appear on our bus."""
+        """Return whether a key of `robot`, which links of others carry, may appear on our bus."""
         return robot in self._peers and self.admits(robot, key)
 
     def carries(self, key: str) -> bool:
-        """Whether a key is for the neighbours of the robot that it belongs to."""
+        """Return whether a key is for the neighbours of the robot that it belongs to."""
         for rule in self._rules:
             if rule.overlay == NEIGHBOURS and (found := match(rule.config.keys, key)) is not None:
                 return may_cross(key, found["self"])
         return False
 
     def admits_flood(self, key: str) -> bool:
-        """Whether a key may be flooded by the robot it belongs to."""
+        """Return whether a key may be flooded by the robot it belongs to."""
         for rule in self._rules:
             if rule.overlay == FLOOD and (found := match(rule.config.keys, key)) is not None:
                 return may_cross(key, found["self"])
         return False
 
     def admits_unicast(self, sender: str, key: str) -> bool:
-        """Whether a message of `sender` to this robot may appear on our bus."""
+        """Return whether a message of `sender` to this robot may appear on our bus."""
         return any(
             self._receiver(rule, key, sender) == self._me and (sender in self._peers or not rule.avoid_link)
             for rule in self._rules
@@ -171,7 +171,7 @@ class KeyRelay:
                     self._held.append(leg)
 
     def publish(self, source: int | None, key: str, payload: bytes, now: float) -> list[RelaySend]:
-        """What leaves because of a sample that subscription number `source` delivered; None: none did."""
+        """Return what leaves because of a sample that subscription number `source` delivered; None for another way."""
         route = self._routes.get(key) or self._find(key)
         if source is not None and route.source != source:
             return []
@@ -188,7 +188,7 @@ class KeyRelay:
         return sends
 
     def handle_timer(self, now: float) -> list[RelaySend]:
-        """What was held back by a maximum rate and leaves now."""
+        """Return what was held back by a maximum rate and leaves now."""
         due = [leg for leg in self._held if leg.next_at <= now]
         if not due:
             return []
@@ -202,7 +202,7 @@ class KeyRelay:
         return sends
 
     def next_deadline(self) -> float | None:
-        """When the next held value leaves."""
+        """Return the time at which the next held value leaves."""
         return min(leg.next_at for leg in self._held) if self._held else None
 
     def _find(self, key: str) -> KeyRoute:
@@ -261,7 +261,8 @@ def _leg(key: str, rule: _Rule, peers: tuple[str, ...]) -> Leg:
 
 
 class Admission:
-    """Which keys a neighbour may bind a channel to, and which messages of other robots this one accepts."""
+    """The rules of admission: to which keys a neighbour may bind a channel, and which messages of other robots are
+    accepted."""
 
     def __init__(
         self, me: str, robots: frozenset[str], flood: Callable[[str], bool], unicast: Callable[[str, str], bool]
@@ -273,7 +274,8 @@ class Admission:
         self._unicast = unicast
 
     def binds(self, peer: str, overlay: int, key: str) -> bool:
-        """Whether a neighbour may bind a channel of flood or unicast to this key; keys of carried values aside."""
+        """Return whether a neighbour may bind a channel of flood or unicast to this key; keys of carried values
+        aside."""
         try:
             robot, service, topic = parse(key)
         except PayloadError:
@@ -289,7 +291,7 @@ class Admission:
         return _is_app_flood(service, topic) or self._flood(key)
 
     def accepts(self, sender: str, key: str) -> bool:
-        """Whether a unicast message of `sender` may appear on the own bus under this key."""
+        """Return whether a unicast message of `sender` may appear on the own bus under this key."""
         if sender == self._me:
             return False  # what we send ourselves crosses no link: somebody pretends to be us
         robot, service, topic = parse(key)

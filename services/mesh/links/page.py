@@ -21,7 +21,7 @@ LOOK = 0.05
 
 
 class Paging:
-    """Of one adapter. Any thread may call."""
+    """The pages of one adapter. Any thread may call."""
 
     def __init__(self, own: str, *, open_adapter: Callable[[str], Adapter] = Adapter) -> None:
         """`own`: Bluetooth address of the adapter. Where it cannot be asked, a call's page ends with the call."""
@@ -58,7 +58,7 @@ class Paging:
 
 
 def _is_over(sock: socket.socket, seconds: float) -> bool:
-    """Whether a call has come to its end, well or not; waits for it."""
+    """Return whether a call has come to its end, well or not; waits for it."""
     return bool(select.select([], [sock], [], max(0.0, seconds))[1])
 
 

@@ -35,7 +35,6 @@ class Pipe:
         """Why reading or writing failed."""
 
     def fileno(self) -> int:
-        """For select."""
         return self._sock.fileno()
 
     # -- the reading thread's side ---------------------------------------------------------------------------
@@ -47,7 +46,7 @@ class Pipe:
         return self._unwritable
 
     def wants_read(self, now: float) -> bool:
-        """Whether `read` is to be called when the socket is readable."""
+        """Return whether `read` is to be called when the socket is readable."""
         return not self._over
 
     def read(self, now: float) -> None:
@@ -62,7 +61,7 @@ class Pipe:
         return data
 
     def next_change(self, now: float) -> float | None:
-        """When `take` or `wants_read` may say something else than now, though nothing is read."""
+        """Return the time at which `take` or `wants_read` may change, though nothing is read."""
         return now if self._unwritable and not self._over else None
 
     def close(self) -> None:
@@ -71,7 +70,7 @@ class Pipe:
         self._sock.close()
 
     def _receive(self) -> bytes | None:
-        """One read: b"" at the end, for whatever reason; None where nothing was there."""
+        """Read once: b"" at the end, for whatever reason; None where nothing was there."""
         try:
             data = self._sock.recv(READ_SIZE)
         except (BlockingIOError, InterruptedError):
@@ -118,5 +117,5 @@ class Pipe:
 
 
 def describe(error: OSError) -> str:
-    """A short reason for a lost transport."""
+    """Return a short reason for a lost transport."""
     return (error.strerror or str(error) or type(error).__name__).lower()

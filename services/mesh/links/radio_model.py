@@ -26,15 +26,15 @@ class Numbers(Protocol):
     """A seeded generator, as `random.Random` is one."""
 
     def gauss(self, mean: float, deviation: float, /) -> float:
-        """A number of a normal distribution."""
+        """Return a number of a normal distribution."""
 
     def random(self) -> float:
-        """A number from 0 up to 1."""
+        """Return a number from 0 up to 1."""
 
 
 @frozen
 class AirModel:
-    """What all links of a simulation are like."""
+    """The properties of all links of a simulation."""
 
     latency: float = 0.0
     """One way, s."""
@@ -55,7 +55,7 @@ class AirModel:
 
     @property
     def shortest(self) -> float:
-        """No byte is on the air for less, s."""
+        """Return the shortest time of a byte on the air, s."""
         return min(FLOOR, self.latency) if self.jitter else self.latency
 
     @classmethod
@@ -105,7 +105,7 @@ class DelayLine:
         return arrival
 
     def arrival(self, size: int, stamp: float) -> float:
-        """When so many bytes arrive that were sent at `stamp`: after all that was sent before."""
+        """Return when `size` bytes arrive that were sent at `stamp`: after all that was sent before."""
         model = self._model
         if stamp > self.free_at:
             self.free_at = stamp
@@ -127,19 +127,20 @@ class DelayLine:
         return self._last_arrival
 
     def _losses(self, size: int, numbers: Numbers) -> int:
-        """How many packets are lost until all of so many bytes are there: for each a geometric distribution."""
+        """Return how many packets are lost until all of `size` bytes have arrived: for each a geometric
+        distribution."""
         scale = 1.0 / math.log(self._model.loss)
         return sum(int(math.log(1.0 - numbers.random()) * scale) for _ in range(max(1, math.ceil(size / PACKET))))
 
     def hold(self, arrival: float) -> float:
-        """Nothing sent later arrives before this time."""
+        """Let nothing that is sent later arrive before this time."""
         self._last_arrival = arrival
         return arrival
 
     def next_arrival(self) -> float | None:
-        """When the oldest chunk on the air arrives."""
+        """Return when the oldest chunk on the air arrives."""
         return self._chunks[0][0] if self._chunks else None
 
     def pop(self) -> bytes:
-        """The oldest chunk."""
+        """Take the oldest chunk."""
         return self._chunks.pop(0)[1]

@@ -77,7 +77,7 @@ class Radio:
 
 
 def open_socket() -> socket.socket:
-    """A new RFCOMM socket; `LocalError` where this interpreter was built without them."""
+    """Open an RFCOMM socket. Raises `LocalError` where Python was built without them."""
     if not hasattr(socket, "AF_BLUETOOTH"):
         raise LocalError(
             "this Python was built without Bluetooth sockets (AF_BLUETOOTH): run the mesh with Debian's python3, "
@@ -87,7 +87,7 @@ def open_socket() -> socket.socket:
 
 
 def open_l2cap_socket() -> socket.socket:
-    """A new raw L2CAP socket; OSError where this process may not have one."""
+    """Open a raw L2CAP socket. Raises OSError where this process may not have one."""
     return socket.socket(socket.AF_BLUETOOTH, socket.SOCK_RAW, socket.BTPROTO_L2CAP)
 
 
@@ -133,7 +133,7 @@ def dial(radio: Radio, address: str, *, paging: Paging | None = None, open_socke
 
 
 class RfcommListener(stream.StreamListener):
-    """Where `rfcomm:` neighbours reach this robot."""
+    """A listener for `rfcomm:` neighbours of this robot."""
 
     def __init__(self, radio: Radio, robots: Mapping[str, str], *, open_socket: Open = open_socket) -> None:
         """`robots` has the name of the robot of each known Bluetooth address."""

@@ -12,7 +12,7 @@ OpenAdapter = Callable[[str], Adapter]
 
 
 class Roles:
-    """Of one robot. Any thread may ask for what the last `look` found."""
+    """The Bluetooth roles of one robot. Any thread may ask for the result of the last `look`."""
 
     def __init__(self, own: str, addresses: Mapping[str, str], *, open_adapter: OpenAdapter = Adapter) -> None:
         """`own`: Bluetooth address of the adapter; `addresses`: those of other robots, by name."""

@@ -44,7 +44,7 @@ _log = logging.getLogger("mesh.sim")
 
 
 class LinkConditions:
-    """What all simulated links of this robot share: how they are, and which of them are cut."""
+    """The common part of all simulated links of this robot: their properties, and which of them are cut."""
 
     def __init__(self, me: str, directory: Path) -> None:
         self.me = me
@@ -72,7 +72,7 @@ class LinkConditions:
         self._thread.start()
 
     def cut_until(self, peer: str) -> float:
-        """When the cut to `peer` ends; in the past when there is none."""
+        """Return when the cut to `peer` ends; in the past when there is none."""
         return self._cuts.get(peer, 0.0)
 
     def line(self, peer: str) -> DelayLine:
@@ -84,7 +84,7 @@ class LinkConditions:
         return not self._closing.wait(self.model.dial)
 
     def is_cut(self, peer: str) -> bool:
-        """Whether nothing passes between `peer` and us now."""
+        """Return whether nothing passes between `peer` and us now."""
         return clock.now() < self.cut_until(peer)
 
     def close(self) -> None:
@@ -125,7 +125,7 @@ class SimPipe(Pipe):
 
     @property
     def restless(self) -> bool:
-        """Time changes it."""
+        """Return True: time changes what the pipe wants."""
         return True
 
     def offer(self, data: bytes) -> None:
@@ -133,7 +133,7 @@ class SimPipe(Pipe):
         super().offer(_RECORD.pack(len(data), clock.now()) + data)
 
     def wants_read(self, now: float) -> bool:
-        """Not while the line is busy: what comes next must wait in the sender's socket."""
+        """Return False while the line is busy, since what comes next must wait in the sender's socket."""
         return not self._ended and (self._line is None or now >= self._next_read(self._line))
 
     def read(self, now: float) -> None:
@@ -173,7 +173,7 @@ class SimPipe(Pipe):
         return self._line.pop()
 
     def next_change(self, now: float) -> float | None:
-        """When the next bytes arrive, or the line takes more."""
+        """Return when the next bytes arrive, or the line takes more."""
         if self._line is None:
             return None
         arrival = self._line.next_arrival()
@@ -212,7 +212,7 @@ class SimPipe(Pipe):
 
 
 class SimListener:
-    """Where `sim:` neighbours reach this robot. A socket file that a killed run left is replaced."""
+    """A listener for `sim:` neighbours of this robot. A socket file that a killed run left is replaced."""
 
     def __init__(self, path: Path, air: LinkConditions) -> None:
         self._air = air
@@ -222,7 +222,6 @@ class SimListener:
         self._sock.setblocking(False)
 
     def fileno(self) -> int:
-        """For select."""
         return self._sock.fileno()
 
     def accept(self) -> Pipe:
@@ -251,7 +250,7 @@ def dial(path: Path, air: LinkConditions, peer: str) -> Pipe:
 
 
 def _bound(path: Path, kind: socket.SocketKind) -> socket.socket:
-    """A Unix socket at `path`, in place of one that a killed run left."""
+    """Bind a Unix socket at `path`, in place of one that a killed run left."""
     sock = socket.socket(socket.AF_UNIX, kind)
     try:
         path.unlink(missing_ok=True)

@@ -18,7 +18,6 @@ class StreamListener:
         self._sock = sock
 
     def fileno(self) -> int:
-        """For select."""
         return self._sock.fileno()
 
     def accept(self) -> Pipe:

@@ -18,13 +18,13 @@ SEND_BUFFER = 50_000
 
 
 def dial(address: Tcp) -> Pipe:
-    """Connect; raises OSError."""
+    """Connect. Raises OSError."""
     sock = socket.create_connection((address.host, address.port), timeout=DIAL_TIMEOUT)
     return _pipe(sock)
 
 
 class TcpListener(stream.StreamListener):
-    """Where `tcp:` neighbours reach this robot."""
+    """A listener for `tcp:` neighbours of this robot."""
 
     def __init__(self, address: Tcp, neighbours: Collection[str] = ()) -> None:
         """`neighbours` are the numeric addresses that neighbours call from."""

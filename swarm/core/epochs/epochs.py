@@ -368,7 +368,7 @@ class Epochs:
             self._actions.append(SwitchEpoch(epoch))
 
     def _cause(self, now: float) -> bool:
-        """Whether this robot should make a ballot."""
+        """Return whether this robot should make a ballot."""
         mine = self._mine
         if not self._may_propose:
             return False

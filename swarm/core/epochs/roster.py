@@ -23,7 +23,7 @@ class Roster:
         self.heard[note.robot] = now
 
     def is_there(self, name: str, now: float) -> bool:
-        """Whether a robot was heard of lately."""
+        """Return whether a robot was heard of lately."""
         return name == self.me or now - self.heard.get(name, float("-inf")) <= FRESH
 
     def of_members(self) -> dict[str, EpochNote]:
@@ -57,13 +57,14 @@ class Roster:
         return any(enough or self._outside(note) for note in self.newcomers(now).values())
 
     def _outside(self, note: EpochNote) -> bool:
-        """Whether a robot is in no epoch, or in one of its own. Who has not heard of this one yet will: no matter."""
+        """Return whether a robot is in no epoch, or in one of its own. Who has not heard of this one yet will: no
+        matter."""
         if note.epoch.number == self.mine.epoch.number:
             return note.robot not in self.mine.epoch.members
         return not note.epoch.supersedes(self.mine.epoch) and not self.mine.epoch.supersedes(note.epoch)
 
     def orphaned(self, now: float) -> bool:
-        """Whether the ballot under way has lost its proposer: another one has to end what it began."""
+        """Return whether the ballot under way has lost its proposer: another one has to end what it began."""
         mine = self.mine
         newest = max(self.of_members().values(), key=lambda note: note.promised)
         by = newest.promised.robot

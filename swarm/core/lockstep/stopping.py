@@ -57,7 +57,7 @@ class Stopping:
         return _COUNT.pack(count)
 
     def over(self, count: bytes) -> bool:
-        """Whether the iteration with this count is the last one."""
+        """Return whether the iteration with this count is the last one."""
         number: int = _COUNT.unpack(count)[0]
         return number >= self._threshold + self._reach
 

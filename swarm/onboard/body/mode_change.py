@@ -52,7 +52,8 @@ class ModeChange:
         self.outcome: ModeOutcome | None = None
 
     def due(self, now: float) -> bool:
-        """Whether the command is to be given now: once the robot's state is known, and again without a reaction."""
+        """Return whether the command is to be given now: once the robot's state is known, and again without a
+        reaction."""
         if self.outcome is not None or self._mode is None or self._reacted:
             return False
         if self._given is not None and now < self._given + AGAIN_S:

@@ -70,7 +70,7 @@ def robots(answers: Answers[Topology]) -> dict[str, Topology | None]:
 
 
 def is_done(answers: Answers[Topology], version: int = 0) -> bool:
-    """Whether all tell one and the same topology, not an earlier one, and its links are up and no others."""
+    """Return whether all tell one and the same topology, not an earlier one, and its links are up and no others."""
     known = robots(answers).values()
     values = {None if each is None else (each.version, each.step, each.issuer, each.edges) for each in known}
     return len(values) == 1 and all(

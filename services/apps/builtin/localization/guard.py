@@ -45,7 +45,7 @@ class Scene:
     start: Vector2 = (0.0, 0.0)
 
     def settles(self, gamma: float) -> bool:
-        """Whether the iteration with exact ranges comes to the target with this step size, 1/m^2."""
+        """Return whether the iteration with exact ranges comes to the target with this step size, 1/m^2."""
         distances = [math.dist(place, self.target) for place in self.places]
         way = math.dist(self.start, self.target)
         nodes = [Node(self.start) for _ in self.places]

@@ -97,7 +97,7 @@ class Judged(Localization):
         self.part = self._q[self.k % len(self._q)]
 
     def converged(self) -> bool:
-        """Whether the place stands still; what is shared never does, since other numbers take turns."""
+        """Return whether the place stands still; what is shared never does, since other numbers take turns."""
         return self._moved < STANDS
 
     def judge(self, neighbours: list[tuple[float, float]], moved: float) -> None:

@@ -118,7 +118,7 @@ class Screen:
         self._lines = lines
 
     def behind(self, now: float) -> bool:
-        """Whether it has been drawn for so long that nobody waits for it."""
+        """Return whether it has been drawn for so long that nobody waits for it."""
         return bool(self.present) and self._begun is not None and now - self._begun >= BEHIND_S
 
     def next(self, now: float, room: Room = WHOLE) -> Transfer | None:

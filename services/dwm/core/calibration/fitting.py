@@ -192,7 +192,7 @@ def _by_distance(groups: Sequence[SampleGroup]) -> list[set[int]]:
 
 
 def _wins(groups: Sequence[SampleGroup], fit: RangeFit, rival: RangeFit) -> bool:
-    """Whether the gain in squared error, place by place left out, exceeds its standard error."""
+    """Return whether the gain in squared error, place by place left out, exceeds its standard error."""
     ours, theirs = (_errors_left_out(groups, one, _by_place) for one in (fit, rival))
     if ours is None or theirs is None:
         return theirs is None and ours is not None

@@ -129,7 +129,7 @@ class Tracker:
                 self._stood = newest
 
     def has_odometry(self, now: float) -> bool:
-        """Whether odometry is there and recent."""
+        """Return whether odometry is there and recent."""
         return self._motion is not None and now - self._motion.newest.t <= SILENCE
 
     def ranges(self, now: float, ranges: Sequence[tuple[str, float]]) -> list[Innovation]:

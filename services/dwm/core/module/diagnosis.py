@@ -338,7 +338,7 @@ def _halves(values: Sequence[float]) -> tuple[Sequence[float], Sequence[float]]:
 
 
 def _two_places(values: Sequence[float]) -> bool:
-    """Whether they come from two distances in turn."""
+    """Return whether they come from two distances in turn."""
     if len(values) < 2 * EACH:
         return False
     low, high = _halves(values)

@@ -93,7 +93,7 @@ class ModuleExchange(Generic[T_co]):
 
 
 def is_shell(heard: bytes) -> bool:
-    """Whether this is the text of a module in shell mode."""
+    """Return whether this is the text of a module in shell mode."""
     if shell.PROMPT in heard:
         return True
     readable = sum(byte in _READABLE for byte in heard)

@@ -38,12 +38,12 @@ class _Source:
 
     @property
     def asked(self) -> int:
-        """Pieces asked for."""
+        """Return the number of pieces asked for."""
         return sum(fetch.asked for fetch in self.fetches.values())
 
     @property
     def deadline(self) -> float:
-        """When the oldest of them is taken for lost."""
+        """Return the time at which the oldest of them counts as lost."""
         return min((fetch.asked_since for fetch in self.fetches.values()), default=_NEVER) + self.pace.patience
 
 
@@ -88,7 +88,7 @@ class BulkExchange:
         self._assign(fetch, source, now)
 
     def add_source(self, id: MessageId, robot: str, now: float) -> None:
-        """That robot may have it, too."""
+        """Note that `robot` may have the message, too."""
         fetch = self._fetches.get(id)
         if fetch is not None and robot != fetch.source and robot not in fetch.sources:
             fetch.sources.append(robot)
@@ -119,7 +119,7 @@ class BulkExchange:
     # -- packets -----------------------------------------------------------------------------------------------
 
     def receive(self, packet: Packet, now: float) -> pieces.WantBody | None:
-        """A WANT (given back), PIECE or GONE for this robot; raises `FrameError`."""
+        """Take a WANT (which is returned), PIECE or GONE for this robot. Raises `FrameError`."""
         if packet.kind == WANT:
             want = pieces.decode_want(packet.body)
             self._on_want(packet.sender, packet.id, want)
@@ -216,7 +216,7 @@ class BulkExchange:
                     self._next_source(fetch, now)
 
     def next_deadline(self) -> float:
-        """When `handle_timer` wants to be called."""
+        """Return the time at which `handle_timer` must be called."""
         deadline = self._look_at
         for source in self._sources.values():
             deadline = min(deadline, source.deadline)

@@ -39,7 +39,7 @@ class SeenNumbers:
         return True
 
     def has(self, number: int) -> bool:
-        """Whether a number counts as seen."""
+        """Return whether a number counts as seen."""
         behind = self.highest - number
         return behind >= self.size or (behind >= 0 and self._bits >> behind & 1 == 1)
 
@@ -119,7 +119,7 @@ class Outbound(Generic[M]):
         """Bytes of payloads."""
 
     def has_room(self, size: int) -> bool:
-        """Whether one more message of so many bytes can be taken."""
+        """Return whether one more message of so many bytes can be taken."""
         return self.messages < self._limits.messages and self.size + size <= self._limits.size
 
     def add(self, message: M, now: float) -> None:
@@ -131,7 +131,7 @@ class Outbound(Generic[M]):
         self._advance(receiver, now)
 
     def get(self, to: str, number: int) -> M | None:
-        """A message that is under way."""
+        """Return a message that is under way."""
         receiver = self._receivers.get(to)
         return receiver.under_way.get(number) if receiver is not None else None
 
@@ -148,19 +148,19 @@ class Outbound(Generic[M]):
         ]
 
     def next_deadline(self) -> float:
-        """When a message is to be repeated, or its time is over."""
+        """Return the time at which a message is to be repeated, or its time is over."""
         if not self.messages:
             return _NEVER
         return min((min(message.next_at, message.deadline) for message in self.all()), default=_NEVER)
 
     def give_up(self, to: str, key: str) -> None:
-        """A newer value takes the place of what is under way or waits under this key."""
+        """End the messages to `to` under this key: a newer value replaces them."""
         for message in self.all():
             if message.to == to and message.key == key:
                 self.end(message, "replaced by a newer value", None)
 
     def end(self, message: M, problem: str, now: float | None) -> None:
-        """A message is over. With `now` those that wait advance."""
+        """End a message. With `now` those that wait advance."""
         receiver = self._receivers[message.to]
         if receiver.under_way.pop(message.number, None) is None:
             receiver.waiting.remove(message)

@@ -62,7 +62,7 @@ class MessageId(NamedTuple):
 
 
 class Packet(NamedTuple):
-    """What all kinds share."""
+    """The common part of all kinds of packets."""
 
     kind: int
     sender: str
@@ -86,7 +86,7 @@ def count_of(total: int) -> int:
 
 
 def encode(packet: Packet) -> bytes:
-    """Any packet."""
+    """Encode a packet of any kind."""
     id = packet.id
     head = _HEAD.pack(packet.kind, packet.ttl, _OF_FLOOD if id.flood else 0, id.incarnation, id.number)
     origin = packed(id.origin) if id.flood else b""
@@ -110,7 +110,7 @@ def decode(data: bytes) -> Packet:
 
 
 def passed_on(data: bytes) -> bytes:
-    """A packet as it leaves a robot on its way."""
+    """Return a packet as a robot on its way passes it on: with one hop less to live."""
     return data[:1] + bytes((data[1] - 1,)) + data[2:]
 
 
@@ -149,7 +149,7 @@ def encode_want(have: int, indexes: Iterable[int]) -> bytes:
 
 
 def decode_want(body: bytes) -> WantBody:
-    """What a WANT asks for."""
+    """Decode the body of a WANT."""
     reader = PacketReader(body, 0)
     have, count = reader.unpack(_WANT)
     if count > MAX_RANGES:
@@ -237,7 +237,7 @@ class Pace:
         self._full = True
 
     def arrived(self, rtt: float, now: float) -> None:
-        """A piece came, so long after it was asked for."""
+        """Take the round trip of a piece, s."""
         self._timeouts = 0
         self._round_trips.add(rtt, now)
         self._sum += rtt
@@ -254,7 +254,7 @@ class Pace:
             self._begin(now)
 
     def silent(self, now: float) -> None:
-        """Nothing came for `patience`."""
+        """Take a timeout: nothing came for `patience`."""
         self._timeouts += 1
         self._starting = False
         self.window = max(float(LEAST_WINDOW), self.window / 2)
@@ -309,7 +309,7 @@ class Fetch:
 
     @property
     def asked_since(self) -> float:
-        """When the oldest of them was asked for."""
+        """Return the time at which the oldest of them was asked for."""
         return next(iter(self._asked.values()))[0] if self._asked else float("inf")
 
     def pick(self, now: float) -> int | None:
@@ -328,8 +328,8 @@ class Fetch:
         return index
 
     def take(self, index: int, data: bytes, now: float) -> tuple[float, int] | None:
-        """A piece came: s since it was asked for (0 where it was more than once, and nobody knows which time led to
-        it), and how many others it shows to be lost. None where it is not new, or was not asked for. Raises
+        """Take a piece. Return the s since it was asked for, and how many other pieces it shows to be lost. The s
+        are 0 for a piece that was asked for more than once. None where it is not new, or was not asked for. Raises
         `FrameError`."""
         if index >= self.count or len(data) != min(SIZE, self.total - index * SIZE):
             raise FrameError(f"PIECE {index} of {len(data)} bytes: not one of {self.total} bytes in all")
@@ -351,20 +351,20 @@ class Fetch:
         return 0.0 if index in self._repeated else now - asked[0], len(lost)
 
     def ask_again(self) -> None:
-        """What was asked for is not to be expected any more."""
+        """Give up the pieces that were asked for, and ask for them again later."""
         self._again.extendleft(reversed(self._asked))
         self._repeated.update(self._asked)
         self._asked.clear()
 
     def piece(self, index: int) -> bytes | None:
-        """A piece that is there."""
+        """Return a piece that is here; None for others."""
         return self._parts.get(index)
 
     @property
     def complete(self) -> bool:
-        """Whether all are."""
+        """Return whether all pieces are here."""
         return self.have == self.count
 
     def payload(self) -> bytes:
-        """The whole message."""
+        """Return the whole message."""
         return b"".join(self._parts[index] for index in range(self.count))

@@ -103,7 +103,7 @@ class Transfers:
         self._ended(token, to, problem)
 
     def give_up(self, to: str, key: str) -> None:
-        """A newer value takes the place of what is under way under this key."""
+        """End the transfers to `to` under this key: a newer value replaces them."""
         self._own.give_up(to, key)
 
     def has(self, id: MessageId, to: str) -> bytes | None:
@@ -120,14 +120,14 @@ class Transfers:
     # -- packets -----------------------------------------------------------------------------------------------
 
     def wanted(self, peer: str, id: MessageId, have: int, now: float) -> None:
-        """A receiver asked for pieces."""
+        """Note that a receiver asked for pieces."""
         parcel = self._own.get(peer, id.number)
         if parcel is not None and id.incarnation == self._incarnation:
             parcel.done = min(have * pieces.SIZE, len(parcel.payload))
             self._heard(parcel, now)
 
     def receive(self, packet: Packet, now: float) -> None:
-        """An OFFER or a STATE for this robot; raises `FrameError`."""
+        """Take an OFFER or a STATE for this robot. Raises `FrameError`."""
         if packet.kind == OFFER:
             total, key = pieces.decode_offer(packet.body)
             state = self._on_offer(packet.sender, packet.id, total, key, now)
@@ -137,7 +137,7 @@ class Transfers:
             self._on_state(packet, pieces.decode_state(packet.body), now)
 
     def finished(self, id: MessageId, payload: bytes | None, now: float) -> None:
-        """A message was fetched, or given up."""
+        """Take a message that was fetched; `payload` is None where it was given up."""
         key = self._keys.pop(id)
         if payload is not None and self._over.of(id.origin, id.incarnation).add(id.number):
             self._deliver(key, payload, BULK)
@@ -162,7 +162,7 @@ class Transfers:
                 self._offer(parcel, now)
 
     def next_deadline(self) -> float:
-        """When `handle_timer` wants to be called."""
+        """Return the time at which `handle_timer` must be called."""
         silence = min((parcel.heard + SILENCE for parcel in self._own.under_way()), default=_NEVER)
         return min(silence, self._own.next_deadline())
 
@@ -195,7 +195,7 @@ class Transfers:
     # -- the receiver's side -----------------------------------------------------------------------------------
 
     def _on_offer(self, sender: str, id: MessageId, total: int, key: str, now: float) -> int | None:
-        """What to answer; None where the pieces are asked for."""
+        """Return the answer to an offer; None where the pieces are asked for."""
         if not self._admits(sender, key):
             self._counters["unicast_refused"] += 1
             return REFUSED

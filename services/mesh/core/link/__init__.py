@@ -22,7 +22,7 @@ class LinkUp:
 
 @frozen
 class LinkSuspect:
-    """Nothing was heard for a while."""
+    """An event: nothing was heard on the link for a while."""
 
 
 @frozen

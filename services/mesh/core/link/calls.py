@@ -69,12 +69,12 @@ def dials(me: RobotConfig, peer: RobotConfig) -> bool:
 
 
 def can_link(a: RobotConfig, b: RobotConfig) -> bool:
-    """Whether there can be a link between two robots: the one that is dialled has an address."""
+    """Return whether there can be a link between two robots: the one that is dialled has an address."""
     return has_address(b if dials(a, b) else a)
 
 
 def has_address(robot: RobotConfig) -> bool:
-    """Whether a robot can be called at all."""
+    """Return whether a robot can be called at all."""
     return robot.link is not None or robot.bluetooth is not None
 
 
@@ -83,7 +83,7 @@ def _address(text: str) -> bytes:
 
 
 class Dialler:
-    """When one neighbour is to be dialled. At most one attempt runs at a time; the first is due at once."""
+    """The times at which one neighbour is dialled. At most one attempt runs at a time; the first is due at once."""
 
     def __init__(self, random: Callable[[], float]) -> None:
         """`random` gives uniform numbers from 0 up to 1."""
@@ -93,11 +93,11 @@ class Dialler:
         self._up_since: float | None = None
 
     def next_deadline(self) -> float | None:
-        """When to dial; None while an attempt or a connection lasts."""
+        """Return the time of the next attempt; None while an attempt or a connection lasts."""
         return self._next
 
     def take(self, now: float) -> bool:
-        """Whether to dial now; if so, the attempt has begun."""
+        """Return whether to dial now; if so, the attempt has begun."""
         if self._next is None or now < self._next:
             return False
         self._next = None
@@ -145,7 +145,7 @@ _MAX_REMEMBERED = 256
 
 @frozen
 class Caller:
-    """What the transport knows of who calls, before a byte was exchanged."""
+    """A caller as the transport knows it before a byte was exchanged."""
 
     source: str = ""
     """The address; empty where the transport has none."""
@@ -182,7 +182,7 @@ class Callers:
         return "half_open", "half-open connections", text
 
     def has_room(self, caller: Caller, half_open: Iterable[Caller], now: float) -> bool:
-        """Whether a caller may begin its handshake while those of `half_open` are in theirs."""
+        """Return whether a caller may begin its handshake while those of `half_open` are in theirs."""
         if now < self._refused.get(caller.source, (0, 0.0))[1]:
             return False
         same = strangers = 0
@@ -192,7 +192,7 @@ class Callers:
         return same < MAX_PER_SOURCE and (caller.has_own_room or strangers < MAX_HALF_OPEN)
 
     def refused(self, caller: Caller, now: float) -> None:
-        """A handshake of this caller was refused."""
+        """Note that a handshake of this caller was refused."""
         if caller.has_own_room or not caller.source:
             return
         count, _ = self._refused.pop(caller.source, (0, 0.0))
@@ -201,7 +201,7 @@ class Callers:
             self._refused.popitem(last=False)
 
     def confirmed(self, caller: Caller) -> None:
-        """A caller has shown to be one of us: what was held against its address is forgotten."""
+        """Forget the refusals of a caller that has proved to be a robot of the swarm."""
         self._refused.pop(caller.source, None)
 
 
@@ -250,7 +250,7 @@ class Search:
                     self._targets[name] = _Target(is_far, now + FIRST_PAUSE * self._random())
 
     def take(self, now: float) -> str | None:
-        """Whom to call now; the far ones first. To be followed by `ended`."""
+        """Return the target to call now, far ones first; None where none is due. Call `ended` afterwards."""
         if self.calling is None:
             due = [(not target.far, target.next_at, name) for name, target in self._targets.items()
                    if now >= target.next_at]  # fmt: skip
@@ -261,7 +261,8 @@ class Search:
         return None
 
     def ended(self, name: str, now: float) -> None:
-        """A call is over. If it was of use the robot is no target any more; if not, it is called again later."""
+        """Note that a call is over. A robot that is linked now is no target any more; another one is called again
+        later."""
         took = 0.0
         if name == self.calling:
             self.calling = None
@@ -276,12 +277,12 @@ class Search:
             target.next_at = now + pause * (1.0 - JITTER + 2.0 * JITTER * self._random())
 
     def hurry(self, name: str, now: float) -> None:
-        """A robot has shown that it is there: if it is a target, call it now."""
+        """Call a target now, since it has shown that it is there."""
         if (target := self._targets.get(name)) is not None:
             target.failures, target.next_at = 0, now
 
     def next_deadline(self) -> float:
-        """When `take` has somebody."""
+        """Return the time at which `take` returns a target."""
         if self.calling is not None:
             return _NEVER
         return min((target.next_at for target in self._targets.values()), default=_NEVER)
@@ -307,7 +308,7 @@ REFUSED = {
 
 @frozen
 class Local:
-    """What a session must know of this robot."""
+    """The data of this robot that a session needs."""
 
     robot: str
     network: str

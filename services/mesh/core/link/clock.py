@@ -78,7 +78,7 @@ _MAX_RATE = 1e-3
 
 
 class ClockClaim(NamedTuple):
-    """What a robot tells a neighbour about its clock, beside each heartbeat."""
+    """The claim about its clock that a robot sends to a neighbour beside each heartbeat."""
 
     root: str
     incarnation: int
@@ -102,7 +102,7 @@ class ClockClaim(NamedTuple):
 
 
 def encode_claim(claim: ClockClaim) -> bytes:
-    """A CLOCK frame."""
+    """Encode a CLOCK frame."""
     flags = claim.child * _CHILD | claim.settled * _SETTLED
     body = _CLAIM.pack(
         claim.incarnation,
@@ -162,7 +162,7 @@ class ClockFit(NamedTuple):
         return self.offset + self.skew * (now - self.at)
 
     def error_at(self, now: float) -> float:
-        """Its standard error, which grows with the distance from the samples' middle."""
+        """Return the standard error at `now`, s. It grows with the distance from the samples' middle."""
         return math.hypot(self.error, self.skew_error * (now - self.at))
 
 
@@ -175,8 +175,8 @@ class LinkClock:
         self.fit: ClockFit | None = None
 
     def add(self, now: float, rtt: float, offset: float) -> None:
-        """A two-way sample of this moment. Its error is at most rtt / 2: one that is further off than that shows that
-        the neighbour's clock began anew."""
+        """Add a two-way sample of this moment. Its error is at most rtt / 2, so a larger deviation shows that the
+        neighbour's clock began anew."""
         if self.fit is not None and abs(offset - self.fit.offset_at(now)) > rtt + STEP:
             self._samples.clear()
         self._samples.append((now, rtt, offset))
@@ -213,7 +213,7 @@ class LinkClock:
 
 @dataclass(eq=False)
 class _Neighbour:
-    """What one neighbour told, and how its clock compares."""
+    """A neighbour's claims, and the relation of its clock to ours."""
 
     link: LinkClock = field(default_factory=LinkClock)
     claim: ClockClaim | None = None
@@ -251,11 +251,11 @@ class ClockSync:
     # -- inputs --
 
     def sample(self, peer: str, now: float, rtt: float, offset: float) -> None:
-        """A heartbeat came: round trip, and the peer's monotonic clock minus ours, s."""
+        """Take the sample of a heartbeat: round trip, and the peer's monotonic clock minus ours, s."""
         self._neighbour(peer).link.add(now, rtt, offset)
 
     def hear(self, peer: str, claim: ClockClaim, now: float) -> None:
-        """A neighbour's claim came."""
+        """Take a neighbour's claim."""
         if claim.root not in self._robots or claim.root == self._robot:
             # Who still follows our own earlier process will hear of this one.
             claim = claim._replace(root=peer, child=True)
@@ -279,7 +279,7 @@ class ClockSync:
     # -- outputs --
 
     def claim(self, peer: str, now: float) -> ClockClaim:
-        """What to tell a neighbour now."""
+        """Return the claim to send to a neighbour now."""
         self._update(now)
         # A neighbour nearer to the root may have named an offset at the limit. What this robot adds to it must not pass
         # the limit: the next robot would take that for a bad frame and end its link with this one, which is innocent.

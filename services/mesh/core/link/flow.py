@@ -59,7 +59,7 @@ class Fragment(NamedTuple):
 
 
 def encode_fragment(fragment: Fragment) -> bytes:
-    """A FRAGMENT frame."""
+    """Encode a FRAGMENT frame."""
     marked = fragment.number | (_LAST if fragment.last else 0)
     if fragment.number == 0:
         head = _FIRST.pack(fragment.channel, marked, fragment.total)
@@ -198,7 +198,7 @@ _MODULUS = 1 << 32
 
 
 def encode_ack(count: int) -> bytes:
-    """An ACK frame; `count` is that of all bytes so far."""
+    """Encode an ACK frame; `count` is that of all bytes so far."""
     return frames.encode(frames.ACK, frames.CONTROL, _ACK.pack(count % _MODULUS))
 
 
@@ -221,12 +221,13 @@ class Receipts:
         self._acknowledged = 0
 
     def due(self) -> bool:
-        """Whether an ACK is worth a write of its own."""
+        """Return whether an ACK is worth a write of its own."""
         owed = self.taken - self._acknowledged
         return owed >= ACK_AT_LATEST or (self.bulk and owed >= ACK_EVERY)
 
     def take(self, *, at_once: bool) -> int | None:
-        """What to acknowledge beside other frames; None where there is too little. `at_once` takes anything."""
+        """Return the bytes to acknowledge beside other frames; None where they are too few. `at_once` acknowledges
+        any number."""
         if self.taken - self._acknowledged >= (1 if at_once else ACK_EVERY):
             self._acknowledged = self.taken
             self.bulk = False
@@ -272,7 +273,7 @@ class SendWindow:
         return self.limit - (self.sent - self.acknowledged) - size
 
     def busy(self, now: float) -> None:
-        """A sync message leaves."""
+        """Note that a sync message leaves."""
         self._busy_until = now + BUSY_FOR
 
     def wrote(self, size: int, now: float, *, bulk: bool, waits: bool) -> None:

@@ -27,7 +27,7 @@ MAX_SECONDS = 600.0
 
 
 class Holds:
-    """Of one robot."""
+    """The links of one robot that are held for a while."""
 
     def __init__(self) -> None:
         self._until: dict[str, float] = {}
@@ -41,7 +41,7 @@ class Holds:
         return True
 
     def holds(self, peer: str, now: float) -> bool:
-        """Whether there may be no link with a robot."""
+        """Return whether there may be no link with a robot."""
         return now < self._until.get(peer, -math.inf)
 
 
@@ -82,7 +82,7 @@ class Link:
                 self.dialler.take(0.0)  # its first call is under way already
 
     def failed(self, reason: str, now: float, page: float = 0.0) -> None:
-        """A connection that we tried to make did not come about; `page` as of `Dialler.ended`."""
+        """Note that an attempt to connect failed; `page` as in `Dialler.ended`."""
         self.attempt = False
         self.reason = reason
         if self.dialler is not None:
@@ -101,7 +101,7 @@ class Link:
             self.dialler.ended(now)
 
     def state(self) -> LinkState:
-        """For the key `mesh/links`."""
+        """Return the state for the key `mesh/links`."""
         session = self.session
         if session is None:
             state = CONNECTING if self.attempt else DOWN
@@ -200,7 +200,7 @@ class Prober:
         return Echo(now, request.peer, request.sequence, 0, request.size, None, reason) if reason else None
 
     def told(self, echo: Echo) -> Received:
-        """An echo as a message for the own bus."""
+        """Return an echo as a message for the own bus."""
         return Received(self._echo_key, encode(echo), SYNC)
 
     def _pings_of(self, request: EchoRequest, now: float) -> list[bytes]:
@@ -213,7 +213,7 @@ class Prober:
         return [_HEAD.pack(request.sequence, index, flags) + padding for index in range(request.count)]
 
     def receive(self, key: str, payload: bytes, now: float) -> bytes | Echo | None:
-        """What a neighbour's ping or answer leads to: an answer to send, or the echo of a ping of ours; None where
+        """Take a neighbour's ping or answer. Return the answer to send, or the echo of our own ping; None where
         nobody waits for it any more. Raises `FrameError`."""
         if key in self._pings:
             return _answer(payload)
@@ -224,7 +224,7 @@ class Prober:
 
 
 def fault(request: EchoRequest) -> str:
-    """What is wrong with a request; empty where nothing is."""
+    """Explain what is wrong with a request; empty where nothing is."""
     if request.priority not in CLASSES:
         return f"class {request.priority!r}: expected {' or '.join(CLASSES)}"
     largest = CLASSES[request.priority][1]
@@ -238,7 +238,7 @@ def fault(request: EchoRequest) -> str:
 
 
 def _answer(payload: bytes) -> bytes:
-    """What goes back for a ping."""
+    """Return the answer to a ping."""
     _, _, flags = _head(payload)
     return payload[:MIN_SIZE] if flags & _SHORT else payload
 

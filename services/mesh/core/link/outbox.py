@@ -26,8 +26,8 @@ SENT = ("sent_control", "sent_sync", "sent_bulk")
 
 
 def name_of(overlay: int, key: str) -> str:
-    """What a channel is called on our side: the key, in front of it the overlay's digit unless it is `neighbours`.
-    Keys begin with a letter."""
+    """Return the name of a channel on our side: the key, with the overlay's digit before it unless it is
+    `neighbours`. Keys begin with a letter."""
     return key if overlay == NEIGHBOURS else f"{overlay}{key}"
 
 
@@ -134,7 +134,7 @@ class Outbox:
         return sum(self._sizes)
 
     def leaves(self, free: float) -> bool:
-        """Whether `pop` has something."""
+        """Return whether `pop` has something."""
         control, sync = self._urgent
         return bool(control or (free > -SYNC_EXTRA and sync) or (free > 0 and self._turns))
 
@@ -178,7 +178,7 @@ class Outbox:
         return True
 
     def pop(self, free: float = 1.0, fragment: int = MAX_PAYLOAD) -> QueuedMessage | OutgoingPart | None:
-        """What leaves next: a whole message, or a part of at most `fragment` bytes. `free` as of `Window.free`."""
+        """Take what leaves next: a whole message, or a part of at most `fragment` bytes."""
         control, urgent = self._urgent
         if control:
             return self._take(control)
@@ -206,7 +206,7 @@ class Outbox:
             self._begun -= 1
 
     def clear(self) -> None:
-        """Forget what waits."""
+        """Forget all messages that wait."""
         for queue in self._urgent:
             queue.clear()
         self._bulk.clear()

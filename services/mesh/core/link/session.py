@@ -158,7 +158,7 @@ class Session:
         return self.queue.waiting > 0 and self.queue.leaves(self.window.free(0))
 
     def events(self) -> list[LinkEvent]:
-        """What happened since the last call."""
+        """Return the events since the last call."""
         events, self._events = self._events, []
         return events
 
@@ -269,7 +269,7 @@ class Session:
         return data
 
     def _beat(self, chunks: list[bytes], now: float) -> None:
-        """A heartbeat, and what goes with it."""
+        """Append a heartbeat, and the clock's claim, to what leaves."""
         assert self.peer is not None
         stamps = self.pulse.beat(now, self.sent_bytes, self.received_bytes)
         chunks += (frames.encode_heartbeat(stamps), encode_claim(self._clock.claim(self.peer, now)))

@@ -44,13 +44,13 @@ class Carried(NamedTuple):
 
 
 def encode_carried(packet: Carried) -> bytes:
-    """A CARRY packet."""
+    """Encode a CARRY packet."""
     bits = packet.robots.to_bytes((packet.robots.bit_length() + 7) // 8, "little")
     return _HEAD.pack(CARRY, packet.latest, packet.ttl, len(bits)) + bits + packet.payload
 
 
 def decode_carried(data: bytes) -> Carried:
-    """A CARRY packet. Raises `FrameError`."""
+    """Decode a CARRY packet. Raises `FrameError`."""
     if len(data) < _HEAD.size:
         raise FrameError(f"CARRY of {len(data)} bytes: it has at least {_HEAD.size}")
     kind, flags, ttl, size = _HEAD.unpack_from(data)
@@ -93,7 +93,7 @@ class Carrier:
         self._counters = counters
 
     def admits(self, key: str) -> bool:
-        """Whether a neighbour may bind a channel of carried values to this key."""
+        """Return whether a neighbour may bind a channel of carried values to this key."""
         try:
             robot = parse(key).robot
         except PayloadError:
@@ -105,7 +105,7 @@ class Carrier:
         self._hand_on(key, payload, priority, robots, latest=latest)
 
     def receive(self, peer: str, key: str, data: bytes, priority: int) -> None:
-        """A CARRY packet of a neighbour; raises `FrameError`."""
+        """Take a CARRY packet of a neighbour. Raises `FrameError`."""
         packet = decode_carried(data)
         origin = parse(key).robot
         back = self._route(origin)

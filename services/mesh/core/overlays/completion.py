@@ -29,7 +29,7 @@ _KNOWN = struct.Struct("<BBQI")
 
 
 class Known(NamedTuple):
-    """Who has a flood, as far as the sender knows."""
+    """The robots that have a flood, as far as the sender knows."""
 
     incarnation: int
     sequence: int
@@ -41,12 +41,12 @@ class Known(NamedTuple):
 
 
 def encode_known(packet: Known) -> bytes:
-    """A KNOWN packet."""
+    """Encode a KNOWN packet."""
     return _KNOWN.pack(KNOWN, packet.final, packet.incarnation, packet.sequence) + packed_bits(packet.robots)
 
 
 def decode_known(data: bytes) -> Known:
-    """A KNOWN packet. Raises `FrameError`."""
+    """Decode a KNOWN packet. Raises `FrameError`."""
     if len(data) < _KNOWN.size:
         raise FrameError(f"KNOWN of {len(data)} bytes: it has at least {_KNOWN.size}")
     kind, flags, incarnation, sequence = _KNOWN.unpack_from(data)
@@ -135,7 +135,7 @@ class Completion:
         return flood.robots
 
     def spread(self, id: FloodId, peers: Iterable[str], now: float) -> None:
-        """That SPREAD has left for these neighbours."""
+        """Note that SPREAD has left for these neighbours."""
         flood = self._floods[id]
         for peer in peers:
             flood.shared[peer] = flood.shared.get(peer, 0) | flood.robots
@@ -149,7 +149,7 @@ class Completion:
             self._settle(id, flood, now)
 
     def heard(self, id: FloodId, peer: str, robots: int, now: float, *, final: bool = False) -> None:
-        """A neighbour knows of these robots. Raises `FrameError` where there are strangers among them."""
+        """Note that a neighbour knows of these robots. Raises `FrameError` where there are strangers."""
         self._check(robots)
         flood = self._floods.get(id)
         if flood is not None:
@@ -167,7 +167,7 @@ class Completion:
             self._settle(id, flood, now)
 
     def unlink(self, peer: str) -> None:
-        """A neighbour is gone: what was told it last may be lost."""
+        """Remove a neighbour that is gone: what was told it last may be lost."""
         for flood in self._floods.values():
             flood.shared.pop(peer, None)
 
@@ -179,7 +179,7 @@ class Completion:
                 self._settle(id, flood, now)
 
     def robots(self, id: FloodId) -> list[str]:
-        """Who is known to have it."""
+        """Return the robots that are known to have it."""
         flood = self._floods.get(id)
         return [] if flood is None else [name for i, name in enumerate(self._names) if flood.robots >> i & 1]
 
@@ -214,7 +214,7 @@ class Completion:
         self._emit(Transmit(peer, FLOOD, flood.key, data, flood.priority))
 
     def _look_at_map(self) -> bool:
-        """Whether links are others than at the last look. Times that changed do not matter."""
+        """Return whether links are others than at the last look. Times that changed do not matter."""
         links = {name: frozenset(peers) for name, peers in self._graph().items()}
         if links == self._map:
             return False

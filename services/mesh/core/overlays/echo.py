@@ -122,7 +122,8 @@ class Waves:
             self._settle(id, wave, self._me, now)
 
     def again(self, id: FloodId, key: str, priority: int, peer: str, now: float) -> None:
-        """A further copy, which is what that edge owed us; or it is a new edge, whose other end waits for us."""
+        """Take a further copy, which is the message that this edge owed us. On a new edge the other end waits for
+        ours."""
         wave = self._waves.get(id)
         if wave is not None and peer in wave.pending:
             self._settle(id, wave, peer, now)
@@ -132,7 +133,7 @@ class Waves:
             self._send(peer, key, priority, EchoPacket(id.incarnation, id.sequence, ()))
 
     def echo(self, id: FloodId, key: str, priority: int, peer: str, echo: EchoPacket, now: float) -> None:
-        """An answer came."""
+        """Take an answer."""
         wave = self._waves.get(id)
         if wave is None:
             if echo.orphan:
@@ -153,7 +154,7 @@ class Waves:
             self._settle(id, wave, peer, now)
 
     def link_down(self, peer: str, now: float) -> None:
-        """That neighbour will say nothing any more."""
+        """Note that a neighbour will say nothing any more."""
         for id, wave in list(self._waves.items()):
             wave.spoken.discard(peer)
             if wave.parent == peer:

@@ -155,7 +155,7 @@ class FloodOverlay:
         return None
 
     def forget(self, origin: str) -> None:
-        """A robot has been gone for long: its values are not handed on any more."""
+        """Stop passing on the values of a robot that has been gone for long."""
         self._store.forget(origin)
 
     def known(self, origin: str) -> int:
@@ -169,12 +169,12 @@ class FloodOverlay:
         self._neighbours.link_up(peer, now)
 
     def unlink(self, peer: str) -> None:
-        """A neighbour is gone: nothing goes to it any more."""
+        """Send nothing more to a neighbour that is gone."""
         self._neighbours.unlink(peer)
         self._completion.unlink(peer)
 
     def link_down(self, peer: str, now: float) -> None:
-        """After `unlink`, when routes know it, too: what echoes make of it."""
+        """Tell the waves of a lost link. Call it after `unlink`, when the routes know of it, too."""
         self._waves.link_down(peer, now)
 
     def ways_changed(self, now: float) -> None:
@@ -182,7 +182,7 @@ class FloodOverlay:
         self._completion.ways_changed(now)
 
     def receive(self, peer: str, key: str, data: bytes, priority: int, now: float) -> None:
-        """A packet of a neighbour; raises `FrameError`."""
+        """Take a packet of a neighbour. Raises `FrameError`."""
         if peer not in self._links:
             return
         match packets.kind_of(data):
@@ -215,7 +215,7 @@ class FloodOverlay:
         self._neighbours.pushed_back(packet, now)
 
     def handle_timer(self, now: float) -> None:
-        """Whatever is due."""
+        """Do everything that is due at `now`."""
         self._waves.handle_timer(now)
         self._completion.handle_timer(now)
         self.large.handle_timer(now)
@@ -226,7 +226,7 @@ class FloodOverlay:
         self._counters["flood_unkept"] = self._store.unkept
 
     def next_deadline(self) -> float:
-        """When `handle_timer` wants to be called."""
+        """Return the time at which `handle_timer` must be called."""
         deadline = min((attempt.deadline for attempt in self._attempts.values()), default=_NEVER)
         return min(deadline, self.large.next_deadline(), self._neighbours.next_deadline())
 
@@ -239,7 +239,7 @@ class FloodOverlay:
         return self._sequence
 
     def _spread(self, key: str, packet: Spread, priority: int, now: float) -> None:
-        """An own flood: noted as seen, and off."""
+        """Begin an own flood: note it as seen, and send it."""
         self._store.take(self._me, key, packet, priority)
         if len(packet.payload) > packets.room(all_know=bool(packet.known)):
             id = pieces.MessageId(self._me, packet.incarnation, packet.first or packet.sequence, flood=True)
@@ -343,7 +343,7 @@ class FloodOverlay:
         self._waves.begin(id, attempt.key, attempt.priority, self._links, now, life)
 
     def _complete(self, id: FloodId, key: str, now: float) -> None:
-        """All have a flood of which all are to know."""
+        """Note that all have a flood of which all are to know."""
         if id.origin != self._me:
             self._all_have(key, self._completion.robots(id))
             return

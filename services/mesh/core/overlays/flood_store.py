@@ -54,7 +54,7 @@ class Kept(NamedTuple):
 
 @dataclass(eq=False)
 class Origin:
-    """What is known of one robot's floods."""
+    """The floods of one robot that are known."""
 
     incarnation: int
     window: SeenNumbers = field(default_factory=lambda: SeenNumbers(WINDOW))
@@ -89,7 +89,7 @@ class Store:
         return origin
 
     def take(self, name: str, key: str, packet: Spread, priority: int) -> str:
-        """What a flood is: new (and noted from now on), a duplicate, or of an earlier incarnation."""
+        """Tell what a flood is: new (and noted from now on), a duplicate, or of an earlier incarnation."""
         origin = self._origins.get(name)
         if origin is None or packet.incarnation > origin.incarnation:
             origin = self.begin(name, packet.incarnation)
@@ -107,8 +107,8 @@ class Store:
         return NEW if unseen else DUPLICATE
 
     def sight(self, name: str, key: str, packet: Spread) -> str:
-        """What an announcement is, as `take` of what it announces will say unless that has come meanwhile. Of latest
-        values nothing is noted."""
+        """Tell what an announced message is, as `take` will tell unless it has come meanwhile. Latest values are not
+        noted."""
         if not packet.latest:
             return self.take(name, key, packet, 0)
         origin = self._origins.get(name)
@@ -155,7 +155,7 @@ class Store:
         return {name: (origin.incarnation, origin.checksum) for name, origin in self._origins.items()}
 
     def summary(self, skip: Collection[str] = ()) -> int:
-        """A checksum of the whole digest."""
+        """Return a checksum of the whole digest."""
         total = 0
         for name, (incarnation, checksum) in self.digest().items():
             if name not in skip:
@@ -217,7 +217,7 @@ _NEVER = float("inf")
 
 @dataclass(eq=False)
 class Neighbour:
-    """What is under way to one neighbour."""
+    """The values that are under way to one neighbour."""
 
     compare_at: float
     answered_at: float = -_NEVER
@@ -248,7 +248,7 @@ class CatchUp:
         self._send_digest(peer, answer=False)
 
     def unlink(self, peer: str) -> None:
-        """A neighbour is gone: nothing goes to it any more."""
+        """Send nothing more to a neighbour that is gone."""
         self.links.pop(peer, None)
 
     def spread(self, packet: Transmit) -> None:
@@ -271,12 +271,12 @@ class CatchUp:
         link.repair_at = min(link.repair_at, now + REPAIR_PERIOD)
 
     def on_summary(self, peer: str, total: int, now: float) -> None:
-        """A neighbour's checksum of everything."""
+        """Compare a neighbour's checksum of everything with our own."""
         if total != self._store.summary():
             self._answer(peer, now, answer=True)
 
     def on_digest(self, peer: str, digest: Digest, now: float) -> None:
-        """What a neighbour keeps."""
+        """Compare a neighbour's digest with our own."""
         theirs, _ = digest.origins.get(peer, (0, 0))
         if theirs > self._store.incarnation(peer):
             self._store.begin(peer, theirs)  # it has begun anew: nobody else can know that better
@@ -291,7 +291,7 @@ class CatchUp:
             self._answer(peer, now, answer=False)
 
     def handle_timer(self, now: float) -> None:
-        """Whatever is due."""
+        """Do everything that is due at `now`."""
         for peer, link in self.links.items():
             if now >= link.repair_at:
                 self._repair(peer, link, now)
@@ -300,7 +300,7 @@ class CatchUp:
                 self._transmit(peer, packets.encode_summary(self._store.summary()))
 
     def next_deadline(self) -> float:
-        """When `handle_timer` wants to be called."""
+        """Return the time at which `handle_timer` must be called."""
         return min((min(link.repair_at, link.compare_at) for link in self.links.values()), default=_NEVER)
 
     # -- inside ------------------------------------------------------------------------------------------------

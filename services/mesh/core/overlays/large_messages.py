@@ -99,7 +99,7 @@ class LargeFloods:
         self._delivered: dict[str, tuple[int, SeenNumbers]] = {}
 
     def has_room(self, size: int) -> bool:
-        """Whether one more own message can be held."""
+        """Return whether one more own message can be held."""
         own = sum(len(held.payload) for id, held in self._held.items() if id.origin == self._me)
         return own + size <= MAX_OWN_BYTES
 
@@ -111,7 +111,7 @@ class LargeFloods:
         self._make_room(0, now)
 
     def has(self, id: MessageId) -> bytes | None:
-        """A message that is held, or kept as the latest value of its key."""
+        """Return a message that is held, or kept as the latest value of its key."""
         held = self._held.get(id)
         return held.payload if held is not None else self._store.payload(id.origin, id.incarnation, id.number)
 
@@ -127,7 +127,7 @@ class LargeFloods:
         return min(min(held.have.values(), default=0) * SIZE, len(held.payload)) if held is not None else 0
 
     def announced(self, peer: str, origin: str, key: str, packet: Spread, now: float) -> None:
-        """A neighbour announces a message."""
+        """Take a neighbour's announcement of a message."""
         id = MessageId(origin, packet.incarnation, packet.first or packet.sequence, flood=True)
         wave = WaveId(origin, packet.incarnation, packet.sequence)
         first = wave._replace(sequence=id.number)
@@ -166,7 +166,7 @@ class LargeFloods:
             self._waves.join(wave, key, BULK, peer, others, now, robots, coming=coming is not None, life=life)
 
     def finished(self, id: MessageId, payload: bytes | None, now: float) -> None:
-        """A message was fetched, or given up."""
+        """Take a message that was fetched; `payload` is None where it was given up."""
         coming = self._coming.pop(id)
         if payload is not None:
             packet = coming.packet._replace(payload=payload, size=0)
@@ -190,7 +190,7 @@ class LargeFloods:
             del self._held[id]
 
     def next_deadline(self) -> float:
-        """When `handle_timer` wants to be called."""
+        """Return the time at which `handle_timer` must be called."""
         return min((held.until for held in self._held.values()), default=_NEVER)
 
     # -- inside ------------------------------------------------------------------------------------------------
@@ -208,7 +208,7 @@ class LargeFloods:
         return coming
 
     def _newer_comes(self, key: str, packet: Spread) -> bool:
-        """Whether this latest value, or a newer one of its key, is on its way here already."""
+        """Return whether this latest value, or a newer one of its key, is on its way here already."""
         rank = packet.incarnation, packet.sequence
         return any(
             each.key == key and each.packet.latest and (each.packet.incarnation, each.packet.sequence) >= rank
@@ -258,7 +258,7 @@ class Large:
         transfers.exchange = floods.exchange = self._exchange
 
     def receive(self, packet: Packet, now: float) -> None:
-        """A packet for this robot; raises `FrameError`."""
+        """Take a packet for this robot. Raises `FrameError`."""
         if packet.kind in (pieces.OFFER, pieces.STATE):
             self._transfers.receive(packet, now)
             return
@@ -274,12 +274,12 @@ class Large:
         self._transfers.ways_changed(now)
 
     def handle_timer(self, now: float) -> None:
-        """Whatever is due."""
+        """Do everything that is due at `now`."""
         self._exchange.handle_timer(now)
         self._transfers.handle_timer(now)
 
     def next_deadline(self) -> float:
-        """When `handle_timer` wants to be called."""
+        """Return the time at which `handle_timer` must be called."""
         return min(self._exchange.next_deadline(), self._transfers.next_deadline())
 
     def _has(self, id: MessageId, peer: str) -> bytes | None:

@@ -40,7 +40,7 @@ MAX_TICKETS = 1024
 
 @frozen
 class _Ticket:
-    """Whose answer is awaited."""
+    """A request that awaits its answer."""
 
     ticket: str
     app: str
@@ -140,20 +140,20 @@ class OverlayRequests:
         self._to_bus(self._progress_key, encode(progress), CONTROL)
 
     def reached(self, token: object, robots: frozenset[str], complete: bool) -> None:
-        """A flood has ended."""
+        """Answer the request of a flood that has ended."""
         if isinstance(token, _Ticket):
             problem = "" if complete else "a link broke, or a robot did not answer"
             self._answer_flood(token, sorted_names(robots), complete=complete, problem=problem)
 
     def all_have(self, key: str, robots: Collection[str]) -> None:
-        """All have another robot's flood: told on the own bus, where no ticket of it is known."""
+        """Report on the own bus that all have another robot's flood; there it has no ticket."""
         origin, _, topic = parse(key)
         others = sorted_names(set(robots) - {origin})
         answer = Flooded(self._now(), "", topic.partition("/")[0], others, complete=True, problem="")
         self._to_bus(key_of(origin, "mesh", "flooded"), encode(answer), CONTROL)
 
     def sent(self, token: object, to: str, problem: str) -> None:
-        """A message has ended."""
+        """Answer the request of a message that has ended."""
         if isinstance(token, _Ticket):
             self._end(Sent(self._now(), token.ticket, token.app, to, not problem, problem))
 
@@ -168,8 +168,8 @@ class OverlayRequests:
         self._to_bus(self._passed_key, encode(passed), CONTROL)
 
     def _patience(self, priority: int) -> float:
-        """How long a confirmed flood may take, s: 4 (D + 1) L, twice the time there and back, 2 D L, and one hop to
-        spare."""
+        """Return how long a confirmed flood may take, s: 4 (D + 1) L, twice the time there and back, 2 D L, and one
+        hop to spare."""
         farthest = max(self.routes().values(), key=lambda route: route.time, default=None)
         least = LEAST_PATIENCE.get(priority, LEAST_PATIENCE_ELSE)
         if farthest is None:
@@ -180,7 +180,7 @@ class OverlayRequests:
         self._end(Flooded(self._now(), token.ticket, token.app, robots, complete, problem))
 
     def _is_known(self, token: _Ticket) -> bool:
-        """Whether a request was seen before; its answer, if it is there, is told again."""
+        """Return whether a request was seen before; its answer, if it is there, is told again."""
         known = self._tickets.get(token.ticket)
         if known is not None:
             if not isinstance(known, _Ticket):
@@ -206,7 +206,7 @@ def app_of(key: str) -> str:
 
 
 def _problem(app: str, priority: str) -> str:
-    """What is wrong with a request; empty where it is fine."""
+    """Explain what is wrong with a request; empty where nothing is."""
     if not is_name(app):
         return f"{app[:40]!r} is no app's name"
     if priority not in PRIORITIES:

@@ -140,7 +140,7 @@ class RobotOverlays:
     # -- links and packets -------------------------------------------------------------------------------------
 
     def link_up(self, peer: str, now: float) -> bool:
-        """A link to a neighbour is up; False where this robot has no use for it and is to close it."""
+        """Take a new link; False where this robot has no use for it and is to close it."""
         self._now = now
         if self.linking is not None and not self.linking.link_up(peer, now):
             return False
@@ -161,7 +161,7 @@ class RobotOverlays:
         self._look_at = self._members_at = now + SETTLE + MEMBERS_PERIOD * self._random()
 
     def link_down(self, peer: str, now: float) -> None:
-        """It is down."""
+        """Take the end of a link."""
         self._now = now
         self._register.link_down(peer)
         self._flood.unlink(peer)
@@ -174,7 +174,7 @@ class RobotOverlays:
             self.linking.link_down(peer, now)
 
     def dial_failed(self, peer: str, reason: str, now: float) -> None:
-        """A robot that was called does not answer."""
+        """Note that a robot that was called does not answer."""
         self._now = now
         if self.linking is not None:
             self.linking.dial_failed(peer, reason, now)
@@ -190,14 +190,14 @@ class RobotOverlays:
         self._map.measured(peer, rtt, now)
 
     def admits(self, peer: str, overlay: int, key: str) -> bool:
-        """Whether a neighbour may bind a channel of flood or unicast to this key."""
+        """Return whether a neighbour may bind a channel of flood or unicast to this key."""
         if self._admission.binds(peer, overlay, key):
             return True
         carried = overlay != FLOOD and self.linking is not None and self.linking.carried
         return carried and self._carrier.admits(key)
 
     def receive(self, peer: str, overlay: int, key: str, data: bytes, priority: int, now: float) -> None:
-        """A packet of a neighbour on an admitted channel. What is wrong is dropped and counted: the one who made it
+        """Take a packet of a neighbour on an admitted channel. A damaged packet is dropped and counted: its sender
         may be far away, and innocent links must not break for it."""
         self._now = now
         if len(data) > MAX_PAYLOAD and data[0] != (packets.TOPOLOGY if overlay == FLOOD else CARRY):
@@ -252,7 +252,7 @@ class RobotOverlays:
             self._unicast.send(None, to, key, payload, priority, now, latest=latest)
 
     def request(self, request: Request, now: float) -> None:
-        """An app's wish; the answer goes to the own bus."""
+        """Take a request of an app; the answer goes to the own bus."""
         self._now = now
         self._requests.take(request)
 
@@ -274,7 +274,7 @@ class RobotOverlays:
     # -- time and outputs --------------------------------------------------------------------------------------
 
     def handle_timer(self, now: float) -> None:
-        """Whatever is due."""
+        """Do everything that is due at `now`."""
         self._now = now
         self._map.handle_timer(now)
         self._flood.handle_timer(now)
@@ -299,12 +299,13 @@ class RobotOverlays:
         return self._now
 
     def next_deadline(self) -> float:
-        """When `handle_timer` wants to be called, as of the last `actions`. It may turn out to be early, never late."""
+        """Return the time at which `handle_timer` must be called, as of the last `actions`. It may turn out to be
+        early, never late."""
         return self._deadline
 
     def actions(self) -> list[Action]:
-        """What is to be done, in this order, since the last call. To be called after everything else: it also looks
-        for the next deadline, which a node that only carries lockstep messages then has at no cost."""
+        """Return the actions since the last call, in this order. Call it after everything else: it also computes the
+        next deadline, which a node that only carries lockstep messages then has at no cost."""
         self._deadline = min(
             self._map.next_deadline(),
             self._flood.next_deadline(),
@@ -321,19 +322,19 @@ class RobotOverlays:
         return actions
 
     def members(self, now: float) -> Members:
-        """For the key `mesh/members`."""
+        """Return the message for the key `mesh/members`."""
         return Members(now, self._membership.members(), tuple(self._membership.changes))
 
     def stopped(self, now: float) -> Stopped:
-        """For the key `mesh/stopped`."""
+        """Return the message for the key `mesh/stopped`."""
         return self._stops.stopped(now)
 
     def graph(self, now: float, after: str = "") -> MeshGraph:
-        """For the key `mesh/graph`: robots with names behind `after`."""
+        """Return the message for the key `mesh/graph`: robots with names behind `after`."""
         return self._survey.graph(now, stopped=bool(self._register.stops), after=after)
 
     def topology(self, now: float) -> Topology:
-        """For the key `mesh/topology`."""
+        """Return the message for the key `mesh/topology`."""
         linking = self.linking
         assert linking is not None
         value = linking.value
@@ -345,7 +346,7 @@ class RobotOverlays:
         )  # fmt: skip
 
     def topology_file(self) -> bytes:
-        """What is to be kept of it through restarts."""
+        """Return the topology as the bytes to keep through restarts."""
         assert self.linking is not None
         return self.linking.to_file()
 

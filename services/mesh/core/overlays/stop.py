@@ -73,8 +73,8 @@ def _parts(entries: list[bytes]) -> list[list[bytes]]:
 
 
 def decode_halt(data: bytes) -> Halt:
-    """A HALT packet. Each stop that can be read counts, whatever follows it: another release may have more to say. A
-    re-arm counts only in a packet that is understood to its end."""
+    """Decode a HALT packet. Each stop that can be read counts, whatever follows it: another release may append to
+    it. A re-arm counts only in a packet that is understood to its end."""
     if len(data) < _HALT.size:
         raise FrameError(f"HALT of {len(data)} bytes: it has at least {_HALT.size}")
     _, stops, arms = _HALT.unpack_from(data)
@@ -106,7 +106,7 @@ _NONE = Mark(0, 0)
 
 
 class Register:
-    """What this robot knows of stops. Calls with `now` must not go back in time."""
+    """The stops that this robot knows. Calls with `now` must not go back in time."""
 
     def __init__(
         self,
@@ -167,16 +167,16 @@ class Register:
         self._merge(Halt(stops, {} if strange else halt.arms), peer, now)
 
     def link_up(self, peer: str) -> None:
-        """A neighbour is there."""
+        """Send all stops to a neighbour that is there."""
         self._links[peer] = None
         self._send(peer, Halt(self._stops, self._arms))
 
     def link_down(self, peer: str) -> None:
-        """A neighbour is gone."""
+        """Remove a neighbour that is gone."""
         self._links.pop(peer, None)
 
     def handle_timer(self, now: float) -> None:
-        """Whatever is due."""
+        """Do everything that is due at `now`."""
         if self._waiting is not None and now >= self._stopped_at + SPACING:
             self.stop(self._waiting, now)
         if now >= self._repeat_at:
@@ -185,7 +185,7 @@ class Register:
                 self._send(peer, Halt(self._stops, self._arms))
 
     def next_deadline(self) -> float:
-        """When `handle_timer` wants to be called."""
+        """Return the time at which `handle_timer` must be called."""
         return self._repeat_at if self._waiting is None else min(self._repeat_at, self._stopped_at + SPACING)
 
     def _merge(self, halt: Halt, source: str | None, now: float) -> None:
@@ -209,7 +209,7 @@ class Register:
 
 
 def _above(mark: Mark) -> Mark:
-    """The next mark."""
+    """Return the next mark."""
     if mark.number < MAX_SEQUENCE:
         return Mark(mark.incarnation, mark.number + 1)
     return Mark(mark.incarnation + 1, 1)
@@ -252,7 +252,7 @@ class Stops:
         self._confirm_at = min(self._confirm_at, now + CONFIRM_AFTER)
 
     def handle_timer(self, now: float) -> None:
-        """Whatever is due."""
+        """Do everything that is due at `now`."""
         if now >= self._tell_at:
             self._tell(now)
         if now >= self._confirm_at:
@@ -263,11 +263,11 @@ class Stops:
                 self._flood.publish(self._key, encode(self.stopped(now)), BULK, now, latest=True)
 
     def next_deadline(self) -> float:
-        """When `handle_timer` wants to be called."""
+        """Return the time at which `handle_timer` must be called."""
         return min(self._tell_at, self._confirm_at)
 
     def stopped(self, now: float) -> Stopped:
-        """For the key `mesh/stopped`."""
+        """Return the message for the key `mesh/stopped`."""
         stops = self._register.stops
         return Stopped(now, bool(stops), dict(itertools.islice(stops.items(), MAX_NAMED)))
 

@@ -185,7 +185,7 @@ class Unicast:
     # -- inputs ------------------------------------------------------------------------------------------------
 
     def receive(self, peer: str, data: bytes, priority: int, now: float) -> None:
-        """A packet of a neighbour; raises `FrameError`."""
+        """Take a packet of a neighbour. Raises `FrameError`."""
         match packets.kind_of(data):
             case packets.MESSAGE:
                 message = packets.decode_message(data)
@@ -230,7 +230,7 @@ class Unicast:
         self._emit(Transmit(peer, UNICAST, channel, data, BULK))
 
     def link_down(self, peer: str, now: float) -> None:
-        """A neighbour is gone; routes know it already. What it was handed lately goes another way."""
+        """Send what a lost neighbour was handed lately another way. The routes know of the loss already."""
         for at, hop, to, data, priority in self._custody.pop(peer, ()):
             if at + CUSTODY_TIME >= now and (route := self._route(to)) is not None:
                 self._counters["unicast_rerouted"] += 1
@@ -254,7 +254,7 @@ class Unicast:
                 self._repeat(flight, now)
 
     def next_deadline(self) -> float:
-        """When `handle_timer` wants to be called."""
+        """Return the time at which `handle_timer` must be called."""
         return self._own.next_deadline()
 
     # -- the sender's side -------------------------------------------------------------------------------------

@@ -68,7 +68,7 @@ _ORDER = {topic: number for number, topic in enumerate(FIELDS)}
 
 
 class Viewing:
-    """Of one robot. Calls with `now` must not go back in time."""
+    """The robots that watch this one. Calls with `now` must not go back in time."""
 
     def __init__(self, robot: str, robots: int) -> None:
         """`robots`: how many the swarm has, by which the budget of a watched one is shared."""
@@ -101,7 +101,7 @@ class Viewing:
         self._leases[origin] = now + seconds
 
     def active(self, now: float) -> bool:
-        """Whether anybody watches; if not, all that was heard is forgotten."""
+        """Return whether anybody watches; if not, all that was heard is forgotten."""
         self._leases = {origin: until for origin, until in self._leases.items() if until > now}
         if not self._leases:
             self._values.clear()
@@ -110,7 +110,7 @@ class Viewing:
         return bool(self._leases)
 
     def take(self, key: str, payload: bytes) -> None:
-        """A sample of the own bus; what is none of the keys is left alone."""
+        """Take a sample of the own bus; other keys are ignored."""
         topic = key.removeprefix(self._prefix)
         if topic == key:
             return
@@ -120,7 +120,7 @@ class Viewing:
             self._hear_status(topic.removesuffix("/status"), key, payload)
 
     def alive(self, key: str, there: bool) -> None:
-        """A service's process of this robot has come or gone."""
+        """Note that a service's process of this robot has come or gone."""
         try:
             robot, service = whose_token(key)
         except PayloadError:
@@ -129,7 +129,7 @@ class Viewing:
             self._there[service] = there
 
     def due(self, now: float) -> tuple[tuple[str, ...], bytes] | None:
-        """To whom a view is to be sent now, and what; None where nothing is due."""
+        """Return the robots to which a view is to be sent now, and the view; None where nothing is due."""
         if not self.active(now) or now < self._due:
             return None
         self._due = max(self._due + self._period, now)
@@ -165,7 +165,7 @@ class Viewing:
 
 
 def _kind(topic: str) -> str | None:
-    """Which of `FIELDS` a topic is."""
+    """Return which of `FIELDS` a topic is."""
     if topic in FIELDS:
         return topic
     head, _, last = topic.rpartition("/")
@@ -173,7 +173,7 @@ def _kind(topic: str) -> str | None:
 
 
 def _shortened(topic: str, payload: bytes) -> bytes | None:
-    """A message with the chosen fields alone, numbers in 32 bits; None where it is no message."""
+    """Return a message with the chosen fields alone, numbers in 32 bits; None where it is no message."""
     kind = _kind(topic)
     try:
         message = unpack(payload)

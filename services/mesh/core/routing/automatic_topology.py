@@ -55,7 +55,7 @@ class _Graph:
         return len(self.near[a])
 
     def fits(self, pair: Pair, most: int = MAX_LINKS) -> bool:
-        """Whether a link that is not there may be added."""
+        """Return whether a link that is not there may be added."""
         a, b = pair
         return b not in self.near[a] and len(self.near[a]) < most and len(self.near[b]) < most
 
@@ -255,7 +255,8 @@ def places(bits: int, count: int) -> list[int]:
 
 
 class AutomaticRule:
-    """How the robot with the lowest place mends the topology. Calls with `now` must not go back in time."""
+    """The rule by which the robot with the lowest place mends the topology. Calls with `now` must not go back in
+    time."""
 
     def __init__(self, ground: Ground, map: LinkStateMap) -> None:
         self._ground = ground

@@ -92,7 +92,7 @@ class _Own:
 
 @dataclass(eq=False)
 class AdvertisedLinks:
-    """What another robot says of its links."""
+    """The links that another robot reports."""
 
     incarnation: int
     advertisement: Advertisement
@@ -166,7 +166,7 @@ class LinkStateMap:
         self._changed()
 
     def link_up(self, peer: str, now: float) -> bool:
-        """A link of ours is there; whether that is news to the swarm."""
+        """Take a new link of ours; return whether that is news to the swarm."""
         own = self._links[peer] = _Own(now)
         time = self._settled.pop(peer, None)
         if time is not None:
@@ -180,7 +180,7 @@ class LinkStateMap:
         return True
 
     def link_down(self, peer: str, now: float) -> None:
-        """A link of ours is gone."""
+        """Take the end of a link of ours."""
         if self._links.pop(peer, None) is not None:
             self._own_known()
             self._changed()
@@ -199,7 +199,7 @@ class LinkStateMap:
             self._due = min(self._due, now + HOLD_DOWN)
 
     def tell(self, topology: int, heard: int, now: float) -> None:
-        """What else the others are to know of this robot: the topology that holds here, and whom it hears."""
+        """Set what else this robot reports: the topology that holds here, and which robots it hears."""
         if (topology, heard) != (self._topology, self._heard):
             self._topology, self._heard = topology, heard
             self._due = min(self._due, now + HOLD_DOWN)
@@ -217,7 +217,7 @@ class LinkStateMap:
         self.handle_timer(now)
 
     def receive(self, origin: str, incarnation: int, payload: bytes, now: float) -> None:
-        """A flooded LSA of another robot; raises `FrameError`."""
+        """Take a flooded LSA of another robot. Raises `FrameError`."""
         advertisement = decode_advertisement(payload)
         if not advertisement.neighbours.keys() <= self._robots:
             raise FrameError(f"LSA of {origin}: a neighbour is not in our configuration")
@@ -233,7 +233,7 @@ class LinkStateMap:
             self._changed()
 
     def handle_timer(self, now: float) -> None:
-        """Whatever is due."""
+        """Do everything that is due at `now`."""
         if now >= min(self._due, self._refresh_at):
             self._credit = min(BURST, self._credit + (now - self._credit_at) * RATE)
             self._credit_at = now
@@ -262,7 +262,7 @@ class LinkStateMap:
             self._oldest_at = min((known.heard for known in self._known.values()), default=_NEVER) + MAX_AGE
 
     def next_deadline(self) -> float:
-        """When `handle_timer` wants to be called."""
+        """Return the time at which `handle_timer` must be called."""
         return min(self._due, self._refresh_at, self._trust_ends, self._oldest_at)
 
     # -- outputs -----------------------------------------------------------------------------------------------
@@ -292,7 +292,7 @@ class LinkStateMap:
         return self._routes
 
     def graph(self) -> dict[str, dict[str, Weight]]:
-        """All edges that count, both directions of each with the same cost."""
+        """Return all edges that count, both directions of each with the same cost."""
         own = {peer: self._edge(time, 0) for peer, time in self._own_times().items()}
         graph = {self._me: own}
         for name, known in self._known.items():
@@ -328,12 +328,12 @@ class LinkStateMap:
         return dict(known.advertisement.neighbours) if known is not None else {}
 
     def advertised(self, name: str) -> Advertisement | None:
-        """What another robot says of its links; None where nothing is known."""
+        """Return what another robot reports of its links; None where nothing is known."""
         known = self._known.get(name)
         return known.advertisement if known is not None and name != self._me else None
 
     def topology(self, name: str) -> int:
-        """Which topology holds at a robot, as far as it is known."""
+        """Return the tag of the topology at a robot, as far as it is known."""
         if name == self._me:
             return self._topology
         known = self._known.get(name)
@@ -347,7 +347,7 @@ class LinkStateMap:
         return known.advertisement.heard if known is not None else 0
 
     def has_left(self, name: str) -> bool:
-        """Whether a robot has said that it stops."""
+        """Return whether a robot has said that it stops."""
         known = self._known.get(name)
         return known is not None and known.advertisement.leaving
 

@@ -57,7 +57,7 @@ class Membership:
         """The newest last."""
 
     def settle(self, told: Mapping[str, Collection[str]], now: float) -> None:
-        """All are here, and have been for long: none of them is news. `told` as `look` has it."""
+        """Begin with all robots here, and none of them as news. `told` as in `look`."""
         self._usual, self._members, self._told = _State(HERE, 0, now), {}, told
 
     def look(
@@ -104,7 +104,7 @@ class Membership:
         return tuple([self.member(name) for name in self._names[: MAX_SHOWN + 1] if name != self._me])[:MAX_SHOWN]
 
     def member(self, name: str) -> Member:
-        """One of the others."""
+        """Return the membership of one of the others."""
         state = self._members.get(name, self._usual)
         route = self._routes().get(name) if state.state == HERE else None
         hops, via = (route.hops, route.next_hop) if route is not None else (None, None)
@@ -191,7 +191,7 @@ switched on at the same time. An older link stays: what members tell cannot end 
 
 
 class _Signs:
-    """What speaks for a second robot of one name."""
+    """The signs of a second robot with one name."""
 
     def __init__(self, process: int, now: float) -> None:
         self.process = process
@@ -214,8 +214,8 @@ class Clashes:
         """Links whose end is not the process that the link state names, and since when."""
 
     def elsewhere(self, robot: str, process: int) -> str | None:
-        """A robot in reach, not this one, that has a link with another process of `robot` than `process`; None where
-        there is none, or where processes are not known."""
+        """Return a robot in reach, not this one, that has a link with another process of `robot` than `process`.
+        None where there is none, or where processes are not known."""
         told = self._map.advertised(robot)
         if told is None or not told.process or not process or told.process == process or told.leaving:
             return None
@@ -258,7 +258,7 @@ class Clashes:
         return text if now < since + PROBATION else ""
 
     def link_down(self, robot: str) -> None:
-        """A link is gone."""
+        """Note that a link is gone."""
         self._doubts.pop(robot, None)
 
     def own(self, now: float) -> Iterator[str]:

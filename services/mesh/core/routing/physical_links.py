@@ -82,7 +82,7 @@ FLEETING = 5.0
 
 
 class Succession:
-    """When one robot calls others than those it is the hub of."""
+    """The times at which a robot calls others than those of which it is the hub."""
 
     def __init__(self, names: Sequence[str], me: str) -> None:
         """`names`: all robots in the order of the configuration."""
@@ -97,7 +97,7 @@ class Succession:
         self._next = _NEVER
 
     def due(self, far: Collection[str], reachable: Set[str], now: float) -> list[str]:
-        """Whom to call now, of robots out of reach that this one may call."""
+        """Return the robots to call now, of those out of reach that this one may call."""
         for name in reachable - self._seen:
             self._lost.pop(name, None)
         self._seen |= reachable
@@ -112,7 +112,7 @@ class Succession:
         return [name for name, at in calls_from.items() if now >= at]
 
     def next_deadline(self) -> float:
-        """When `due` has more, as long as the same robots are in reach."""
+        """Return the time at which `due` has more, as long as the same robots are in reach."""
         return self._next
 
 
@@ -126,7 +126,7 @@ MOST = 32
 
 
 def callers(names: Sequence[str], edges: Sequence[Edge]) -> frozenset[Edge]:
-    """Of each link who calls, first."""
+    """Return the links, each with its caller first."""
     near: dict[str, list[str]] = {name: [] for name in names}
     for a, b in edges:
         near[a].append(b)
@@ -164,7 +164,7 @@ def _turned(links: list[Edge]) -> list[Edge]:
 
 
 def piconets(links: Sequence[Edge]) -> dict[str, int]:
-    """In how many each robot is."""
+    """Return in how many piconets each robot is."""
     found: dict[str, set[str]] = {}
     for caller, called in links:
         found.setdefault(caller, set()).add(caller)
@@ -173,8 +173,8 @@ def piconets(links: Sequence[Edge]) -> dict[str, int]:
 
 
 def waiting(links: Sequence[Edge]) -> tuple[int, int]:
-    """How long frames wait for both ends to be in a link's piconet, as the product of the ends' piconets: of the worst
-    link, and of all together."""
+    """Return how long frames wait for both ends to be in a link's piconet, as the product of the ends' piconets: of
+    the worst link, and of all together."""
     number = piconets(links)
     each = [number[caller] * number[called] for caller, called in links]
     return max(each, default=0), sum(each)

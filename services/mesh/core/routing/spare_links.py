@@ -10,7 +10,7 @@ GRACE = 1.0
 
 
 class SpareLinks:
-    """Of one robot. Calls with `now` must not go back in time."""
+    """The spare links of one robot. Calls with `now` must not go back in time."""
 
     def __init__(self, me: str, ground: Ground) -> None:
         self._me = me
@@ -45,7 +45,7 @@ class SpareLinks:
         return found, look_at
 
     def _is_connected(self, graph: Mapping[str, Mapping[str, object]], topology: Set[Edge], peer: str) -> bool:
-        """Whether there is a way to a neighbour by links of the topology, and unwanted ones below its own."""
+        """Return whether there is a way to a neighbour by links of the topology, and unwanted ones below its own."""
         limit = self._rank(self._ground.edge(self._me, peer))
         seen, todo = {self._me}, [self._me]
         while todo:

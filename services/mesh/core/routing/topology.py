@@ -50,7 +50,7 @@ _MAX_SHOWN = 8
 
 
 class TopologyVersion(NamedTuple):
-    """Who is whose neighbour in the whole swarm. Later ones are greater."""
+    """A version of the topology of the whole swarm. Later ones are greater."""
 
     version: int
     """Counts an operator's sets, u32; 0 = as configured."""
@@ -63,7 +63,7 @@ class TopologyVersion(NamedTuple):
     edges: tuple[Edge, ...]
 
     def neighbours(self, name: str) -> frozenset[str]:
-        """Of a robot."""
+        """Return the neighbours of a robot."""
         return ends(self.edges, name)
 
 
@@ -73,7 +73,7 @@ def ends(edges: Collection[Edge], name: str) -> frozenset[str]:
 
 
 class Ground:
-    """What all values of one configuration have in common: the robots, and where they start from."""
+    """The common part of all topologies of one configuration: the robots, and the first links."""
 
     def __init__(self, names: Sequence[str], edges: Collection[Edge], *, auto: bool, links: str = GRAPH) -> None:
         """`links`: which links carry a topology, see `routing.physical_links`."""
@@ -117,11 +117,12 @@ class Ground:
         return graph.edges
 
     def tag(self, value: TopologyVersion) -> int:
-        """A short name of a value for link states, u32; 0 = the configuration's own."""
+        """Return a short name of a value for link states, u32; 0 = the configuration's own."""
         return 0 if value == self.first else zlib.crc32(self.encode(value)) or 1
 
     def encode(self, value: TopologyVersion) -> bytes:
-        """A TOPOLOGY packet: head, issuer, then for each robot its neighbours that come later in the configuration."""
+        """Encode a TOPOLOGY packet: head, issuer, then for each robot its neighbours that come later in the
+        configuration."""
         if self._packet[0] is not value:
             self._packet = (value, self._encode(value))
         return self._packet[1]
@@ -155,7 +156,7 @@ class Ground:
         return value
 
     def to_file(self, value: TopologyVersion) -> bytes:
-        """What a robot keeps of a value through restarts."""
+        """Return the bytes that keep a value through restarts."""
         body = _MAGIC + self.encode(value)
         return body + _CHECK.pack(zlib.crc32(body))
 
@@ -204,7 +205,7 @@ def _check(graph: Graph) -> None:
 
 
 class Advertisement(NamedTuple):
-    """What a robot says of its own links (LSA)."""
+    """A robot's report of its own links (LSA)."""
 
     neighbours: dict[str, int]
     """One-way time to each, in units of 0.1 ms."""

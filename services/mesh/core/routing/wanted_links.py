@@ -69,7 +69,7 @@ _NEVER = float("inf")
 
 
 class InitialLinks(NamedTuple):
-    """What a robot knows of links before it has any."""
+    """The links that a robot knows before it has any."""
 
     ground: Ground
     dials: Mapping[str, bool]
@@ -144,14 +144,14 @@ class Linking:
         return ""
 
     def has_room(self, peer: str) -> bool:
-        """Whether a robot of the configuration may have a link with this one."""
+        """Return whether a robot of the configuration may have a link with this one."""
         if peer in self._links or len(self._links) < MAX_LINKS:
             return True
         # While one set topology gives way to another there may be links of both; a radio knows itself what it holds.
         return peer in self.wanted and not self.value.auto
 
     def link_up(self, peer: str, now: float) -> bool:
-        """A connection with a robot is there; False where it is good for nothing but to know that."""
+        """Take a new connection; False where only the knowledge of it is of use."""
         self._search.ended(peer, now)
         self.missing.pop(peer, None)
         self._down.pop(peer, None)
@@ -166,7 +166,7 @@ class Linking:
         return True
 
     def link_down(self, peer: str, now: float) -> None:
-        """It is gone."""
+        """Take the end of a connection."""
         if peer not in self._links:
             return
         del self._links[peer]
@@ -178,7 +178,7 @@ class Linking:
         self._look_soon(now)
 
     def dial_failed(self, peer: str, reason: str, now: float) -> None:
-        """A robot could not be reached."""
+        """Note that a robot could not be reached."""
         self._search.ended(peer, now)
         if peer in self._links:
             return  # a second call crossed the one that succeeded
@@ -191,15 +191,15 @@ class Linking:
             self._note_reach(peer, False, now)
 
     def is_reachable(self, peer: str) -> bool:
-        """Whether there is a way to a robot."""
+        """Return whether there is a way to a robot."""
         return peer in self._map.routes()
 
     def knocked(self, peer: str, now: float) -> None:
-        """A robot that we may call has shown that it is there."""
+        """Call a robot soon that has shown that it is there."""
         self._search.hurry(peer, now)
 
     def receive(self, peer: str, data: bytes, now: float) -> None:
-        """A neighbour's value; raises `FrameError`."""
+        """Take a neighbour's value. Raises `FrameError`."""
         value = self._ground.decode(data)
         if value is None:
             self._counters["topology_foreign"] += 1
@@ -216,7 +216,7 @@ class Linking:
         self._look_soon(now)
 
     def handle_timer(self, now: float) -> None:
-        """Whatever is due."""
+        """Do everything that is due at `now`."""
         if self.adopted is None:
             self.adopted = now
             self._down = dict.fromkeys(self.wanted, now)
@@ -235,7 +235,7 @@ class Linking:
             self._act(Connect(stranger, once=True))
 
     def next_deadline(self) -> float:
-        """When `handle_timer` wants to be called."""
+        """Return the time at which `handle_timer` must be called."""
         return min(self._look_at, self._check_at, self._plan_at, self._repeat_at, self._search.next_deadline())
 
     # -- outputs -----------------------------------------------------------------------------------------------
@@ -252,7 +252,7 @@ class Linking:
 
     @property
     def neighbours(self) -> frozenset[str]:
-        """Of this robot in the topology."""
+        """Return the neighbours of this robot in the topology."""
         return self.value.neighbours(self._me)
 
     @property
@@ -272,7 +272,7 @@ class Linking:
         return tuple(sorted(self._links.keys() - self.wanted))
 
     def to_file(self) -> bytes:
-        """What is to be kept through restarts."""
+        """Return the bytes to keep through restarts."""
         return self._ground.to_file(self.value)
 
     # -- the value ---------------------------------------------------------------------------------------------
@@ -371,7 +371,7 @@ class Linking:
                 self._check_at = min(self._check_at, end)
 
     def _is_agreed(self, now: float) -> bool:
-        """Whether all in reach have this value, or were waited for."""
+        """Return whether all in reach have this value, or were waited for."""
         assert self.adopted is not None
         tag = self.tag
         return now >= self.adopted + PATIENCE or all(self._map.topology(name) == tag for name in self._map.routes())

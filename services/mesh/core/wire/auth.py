@@ -72,7 +72,7 @@ class Keys:
         self._sealing = False
 
     def confirms(self, mac: bytes) -> bool:
-        """Whether the other end's CONFIRM shows that it holds the key and has seen the same two HELLOs."""
+        """Return whether the other end's CONFIRM shows that it holds the key and has seen the same two HELLOs."""
         return hmac.compare_digest(mac, self._mac(self._their_confirm))
 
     def seal(self, chunks: list[bytes], confirm: bytes) -> bytes:

@@ -161,7 +161,7 @@ class Heartbeat(NamedTuple):
 
 
 class Bind(NamedTuple):
-    """From now on this handle stands for this key in this direction of this connection."""
+    """A frame that makes this handle stand for this key in this direction of this connection."""
 
     channel: int
     overlay: int
@@ -206,7 +206,8 @@ class FrameDecoder:
         return Frame(kind, priority, buffer[at + 3 : body_end])
 
     def _check_tag(self, tag: Tag, at: int, end: int) -> int:
-        """Where the body ends and the tag begins. Nothing of a frame counts before its tag was right."""
+        """Check the tag of a frame, and return where its body ends. Nothing of a frame counts before its tag was
+        right."""
         start = end - TAG_SIZE
         if start < at + _HEAD.size:
             raise TagError(f"frame length {end - at - 2}: no room for a tag")
@@ -216,7 +217,7 @@ class FrameDecoder:
 
 
 def encode(kind: int, priority: int, body: bytes) -> bytes:
-    """A frame on the wire."""
+    """Encode a frame."""
     length = len(body) + 1
     if length > MAX_FRAME - TAG_SIZE:
         raise LocalError(f"frame of {length} bytes: at most {MAX_FRAME - TAG_SIZE} fit")
@@ -224,13 +225,13 @@ def encode(kind: int, priority: int, body: bytes) -> bytes:
 
 
 def seal(frame: bytes, tag: Tag) -> bytes:
-    """A frame as it goes over an authenticated link: with its tag, which `length` counts."""
+    """Return a frame as it goes over an authenticated link: with its tag, which `length` counts."""
     frame = _LENGTH.pack(len(frame) - _LENGTH.size + TAG_SIZE) + frame[_LENGTH.size :]
     return frame + tag(frame)
 
 
 def encode_data(priority: int, channel: int, payload: bytes) -> bytes:
-    """A DATA frame: five bytes before the payload, which is at most `MAX_PAYLOAD` long."""
+    """Encode a DATA frame: five bytes before the payload, which is at most `MAX_PAYLOAD` long."""
     return _DATA_HEAD.pack(len(payload) + 3, DATA | priority << 4, channel) + payload
 
 
@@ -242,7 +243,7 @@ def decode_data(body: bytes) -> tuple[int, bytes]:
 
 
 def encode_bind(bind: Bind) -> bytes:
-    """A BIND frame."""
+    """Encode a BIND frame."""
     return encode(BIND, CONTROL, _BIND.pack(bind.channel, bind.overlay) + bind.key.encode())
 
 
@@ -259,7 +260,7 @@ def decode_bind(body: bytes) -> Bind:
 
 
 def encode_heartbeat(stamps: Heartbeat) -> bytes:
-    """A HEARTBEAT frame."""
+    """Encode a HEARTBEAT frame."""
     return encode(HEARTBEAT, CONTROL, _HEARTBEAT.pack(*stamps))
 
 
@@ -271,7 +272,7 @@ def decode_heartbeat(body: bytes) -> Heartbeat:
 
 
 def encode_confirm(mac: bytes = b"") -> bytes:
-    """A CONFIRM frame: "I accept your HELLO"; on authenticated links with `MAC_SIZE` bytes that prove it."""
+    """Encode a CONFIRM frame: "I accept your HELLO"; on authenticated links with `MAC_SIZE` bytes that prove it."""
     return encode(CONFIRM, CONTROL, mac)
 
 
@@ -283,7 +284,7 @@ def decode_confirm(body: bytes, size: int = 0) -> bytes:
 
 
 def encode_bye(code: int) -> bytes:
-    """A BYE frame: the last one of its direction."""
+    """Encode a BYE frame: the last one of its direction."""
     return encode(BYE, CONTROL, bytes((code,)))
 
 
@@ -295,7 +296,7 @@ def decode_bye(body: bytes) -> int:
 
 
 def encode_hello(hello: Hello) -> bytes:
-    """A HELLO frame. Raises `LocalError` where a name would not fit."""
+    """Encode a HELLO frame. Raises `LocalError` where a name would not fit."""
     network, robot = hello.network.encode(), hello.robot.encode()
     if not 1 <= len(network) <= MAX_NETWORK:
         raise LocalError(f"network name {hello.network!r}: 1 to {MAX_NETWORK} bytes are allowed")
@@ -353,7 +354,7 @@ def decode_hello(body: bytes) -> Hello:
 
 
 def _short_text(body: bytes, at: int, limit: int, what: str) -> tuple[str, int]:
-    """A text behind its u8 length, and where it ends."""
+    """Return a text that follows its u8 length, and where it ends."""
     end = at + 1 + body[at] if at < len(body) else len(body) + 1
     if end > len(body) or not 1 <= end - at - 1 <= limit:
         raise FrameError(f"{what}: 1 to {limit} bytes are allowed and must be there")

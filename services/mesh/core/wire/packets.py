@@ -16,7 +16,7 @@ from swarm.messages.keys import is_name, parse
 
 
 def packed(text: str, limit: int = 16) -> bytes:
-    """A text behind its length, u8; cut off at `limit` bytes."""
+    """Encode a text behind its length, u8; cut off at `limit` bytes."""
     data = text.encode()
     if len(data) > limit:
         data = data[:limit].decode(errors="ignore").encode()
@@ -25,7 +25,7 @@ def packed(text: str, limit: int = 16) -> bytes:
 
 @lru_cache(maxsize=4096)
 def _name(data: bytes) -> str:
-    """A robot's name. There are few and they come often."""
+    """Decode a robot's name. The results are kept: there are few names, and they come often."""
     text = data.decode("ascii", "replace")
     if not is_name(text):
         raise FrameError(f"{data!r} is not a robot's name")
@@ -40,7 +40,7 @@ class PacketReader:
         self.at = at
 
     def unpack(self, layout: struct.Struct) -> tuple[int, ...]:
-        """The next numbers."""
+        """Read the next numbers."""
         end = self.at + layout.size
         if end > len(self._data):
             raise self._short()
@@ -61,7 +61,7 @@ class PacketReader:
             raise FrameError("overlay packet: a text is not UTF-8") from None
 
     def key(self) -> str:
-        """The next key."""
+        """Read the next key."""
         text = self.text(255)
         try:
             parse(text)
@@ -74,7 +74,7 @@ class PacketReader:
         return self._text(255)
 
     def end(self) -> None:
-        """Nothing may follow."""
+        """Check that nothing follows."""
         if self.at != len(self._data):
             raise FrameError(f"overlay packet of {len(self._data)} bytes: {len(self._data) - self.at} too many")
 
@@ -163,7 +163,7 @@ class EchoPacket(NamedTuple):
 
 
 class Digest(NamedTuple):
-    """What a neighbour holds of the origins whose names are above `low` and up to `high`."""
+    """The values that a neighbour holds of the origins whose names are above `low` and up to `high`."""
 
     low: str
     high: str
@@ -223,13 +223,13 @@ def room(*, all_know: bool) -> int:
 
 
 def packed_bits(bits: int) -> bytes:
-    """A set of robots behind its length, u8: bit i is robot i of all names, sorted."""
+    """Encode a set of robots behind its length, u8: bit i is robot i of all names, sorted."""
     size = (bits.bit_length() + 7) // 8
     return bytes((size,)) + bits.to_bytes(size, "little")
 
 
 def encode_spread(packet: Spread) -> bytes:
-    """A SPREAD packet: 14 bytes before the payload, 18 on the second try, and what `known` takes."""
+    """Encode a SPREAD packet: 14 bytes before the payload, 18 on the second try, and what `known` takes."""
     flags = packet.echo | packet.latest << 1 | bool(packet.first) << 2 | bool(packet.size) << 3
     flags |= bool(packet.known) << 4
     head = _SPREAD.pack(SPREAD, flags, packet.incarnation, packet.sequence)
@@ -239,7 +239,7 @@ def encode_spread(packet: Spread) -> bytes:
 
 
 def decode_spread(data: bytes) -> Spread:
-    """A SPREAD packet. It comes once from each neighbour: a small one is taken apart only the first time."""
+    """Decode a SPREAD packet. It comes once from each neighbour: a small one is taken apart only the first time."""
     return _decode_small_spread(data) if len(data) <= _SMALL else _decode_spread(data)
 
 
@@ -280,7 +280,7 @@ _decode_small_spread = lru_cache(maxsize=256)(_decode_spread)
 
 
 def encode_echo(packet: EchoPacket) -> bytes:
-    """An ECHO packet; names that do not fit are left out, which makes it a `lost` one."""
+    """Encode an ECHO packet; names that do not fit are left out, which makes it a `lost` one."""
     names, size, fitting = b"", _ECHO.size, 0
     for name in packet.robots:
         size += 1 + len(name)
@@ -294,7 +294,7 @@ def encode_echo(packet: EchoPacket) -> bytes:
 
 
 def decode_echo(data: bytes) -> EchoPacket:
-    """An ECHO packet."""
+    """Decode an ECHO packet."""
     if len(data) < _ECHO.size:
         raise FrameError(f"ECHO of {len(data)} bytes: it has at least {_ECHO.size}")
     _, flags, ttl, incarnation, sequence, count = _ECHO.unpack_from(data)
@@ -325,7 +325,7 @@ def encode_digests(origins: Mapping[str, tuple[int, int]], *, answer: bool) -> l
 
 
 def decode_digest(data: bytes) -> Digest:
-    """A DIGEST packet."""
+    """Decode a DIGEST packet."""
     if len(data) < _DIGEST.size:
         raise FrameError(f"DIGEST of {len(data)} bytes: it has at least {_DIGEST.size}")
     _, flags, count = _DIGEST.unpack_from(data)
@@ -343,12 +343,12 @@ def decode_digest(data: bytes) -> Digest:
 
 
 def encode_summary(total: int) -> bytes:
-    """A SUMMARY packet: the checksum of a whole digest."""
+    """Encode a SUMMARY packet: the checksum of a whole digest."""
     return _SUMMARY.pack(SUMMARY, 0, total)
 
 
 def decode_summary(data: bytes) -> int:
-    """A SUMMARY packet."""
+    """Decode a SUMMARY packet."""
     if len(data) != _SUMMARY.size or data[1]:
         raise FrameError(f"SUMMARY of {len(data)} bytes, flags {data[1:2]!r}: it has {_SUMMARY.size} and none")
     total: int = _SUMMARY.unpack(data)[2]
@@ -359,13 +359,13 @@ def decode_summary(data: bytes) -> int:
 
 
 def encode_message(packet: UnicastMessage) -> bytes:
-    """A MESSAGE packet."""
+    """Encode a MESSAGE packet."""
     head = _MESSAGE.pack(MESSAGE, packet.ttl, packet.incarnation, packet.number)
     return head + packed(packet.sender) + packed(packet.to) + packed(packet.key, 255) + packet.payload
 
 
 def decode_message(data: bytes) -> UnicastMessage:
-    """A MESSAGE packet."""
+    """Decode a MESSAGE packet."""
     if len(data) < _MESSAGE.size:
         raise FrameError(f"MESSAGE of {len(data)} bytes: it has at least {_MESSAGE.size}")
     _, ttl, incarnation, number = _MESSAGE.unpack_from(data)
@@ -375,13 +375,13 @@ def decode_message(data: bytes) -> UnicastMessage:
 
 
 def encode_ack(packet: Ack) -> bytes:
-    """An ACK packet."""
+    """Encode an ACK packet."""
     head = _ACK.pack(ACK, packet.ttl, packet.refused, packet.incarnation, packet.number)
     return head + packed(packet.sender) + packed(packet.to)
 
 
 def decode_ack(data: bytes) -> Ack:
-    """An ACK packet."""
+    """Decode an ACK packet."""
     if len(data) < _ACK.size:
         raise FrameError(f"ACK of {len(data)} bytes: it has at least {_ACK.size}")
     _, ttl, refused, incarnation, number = _ACK.unpack_from(data)

@@ -24,12 +24,12 @@ def posture(tilt: float, trim: float) -> str:
 
 
 def lies(tilt: float, tilt_rate: float = 0.0) -> bool:
-    """Whether it lies on front or back, and does not move."""
+    """Return whether it lies on front or back, and does not move."""
     return LYING[0] < abs(tilt) < LYING[1] and abs(tilt_rate) < LYING_RATE
 
 
 def at_rest(estimate: BodyEstimate) -> bool:
-    """Whether neither body nor wheels move: lying, or standing in a hand that is steady."""
+    """Return whether neither body nor wheels move: lying, or standing in a hand that is steady."""
     return (
         abs(estimate.tilt_rate) < REST_RATE and abs(estimate.speed) < REST_SPEED and abs(estimate.turn_rate) < REST_RATE
     )
