@@ -29,10 +29,10 @@ _FAR = 1000.0
 class RandomGenerator(Protocol):
     """The part of `random.Random` that is used here."""
 
-    def random(self) -> float: ...  # noqa: D102
-    def gauss(self, mu: float, sigma: float) -> float: ...  # noqa: D102
-    def uniform(self, a: float, b: float) -> float: ...  # noqa: D102
-    def expovariate(self, lambd: float) -> float: ...  # noqa: D102
+    def random(self) -> float: ...
+    def gauss(self, mu: float, sigma: float) -> float: ...
+    def uniform(self, a: float, b: float) -> float: ...
+    def expovariate(self, lambd: float) -> float: ...
 
 
 @frozen
