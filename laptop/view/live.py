@@ -1,12 +1,11 @@
 """The feed of a swarm that runs now, as arguments name it: a simulation here, or real robots through ssh."""
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
 
+from laptop.fleet.ssh import robot_command
 from laptop.fleet.ssh.ssh import Ssh, hosts
 from swarm.config import load
-from swarm.config.find import LOOKED_IN
 from swarm.onboard.arguments import add_robots, add_run_dir
 from swarm.process.simulations import default_run_dir
 
@@ -19,11 +18,8 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments that name the swarm."""
     add_run_dir(parser)
-    add_robots(parser, "watch real robots, through these robots by ssh")
-    parser.add_argument(
-        "--config", type=Path, metavar="FILE", help=f"swarm.toml with the robots (default: {LOOKED_IN})"
-    )
-    parser.add_argument("--ssh-config", type=Path, metavar="FILE", help="ssh configuration, in place of ~/.ssh/config")
+    add_robots(parser, "these robots; of real ones those that ssh connects to, and one is enough to see all (all)")
+    robot_command.add_arguments(parser)
 
 
 def open_feed(args: argparse.Namespace) -> "tuple[SimulationFeed | Robots, Control]":
@@ -36,9 +32,9 @@ def open_feed(args: argparse.Namespace) -> "tuple[SimulationFeed | Robots, Contr
     from laptop.view.feeds.feed import SimulationFeed
     from laptop.view.feeds.robots import Robots
 
-    if args.robots:
+    if robot_command.is_meant(args):
         config, ssh = load(args.config), Ssh(args.ssh_config)
         robots = Robots(config, hosts(config, args.robots), ssh)
         return robots, Control(robots, RemoteActions(robots, ssh) if args.control else None)
-    simulation = SimulationFeed((args.run_dir or default_run_dir()).absolute())
+    simulation = SimulationFeed((args.run_dir or default_run_dir()).absolute(), args.robots or ())
     return simulation, Control(simulation, SimulatedActions(simulation) if args.control else None)

@@ -1,4 +1,4 @@
-"""`swarm measure i2c [ROBOT]`: how fast a robot's I2C bus is, as in section 2.2.5 of the thesis.
+"""`swarm measure i2c [ROBOT ...]`: how fast the I2C bus of each robot is, as in section 2.2.5 of the thesis.
 
 Reads from and writes to the ATmega are timed one by one, with the pauses that it needs. The balancer owns the bus, so
 it does that in the slack of its ticks; where it does not run on this robot, the bus is taken directly. In a simulation
@@ -9,8 +9,9 @@ import argparse
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
+from pathlib import Path
 
-from services.balancer.core.devices.rates import RateMeter
+from services.balancer.core.devices.rates import RateMeter, longest
 from services.balancer.drivers import Balboa
 from services.balancer.i2c import I2CBus, KernelBus
 from swarm import clock
@@ -30,15 +31,14 @@ THESIS_KBIT_S = {"read": 21.0, "write": 53.0}
 """At 100 kHz (thesis 2.2.5); Pololu measured the same with transfers of 8 bytes."""
 
 PATIENCE = 5.0
-"""s for an answer beyond the ticks that the transfers take."""
-_TICK = 0.01
+"""s for an answer beyond the time that the balancer gives the transfers."""
 
 Measure = Callable[[MeasureI2C], I2CRates]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """`[ROBOT] [--sizes N,N] [--count N] [--json]`."""
-    parser.add_argument("name", nargs="?", metavar="ROBOT", help="a robot of the simulation (default: this robot)")
+    parser.add_argument("names", nargs="*", metavar="ROBOT", help="robots of the simulation (default: as --robots)")
     parser.add_argument(
         "--sizes", type=sizes(28), default=SIZES, metavar="N,N,...", help="sizes of 1 to 28 bytes (1,4,8,16,28)"
     )
@@ -49,11 +49,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure through the balancer, or directly where there is none."""
-    args.robots = args.robots or ([args.name] if args.name else None)
-    directories = buses.find(args)
-    if len(directories) != 1:
-        raise LocalError(f"of which robot? there are {', '.join(directories)}")
-    ((robot, directory),) = directories.items()
+    args.robots = args.robots or args.names
+    found = {robot: _rates(args, robot, directory) for robot, directory in buses.find(args).items()}
+    data = {robot: [asdict(result) for result in results] for robot, results in found.items()}
+    show(args, data, [line for robot, results in found.items() for line in table(robot, results)])
+    return 0
+
+
+def _rates(args: argparse.Namespace, robot: str, directory: Path) -> list[I2CRates]:
+    """Of each size."""
     with Bus.of(directory) as bus:
         if bus.wait_connected(PATIENCE) and _answers(bus, robot):
             return _measured(args, robot, _through(bus, robot))
@@ -63,16 +67,14 @@ def run(args: argparse.Namespace) -> int:
     raise LocalError(f"the balancer of {robot} does not answer ({directory})")
 
 
-def _measured(args: argparse.Namespace, robot: str, measure: Measure) -> int:
-    """Measure each size and print."""
+def _measured(args: argparse.Namespace, robot: str, measure: Measure) -> list[I2CRates]:
     results = []
     for size in args.sizes:
         result = measure(MeasureI2C(new_ticket(), size, args.count))
         if result.problem:
             raise LocalError(f"{robot}: {result.problem}")
         results.append(result)
-    show(args, {"robot": robot, "sizes": [asdict(result) for result in results]}, table(robot, results))
-    return 0
+    return results
 
 
 def table(robot: str, results: list[I2CRates]) -> list[str]:
@@ -95,8 +97,7 @@ def _through(bus: Bus, robot: str) -> Measure:
     """Measure by asking the balancer."""
 
     def measure(wish: MeasureI2C) -> I2CRates:
-        # Reads and writes in turn, one in each tick that has room for it: others have their transfers to do as well.
-        seconds = PATIENCE + 2 * wish.count * 4 * _TICK
+        seconds = PATIENCE + longest(wish.count)
         found = request(
             {robot: bus}, {robot: wish}, I2CRates, "balancer", "i2c", seconds, answered="i2c", every=seconds
         )

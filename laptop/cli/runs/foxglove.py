@@ -4,7 +4,6 @@ import argparse
 import signal
 
 from laptop.view import live
-from swarm.errors import LocalError
 
 HELP = "serve the running swarm to Foxglove"
 PORT = 8765
@@ -21,10 +20,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve until interrupted, or until a simulation ends."""
-    if (args.config or args.ssh_config) and not args.robots:
-        raise LocalError("--config and --ssh-config are for real robots: name one with --robots")
-    if args.robots and args.run_dir:
-        raise LocalError("--robots looks at real robots: leave out --run-dir")
     from laptop.foxglove.server import FoxgloveServer
 
     feed, control = live.open_feed(args)
@@ -37,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
                 flush=True,
             )
             signal.signal(signal.SIGTERM, signal.default_int_handler)
-            while args.robots or feed.live:
+            while feed.kind == "robots" or feed.live:
                 signal.sigtimedwait((), 0.5)
         finally:
             server.close()

@@ -53,10 +53,8 @@ def run(args: argparse.Namespace) -> int:
 
     feed: SimulationFeed | Robots | ViewedRecording
     control = None
-    if (args.config or args.ssh_config) and not args.robots:
-        raise LocalError("--config and --ssh-config are for real robots: name one with --robots")
-    if args.robots and (args.recording or args.run_dir):
-        raise LocalError("--robots looks at real robots: leave out the recording, and --run-dir")
+    if args.recording and (args.robots or args.run_dir or args.real or args.config or args.ssh_config):
+        raise LocalError("a recording has all of its robots: leave it out to look at a running swarm")
     if (args.at is not None or args.chart) and args.screenshot is None:
         raise LocalError("--at and --chart are for --screenshot")
     if args.recording is not None:

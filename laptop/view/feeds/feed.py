@@ -1,7 +1,7 @@
 """Where a picture gets its samples from: the buses of a simulation that runs on this machine."""
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -12,6 +12,7 @@ from swarm.config import parse
 from swarm.config.types import Config
 from swarm.errors import LocalError, PayloadError, SwarmError
 from swarm.messages.keys import whose_token
+from swarm.onboard.buses import buses
 from swarm.onboard.lookout import watch
 from swarm.onboard.traffic import Traffic
 from swarm.process.paths import bus_endpoint
@@ -96,13 +97,15 @@ class SimulationFeed(RealTime):
 
     kind = "simulation"
 
-    def __init__(self, directory: Path) -> None:
-        """Raises `LocalError` where none runs there."""
+    def __init__(self, directory: Path, only: Sequence[str] = ()) -> None:
+        """`only` these robots, all where none is named. Raises `LocalError` where no simulation runs there."""
         if not is_live(directory):
             raise LocalError(
-                f"no simulation is running in {directory}: start one with `swarm sim`, or name "
-                "--run-dir; real robots: --robots NAME"
+                f"no simulation is running in {directory}: start one with `swarm sim`, or name --run-dir; "
+                "a swarm.toml (--config) names real robots"
             )
+        self._only = only
+        buses.chosen(robots(directory), only)
         super().__init__()
         self.picture = Picture()
         self.lock = threading.Lock()
@@ -143,7 +146,7 @@ class SimulationFeed(RealTime):
     def _join(self) -> None:
         """Watch the buses that have come."""
         for name, runtime in robots(self.directory).items():
-            if name not in self.buses:
+            if name not in self.buses and (not self._only or name in self._only):
                 bus = Bus(bus_endpoint(runtime))
                 self.buses = {**self.buses, name: bus}  # others may be going through it
                 watch(bus, name, self._taker(name), self._alive)

@@ -26,7 +26,7 @@ class Figures:
     rtt_deviation: float | None
     rtt_p99: float | None
     goodput: float | None
-    """bytes/s of payload."""
+    """bytes/s of payload; None also where a link without a limit brought each burst in one go."""
 
 
 @frozen
@@ -71,9 +71,10 @@ def of_times(size: int, times: Sequence[float], sent: int, *, both_ways: bool) -
 def of_bursts(size: int, bursts: Sequence[Sequence[float]], count: int) -> Figures:
     """Return the figures of bursts of `count` messages; each burst is the times of its answers, s. The rate counts
     from the first answers to the last, so it does not include the latency."""
-    rates = [rate for burst in bursts if len(burst) == count and (rate := _rate(size, sorted(burst))) is not None]
+    whole = [sorted(burst) for burst in bursts if len(burst) == count]
+    rates = [rate for burst in whole if (rate := _rate(size, burst)) is not None]
     lost = sum(count - len(burst) for burst in bursts)
-    return Figures(size, len(rates), lost, None, None, None, None, None, statistics.median(rates) if rates else None)
+    return Figures(size, len(whole), lost, None, None, None, None, None, statistics.median(rates) if rates else None)
 
 
 def _rate(size: int, times: Sequence[float]) -> float | None:

@@ -206,4 +206,6 @@ def table(robot: str, what: str, series: Sequence[Series]) -> list[str]:
 
 
 def _rate(row: Figures) -> str:
-    return "-" if row.goodput is None else f"{row.goodput:.0f}"
+    if row.goodput is None:
+        return "in one go" if row.samples else "-"
+    return f"{row.goodput:.0f}"

@@ -1,5 +1,6 @@
 """Who gets the page, and what it is told."""
 
+import argparse
 import asyncio
 import json
 import math
@@ -13,9 +14,10 @@ import pytest
 pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 from aiohttp import WSServerHandshakeError
 from aiohttp.test_utils import TestClient, TestServer
+from conftest import wait_until
 
 from laptop.cli import main
-from laptop.view import server
+from laptop.view import live, server
 from laptop.view.actions.control import ANSWER_S, DRIVE_S, Control
 from laptop.view.actions.simulated_actions import SimulatedActions
 from laptop.view.feeds.feed import SimulationFeed
@@ -320,14 +322,30 @@ def test_the_command_says_that_there_is_nothing_to_see(tmp_path: Path, capsys: p
         (["--run-dir", str(tmp_path)], "no simulation is running"),
         ([str(tmp_path)], "no recording"),
         (["--robots", "r0", "--config", str(tmp_path / "none.toml")], "there is no such file"),
-        (["--robots", "r0", str(tmp_path)], "--robots looks at real robots"),
-        (["--config", "swarm.toml"], "name one with --robots"),
+        (["--robots", "r0", str(tmp_path)], "a recording has all of its robots"),
+        (["--config", str(tmp_path / "none.toml")], "there is no such file"),
+        ([str(tmp_path), "--real"], "a recording has all of its robots"),
         ([str(tmp_path), "--control"], "nothing to control"),
     ):
         with pytest.raises(SystemExit) as end:
             main(["view", "--no-open", *words])
         assert end.value.code == 2
         assert said in capsys.readouterr().err
+
+
+def test_of_a_simulation_those_robots_are_watched_that_are_named(tmp_path: Path) -> None:
+    with claim(tmp_path):
+        (tmp_path / "swarm.toml").write_text("".join(f'[[robots]]\nname = "r{i}"\n' for i in range(3)))
+        parser = argparse.ArgumentParser()
+        live.add_arguments(parser)
+        parser.set_defaults(control=False)
+        named, control = live.open_feed(parser.parse_args(["--run-dir", str(tmp_path), "--robots", "r1"]))
+        wait_until(lambda: named.buses)
+        control.close()
+        named.close()
+        assert list(named.buses) == ["r1"]
+        with pytest.raises(LocalError, match="no robot 'r7' in the simulation, there are r0, r1, r2"):
+            live.open_feed(parser.parse_args(["--run-dir", str(tmp_path), "--robots", "r7"]))
 
 
 def test_a_page_looks_back_at_an_instant_of_the_last_two_minutes(feed: SimulationFeed) -> None:

@@ -382,7 +382,7 @@ def test_swarm_measure_i2c_asks_the_balancer(processes: Processes, watcher: Watc
     command = [sys.executable, "-m", "laptop.cli", "measure", "i2c", "--sizes", "8", "--count", "20", "--json"]
     done = subprocess.run(command, env=processes.environment(), capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stderr) == (0, "")
-    (found,) = json.loads(done.stdout)["sizes"]
+    (found,) = json.loads(done.stdout)["r0"]
     assert (found["size"], found["count"], found["failed"]) == (8, 20, 0)
     # 1.30 and 1.17 ms on the wire and in holds, two pauses and one; Python and its sleeps come on top, for real.
     assert 0 < found["read"] < 8 * 8 / 1.60e-3

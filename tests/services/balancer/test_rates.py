@@ -9,7 +9,7 @@ from test_balancer_registers import Bench
 from test_slack_tasks import AT_100_KHZ, Ticking
 
 from services.balancer import measure_i2c as i2c
-from services.balancer.core.devices.rates import FAILURES, check_measurement
+from services.balancer.core.devices.rates import FAILURES, RateMeter, check_measurement, longest
 from sim.devices.i2c import SimulatedBus
 from swarm.errors import LocalError
 from swarm.messages import I2CRates, MeasureI2C, ModuleRequest
@@ -101,9 +101,8 @@ def answer(request: MeasureI2C) -> I2CRates:
     return I2CRates(1.0, request.ticket, request.size, request.count, 1, 21_234.0, None, "")
 
 
-def test_the_table_has_the_thesis_beside_it(capsys: pytest.CaptureFixture[str]) -> None:
-    assert i2c._measured(arguments("--sizes", "8,8,1", "--count", "7"), "r0", answer) == 0
-    assert capsys.readouterr().out.splitlines() == [
+def test_the_table_has_the_thesis_beside_it() -> None:
+    assert i2c.table("r0", i2c._measured(arguments("--sizes", "8,8,1", "--count", "7"), "r0", answer)) == [
         "r0: I2C with the ATmega, kbit/s of data",
         " bytes  transfers  failed     read    write",
         "     8          7       1     21.2        -",
@@ -112,11 +111,35 @@ def test_the_table_has_the_thesis_beside_it(capsys: pytest.CaptureFixture[str]) 
     ]
 
 
-def test_json(capsys: pytest.CaptureFixture[str]) -> None:
-    i2c._measured(arguments("--sizes", "8", "--json"), "r0", answer)
+@pytest.mark.parametrize("words", [(), ("r0", "r2"), ("--robots", "r0,r2")])
+def test_several_robots_are_measured_one_after_the_other(
+    words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def find(args: argparse.Namespace) -> dict[str, Path]:
+        assert args.robots == (["r0", "r2"] if words else [])
+        return {"r0": tmp_path, "r2": tmp_path}
+
+    monkeypatch.setattr(i2c.buses, "find", find)
+    monkeypatch.setattr(i2c, "_answers", lambda *_: True)
+    monkeypatch.setattr(i2c.Bus, "wait_connected", lambda *_: True)
+    monkeypatch.setattr(i2c, "_through", lambda *_: answer)
+    assert i2c.run(arguments(*words, "--sizes", "8", "--json")) == 0
     found = json.loads(capsys.readouterr().out)
-    assert found["robot"] == "r0"
-    assert found["sizes"][0]["read"] == 21_234.0
+    assert [found[name][0]["read"] for name in ("r0", "r2")] == [21_234.0, 21_234.0]
+
+
+def test_a_measurement_that_the_bus_has_little_time_for_ends_with_what_there_was_time_for() -> None:
+    meter = RateMeter()
+    meter.measure(MeasureI2C("t", 28, 20))
+    now = 100.0
+    while meter.next(now) is not None:  # a transfer each second
+        meter.timed(4e-3)
+        meter.take(b"", now)
+        now += 1.0
+    assert longest(20) < now - 100.0 < longest(20) + 2.0
+    assert meter.news is not None
+    assert (meter.news.ticket, meter.news.count, meter.news.problem) == ("t", 1, "")
+    assert not meter.active
 
 
 def test_a_problem_is_an_error() -> None:

@@ -13,8 +13,8 @@ from test_mesh_process import Build, build
 from test_mesh_stop import Swarm, at, swarm
 
 from swarm.errors import LocalError
-from swarm.onboard.measure.figures import Figures, of_bursts, of_times
-from swarm.onboard.measure.links import path
+from swarm.onboard.measure.figures import NEIGHBOURS, Figures, Series, of_bursts, of_times
+from swarm.onboard.measure.links import code, path, table
 
 __all__ = ["build", "swarm"]
 
@@ -32,7 +32,10 @@ def test_figures_of_single_messages() -> None:
 def test_figures_of_bursts_leave_the_latency_out() -> None:
     found = of_bursts(100, [[5.0, 5.1, 5.2], [9.2, 9.0, 9.1], [7.0]], 3)
     assert (found.samples, found.lost, found.goodput) == (2, 2, pytest.approx(1000.0))
-    assert of_bursts(100, [[1.0, 1.0]], 2).goodput is None, "no time has passed between them"
+    at_once = of_bursts(100, [[1.0, 1.0]], 2)
+    assert at_once.goodput is None, "no time has passed between them"
+    assert (code([Series(NEIGHBOURS, "r1", 1, (at_once,))]), at_once.lost) == (0, 0)
+    assert table("r0", "throughput", [Series(NEIGHBOURS, "r1", 1, (at_once,))])[-1].endswith(" in one go")
     in_two_goes = [1.0, 1.0001, 1.0002, 2.0002, 2.0003]
     assert of_bursts(100, [in_two_goes], 5).goodput == pytest.approx(200.0, rel=0.001)
 

@@ -14,6 +14,13 @@ MOST = 1000
 """Transfers of each kind."""
 FAILURES = 20
 """Failed transfers in a row after which a measurement is given up."""
+TRANSFER_S = 0.04
+"""For each transfer: four ticks, where the bus has other things to do."""
+
+
+def longest(count: int) -> float:
+    """Seconds after which a measurement of `count` transfers of each kind ends with those that there was time for."""
+    return 2 * count * TRANSFER_S
 
 
 def check_measurement(request: MeasureI2C) -> None:
@@ -37,11 +44,13 @@ class RateMeter:
         self._writing = False
         self._failures = 0
         self._failed = 0
+        self._end_at: float | None = None
 
     def measure(self, request: MeasureI2C) -> None:
         """Begin with a request that `check_measurement` accepted; one that is under way is given up."""
         self._request, self._seconds, self._writing = request, [[], []], False
         self._failures = self._failed = 0
+        self._end_at = None
 
     def timed(self, seconds: float) -> None:
         """Note the duration of the transfer."""
@@ -57,8 +66,13 @@ class RateMeter:
         self._end(now, problem)
 
     def next(self, now: float, room: Room = WHOLE) -> Transfer | None:
-        del now, room
+        del room
         if self._request is None:
+            return None
+        if self._end_at is None:
+            self._end_at = now + longest(self._request.count)
+        if now > self._end_at and self._seconds[True]:
+            self._end(now, "")
             return None
         size = self._request.size
         return write(balboa.MAILBOX_WINDOW, bytes(size)) if self._writing else read(balboa.VERSION, size)
