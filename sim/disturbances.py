@@ -123,7 +123,7 @@ D = TypeVar("D", bound=Disturbance)
 
 
 def cut(text: str) -> Cut:
-    """A cut `r0-r1@12s,3s`: which link, when, how long."""
+    """Parse a cut `r0-r1@12s,3s`: which link, when, how long."""
     match = re.fullmatch(r"([a-z][a-z0-9_]*)-([a-z][a-z0-9_]*)@([^,]+),(.+)", text)
     if match is None:
         raise argparse.ArgumentTypeError(f"{text!r} is not a cut such as r0-r1@12s,3s (link, start, length)")
@@ -132,7 +132,7 @@ def cut(text: str) -> Cut:
 
 
 def off(text: str) -> Off:
-    """A robot `r2@5s,10s` that is switched off: which, when, how long; `r2@start,10s` comes late."""
+    """Parse `r2@5s,10s`, a robot that is switched off: which, when, how long. `r2@start,10s` comes late."""
     match = re.fullmatch(rf"({_ROBOT})@([^,]+),(.+)", text)
     if match is None:
         raise argparse.ArgumentTypeError(f"{text!r} is not a robot such as r2@5s,10s (which, from when, how long)")
@@ -144,7 +144,7 @@ def off(text: str) -> Off:
 
 
 def kill(text: str) -> Kill:
-    """A service `r2.mesh@5s` that is killed: whose, which, when."""
+    """Parse `r2.mesh@5s`, a service that is killed: whose, which, when."""
     match = re.fullmatch(rf"({_ROBOT})\.([a-z]+)@(.+)", text)
     if match is None or match[2] not in SERVICES:
         raise argparse.ArgumentTypeError(
@@ -154,7 +154,7 @@ def kill(text: str) -> Kill:
 
 
 def push(text: str) -> ScheduledPush:
-    """A push `r1@5s` or, with its impulse in N s, `r1@5s,-0.2`."""
+    """Parse a push `r1@5s` or, with its impulse in N s, `r1@5s,-0.2`."""
     match = re.fullmatch(rf"({_ROBOT})@([^,]+)(?:,(.+))?", text)
     try:
         impulse = IMPULSE if match is None or match[3] is None else float(match[3])
@@ -169,7 +169,7 @@ def push(text: str) -> ScheduledPush:
 
 
 def press(text: str) -> ScheduledPress:
-    """A button `r4.A@5s`: whose, which, when."""
+    """Parse a button `r4.A@5s`: whose, which, when."""
     match = re.fullmatch(rf"({_ROBOT})\.([ABCabc])@(.+)", text)
     if match is None:
         raise argparse.ArgumentTypeError(f"{text!r} is not a button such as r4.A@5s (robot, button, time)")
@@ -192,7 +192,8 @@ def drawn(asked: Sequence[D], names: Sequence[str], seed: int) -> tuple[D, ...]:
 
 
 def never(asked: Collection[Disturbance], happened: Collection[Disturbance], seconds: float) -> tuple[str, ...]:
-    """One sentence for each that did not happen, since the run ended `seconds` s after its first iteration."""
+    """Return one sentence for each disturbance that did not happen, since the run ended `seconds` s after its first
+    iteration."""
     lost = (each for each in asked if each not in happened and each.at is not None)
     return tuple(f"{each}: the run ended {seconds:.3g} s after its first iteration" for each in lost)
 

@@ -27,7 +27,7 @@ TARGET_COLUMNS = ("result.x", "result.y")
 
 @frozen
 class RunOutcome:
-    """What was seen of a run when it ended."""
+    """The outcome of a run, when it ended."""
 
     scenario: Scenario
     seed: int
@@ -62,11 +62,11 @@ class RunOutcome:
     """What was to happen and did not, since the run ended before."""
 
     def target(self, t: float) -> tuple[float, float]:
-        """Where the target was at a time of the trajectories, m."""
+        """Return the target's place at a time of the trajectories, m."""
         return self.scenario.config.simulation.target_after(t - self.moves_from)
 
     def targets(self) -> dict[str, tuple[float, float]]:
-        """Where it was when each robot did its last iteration."""
+        """Return the target's place at each robot's last iteration."""
         return {name: self.target(path.times[path.last]) for name, path in self.trajectories.items() if path.last >= 0}
 
 
@@ -146,7 +146,7 @@ def result(path: Trajectory) -> Json | None:
 
 
 def metrics(paths: Mapping[str, Trajectory]) -> Json:
-    """What an app measures of itself (`error`, `error_NAME`): the mean over the robots at their last iterations, and
+    """Return an app's own metrics (`error`, `error_NAME`): the mean over the robots at their last iterations, and
     under `NAME_most` the largest."""
     found: Json = {}
     for column in dict.fromkeys(name for path in paths.values() for name in path.columns if is_metric(name)):
@@ -164,7 +164,7 @@ def is_metric(column: str) -> bool:
 
 
 def bodies(outcome: RunOutcome) -> Json:
-    """What there is to say of robots that only balance."""
+    """Return the report of robots that only balance."""
     return {
         name: None
         if body is None
@@ -220,7 +220,7 @@ def replay_deviation_cm(scenario: Scenario, paths: Mapping[str, Trajectory]) -> 
 
 
 def _mismatch(scenario: Scenario, paths: Mapping[str, Trajectory], deviation: object) -> list[str]:
-    """What is to be said of a replay that does not follow what was recorded."""
+    """Return the complaint about a replay that does not follow the recording."""
     if not isinstance(deviation, float) or deviation <= REPLAY_BOUND_CM:
         return []
     first, name = min(
@@ -340,7 +340,7 @@ def _sentences(report: Json, outcome: RunOutcome) -> list[str]:
 
 
 def _number(text: str) -> object:
-    """A cell as what it was written from."""
+    """Return a table's cell as the value from which it was written."""
     for convert in (int, float):
         try:
             number = convert(text)

@@ -24,7 +24,7 @@ FORMED_M = 0.05
 
 
 def contacts_of(config: Config) -> Contacts:
-    """What keeps an eye on robots that touch, of the weight that they have."""
+    """Return the contacts of robots that touch, with their masses."""
     models = {name: body_model(config.robot(name).board, config.body_of(name)) for name in config.names}
     return Contacts({name: model.mass + model.wheel_mass for name, model in models.items()})
 
@@ -84,7 +84,7 @@ def _wave(scenario: Scenario, scene_record: SceneRecord, began: float) -> Json:
 
 
 def offsets_of(scenario: Scenario) -> dict[str, tuple[float, float]]:
-    """Each robot's place in the shape that the app `formation` was told, m."""
+    """Return each robot's place in the shape of the app `formation`, m."""
     names = scenario.config.names
     told = scenario.config.app("formation").of(names[0])
     shape, size = told.get("shape", formation.SHAPES[0]), told.get("size", formation.SIZE)

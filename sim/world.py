@@ -37,7 +37,7 @@ TRUTH_PERIOD_S = 0.1
 
 @frozen
 class BodyReport:
-    """What a simulated body sends: its true pose, in m and rad."""
+    """A simulated body's report of its true pose, in m and rad."""
 
     robot: str
     t: float
@@ -53,14 +53,14 @@ class BodyReport:
 
 @frozen
 class BodyHello:
-    """What a simulated body sends when its process starts, to learn where it had been."""
+    """A simulated body's first message, to learn where it had been."""
 
     robot: str
 
 
 @frozen
 class LedReport:
-    """What a simulated body sends when its LEDs have changed."""
+    """A simulated body's report that its LEDs have changed."""
 
     robot: str
     t: float

@@ -24,7 +24,7 @@ ANSWER_S = 3.0
 
 
 class AppRequest(NamedTuple):
-    """What is to happen."""
+    """A request to start, stop or change an app of the simulation."""
 
     act: str
     """One of `ACTS`."""
@@ -66,7 +66,7 @@ def check(act: str, app: str, robots: Sequence[str], settings: Sequence[str] = (
 
 
 def pack(order: AppRequest) -> bytes:
-    """The datagram."""
+    """Pack a request as a datagram."""
     datagram: bytes = msgpack.packb(order._asdict())
     return datagram
 

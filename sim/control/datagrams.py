@@ -12,7 +12,8 @@ _PATIENCE_S = 1.0
 
 
 def send(folder: Path, name: str, datagram: bytes, problem: str) -> None:
-    """To the socket `name` of that folder; `LocalError` that begins with `problem` where nobody listens there."""
+    """Send a datagram to the socket `name` in `folder`. Raises `LocalError` that begins with `problem` where nobody
+    listens."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
         sock.settimeout(_PATIENCE_S)
         try:
@@ -22,7 +23,7 @@ def send(folder: Path, name: str, datagram: bytes, problem: str) -> None:
 
 
 def listen(folder: Path, name: str) -> socket.socket:
-    """A socket at which those arrive, that never waits; `LocalError` where there can be none."""
+    """Open the socket at which datagrams arrive; reads never wait. Raises `LocalError` where that is impossible."""
     path = socket_path(folder, name)
     sock = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:

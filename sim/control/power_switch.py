@@ -22,7 +22,7 @@ MAX_OFF_S = 600.0
 
 @frozen
 class Reboot:
-    """What is asked of the simulation."""
+    """A request to the simulation to reboot a robot."""
 
     robot: str
     seconds: float
@@ -37,5 +37,5 @@ def reboot(run_dir: Path, robot: str, seconds: float) -> None:
 
 
 def unpack(datagram: bytes) -> Reboot:
-    """What `reboot` has sent; raises `PayloadError`."""
+    """Unpack what `reboot` has sent. Raises `PayloadError`."""
     return decode(Reboot, datagram, SOCKET)

@@ -29,7 +29,7 @@ class ActionEffects:
         self._unplugged: dict[int, Device] = {}
 
     def do(self, act: SimulationAction, now: float) -> None:
-        """Do it now."""
+        """Do an action now."""
         body = self._robot.body
         match act:
             case Press(button, seconds):

@@ -118,7 +118,7 @@ class Unplug:
 
 @frozen
 class BodyPlace:
-    """Where the body had been when its process ended."""
+    """The place of a body when its process ended."""
 
     x: float
     """m."""

@@ -37,7 +37,7 @@ class AtmegaDevice:
     """Buffer, motors with their watchdog, encoders, LEDs, buttons, battery, notes, and the DWM1001's line."""
 
     def __init__(self, body: BalboaBody, battery: float) -> None:
-        """`battery` in V."""
+        """Begin with a `battery` in V."""
         self._body = body
         self._now = body.now
         self.battery = battery
@@ -52,7 +52,7 @@ class AtmegaDevice:
         self.reset(0)
 
     def reset(self, cause: int) -> None:
-        """As after a reset with these bits of RESET_CAUSE."""
+        """Reset, with these bits of RESET_CAUSE."""
         self._body.drive(0.0, 0.0)
         self._buffer = bytearray(balboa.SIZE)
         self._buffer[balboa.VERSION] = balboa.LAYOUT_VERSION

@@ -27,7 +27,7 @@ _CELL_M = 1.0
 
 
 class Closest(NamedTuple):
-    """How near two robots have come to each other."""
+    """The least distance of two robots so far."""
 
     distance: float
     """m, between axles."""
@@ -47,7 +47,7 @@ class Contact(NamedTuple):
 
 
 class Hit(NamedTuple):
-    """What one robot feels of a contact."""
+    """The effect of a contact on one robot."""
 
     robot: str
     impulse: Point
@@ -56,7 +56,8 @@ class Hit(NamedTuple):
     """By how much it is moved aside, m."""
 
     def knock(self, heading: float) -> Knock:
-        """What a body that stands at this heading (rad) feels: the impulse forward; across, the wheels hold it."""
+        """Return the effect on a body with this heading (rad): its part of the impulse forward. The wheels hold the
+        part across."""
         along = self.impulse[0] * math.cos(heading) + self.impulse[1] * math.sin(heading)
         return Knock(max(-MAX_IMPULSE, min(MAX_IMPULSE, along)), *self.shift)
 

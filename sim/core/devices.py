@@ -31,7 +31,7 @@ _SAMPLE = struct.Struct("<6h")
 
 
 class Device(Protocol):
-    """What answers at an address."""
+    """A device that answers at an address."""
 
     def write(self, data: bytes, now: float) -> None:
         """The bytes of a write transaction, at least one; OSError 121 where one is not acknowledged."""
@@ -44,10 +44,10 @@ class NoiseSource(Protocol):
     """A seeded generator, as random.Random."""
 
     def gauss(self, mu: float, sigma: float) -> float:
-        """A normally distributed number."""
+        """Return a normally distributed number."""
 
     def uniform(self, a: float, b: float) -> float:
-        """A number between `a` and `b`."""
+        """Return a number between `a` and `b`."""
 
 
 class ImuErrors(NamedTuple):
@@ -66,8 +66,8 @@ class ImuErrors(NamedTuple):
 
 
 def draw_errors(noise: NoiseSource) -> ImuErrors:
-    """One sensor's errors. Its offsets are drawn from the datasheet's typical range (10 dps; 20 of the 40 mg of a part
-    soldered without trim, since a robot's `trim` is set with the sensor in it)."""
+    """Draw one sensor's errors. Its offsets are drawn from the datasheet's typical range (10 dps; 20 of the 40 mg of
+    a part soldered without trim, since a robot's `trim` is set with the sensor in it)."""
     offset = 0.020 * imu.STANDARD_GRAVITY
     return ImuErrors(
         gyro_noise=math.radians(7e-3 * math.sqrt(104)),
@@ -102,7 +102,7 @@ class ImuDevice:
         self.reset()
 
     def reset(self) -> None:
-        """As after power came on: the sensors are off."""
+        """Reset as when power comes on: the sensors are off."""
         self._registers[:] = bytes(len(self._registers))
         self._registers[imu.WHO_AM_I] = self.identity
         self._registers[imu.CTRL3_C] = _IF_INC
@@ -235,11 +235,11 @@ class SimulatedRobot:
         self._wire_s = 0.0
 
     def write(self, address: int, data: bytes, now: float) -> None:
-        """A write transaction; OSError as the kernel raises it."""
+        """Run a write transaction. Raises OSError as the kernel does."""
         self._reach(address, len(data), now).write(data, now)
 
     def read(self, address: int, count: int, now: float) -> bytes:
-        """A read transaction; OSError as the kernel raises it."""
+        """Run a read transaction. Raises OSError as the kernel does."""
         return self._reach(address, count, now).read(count, now)
 
     def miswire(self, part: str, *, back: bool) -> None:
@@ -251,13 +251,13 @@ class SimulatedRobot:
             self.atmega.reverse(what, 0 if side == "left" else 1, reversed_=not back)
 
     def recover(self, now: float) -> None:
-        """A byte read from nobody: its clock pulses free SDA."""
+        """Read a byte from no device: its clock pulses free SDA."""
         self.sda_held = False
         with contextlib.suppress(OSError):
             self.read(NOBODY, 1, now)
 
     def transfer_s(self, address: int, count: int) -> float:
-        """What a transfer of `count` bytes takes on the wire, s: SCL's periods, and the ATmega's holds."""
+        """Return the duration of a transfer of `count` bytes on the wire, s: SCL's periods, and the ATmega's holds."""
         held = (1 + count) * HOLD_S if address == balboa.ADDRESS else 0.0
         return (BITS_PER_TRANSFER + BITS_PER_BYTE * (1 + count)) / self.scl + held
 

@@ -19,7 +19,7 @@ class DisplayDevice:
         self.reset()
 
     def reset(self) -> None:
-        """As after power came on."""
+        """Reset as when power comes on."""
         self._memory = [bytearray((37 * page + 11 * x) % 256 for x in range(COLUMNS)) for page in range(PAGES)]
         self._page = self._column = 0
         self._mode = _PAGE_ADDRESSING
@@ -28,7 +28,8 @@ class DisplayDevice:
         """Of picture data, since the power came on."""
 
     def write(self, data: bytes, now: float) -> None:
-        """A control byte, then commands or data; with the top bit of the control byte, one byte and the next one."""
+        """Take a control byte, then commands or data. With the top bit of the control byte set, one byte and the
+        next control byte follow."""
         del now
         stream = iter(data)
         for control in stream:
@@ -39,7 +40,7 @@ class DisplayDevice:
                 self._obey(rest)
 
     def read(self, count: int, now: float) -> bytes:
-        """Its status: bit 6 = dark."""
+        """Return the status: bit 6 = dark."""
         del now
         return bytes((0x00 if self._on else 0x40,)) * count
 

@@ -64,7 +64,7 @@ BANNER = "\r\n\r\n DWM1001 TWR Real Time Location System (simulated)\r\n\r\n Hel
 
 @dataclass
 class Flash:
-    """What outlasts a reset."""
+    """The settings that outlast a reset."""
 
     settings: Settings
     rate: UpdateRate = READY_RATE
@@ -110,7 +110,7 @@ class Dwm1001:
 
     @property
     def address(self) -> str:
-        """Short address."""
+        """Return the short address."""
         return f"{self.identity & 0xFFFF:04X}"
 
     def is_ranged(self, now: float) -> bool:
@@ -118,11 +118,11 @@ class Dwm1001:
         return self.settings.anchor and self.settings.uwb == UWB_ACTIVE and now >= self._away_until
 
     def moved(self, now: float) -> None:
-        """Its accelerometer feels a motion."""
+        """Note that its accelerometer feels a motion."""
         self._moved = now
 
     def next_deadline(self) -> float:
-        """When to call `handle_timer` or `to_send` next."""
+        """Return the time at which to call `handle_timer` or `to_send` next."""
         deadline = self._measured + self._period() if self._ranges() else float("inf")
         if self._request:
             deadline = min(deadline, self._request_by)
@@ -156,7 +156,7 @@ class Dwm1001:
             self._answer(self._call(request, now), now)
 
     def to_send(self, now: float) -> bytes:
-        """What has left the module by now."""
+        """Return the bytes that have left the module by now."""
         data = bytearray()
         while self._out and now >= self._out[0][0]:
             data += self._out.popleft()[1]
@@ -276,7 +276,7 @@ class Dwm1001:
         return (rate.still if still else rate.moving) * calls.RATE_UNIT
 
     def _seen(self) -> Location:
-        """What it says of place and ranges."""
+        """Return the place and ranges that the module answers."""
         if self.settings.anchor:
             return Location(self.flash.place, self.survey)
         if not self.settings.engine:

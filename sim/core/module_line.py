@@ -161,7 +161,7 @@ class ModuleLine:
 
 
 def _is_whole(answer: bytearray) -> bool:
-    """A status, and after one that is OK whole parts (firmware/tlv.cpp)."""
+    """Return whether an answer is whole: a status, and after one that is OK whole parts (firmware/tlv.cpp)."""
     if len(answer) < 3 or len(answer) > MAILBOX_SIZE or answer[:2] != b"\x40\x01":
         return False
     at = 3

@@ -34,8 +34,8 @@ class _Generator(Protocol):
 def scene(
     model: str, places: Mapping[str, Point], target: Point, rows: int, numbers: _Generator
 ) -> dict[str, ThesisRecording]:
-    """What robots at `places` measure in `rows` iterations, m, by name. All biases are drawn first: by the same numbers
-    two models have the same."""
+    """Return by name what robots at `places` measure in `rows` iterations, m. All biases are drawn first, so two
+    models have the same."""
     bias, noise = ERRORS[model]
     biased = {
         name: [value * (1.0 + numbers.uniform(-bias, bias)) for value in (math.dist(place, target), *place)]

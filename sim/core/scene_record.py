@@ -20,7 +20,7 @@ STANDS_S = 0.5
 
 
 class Phases(NamedTuple):
-    """How far apart LEDs went on, s; 95 % of all differences are at most that."""
+    """The differences of the times at which LEDs went on, s; 95 % of all differences are at most that."""
 
     neighbours: float
     all: float
@@ -50,7 +50,7 @@ class SceneRecord:
         self._yellow = dict.fromkeys(self.names, False)
 
     def pose(self, robot: str, t: float, place: Point, tilt: float) -> None:
-        """Where a robot truly is (m), and how it leans (rad)."""
+        """Record a robot's true place (m) and tilt (rad)."""
         self.tracks[robot].add(t, place)
         if abs(tilt) > UPRIGHT:
             self._upright.pop(robot, None)
@@ -59,7 +59,7 @@ class SceneRecord:
             self.stood_at.setdefault(robot, self._upright[robot])
 
     def leds(self, robot: str, t: float, *, yellow: bool) -> None:
-        """A robot's LEDs have changed."""
+        """Record a change of a robot's LEDs."""
         if yellow and not self._yellow[robot]:
             self.flashed[robot] += 1
             if len(self.flashes[robot]) < MOST_FLASHES:
@@ -67,12 +67,12 @@ class SceneRecord:
         self._yellow[robot] = yellow
 
     def place(self, robot: str, t: float) -> Point | None:
-        """Where a robot was at a time; None before it was seen."""
+        """Return a robot's place at a time; None before it was seen."""
         return self.tracks[robot].at(t)
 
     def phases(self, edges: Collection[tuple[str, str]], since: float) -> Phases | None:
-        """How far apart the robots' LEDs went on from `since` on; `edges`: which are neighbours. None where one never
-        went on."""
+        """Return the differences of the times at which the robots' LEDs went on, from `since` on. `edges`: the pairs
+        of neighbours. None where an LED never went on."""
         if not all(times and times[-1] >= since for times in self.flashes.values()):
             return None
         end = min(times[-1] for times in self.flashes.values())
@@ -129,6 +129,6 @@ def percentile(values: Collection[float], share: float) -> float:
 
 
 def _nearest(times: Sequence[float], t: float) -> float:
-    """How far the nearest of `times` (sorted, at least one) is from `t`."""
+    """Return the distance from `t` to the nearest of `times` (sorted, at least one)."""
     at = bisect_left(times, t)
     return min(abs(times[i] - t) for i in (at - 1, at) if 0 <= i < len(times))

@@ -90,7 +90,7 @@ class Tag:
         self._place = (0.0, 0.0)
 
     def measure(self, modules: Iterable[Module], x: float, y: float, heading: float, z: float = 0.0) -> Location:
-        """One measurement of a robot at this pose (m, rad): what the module answers until the next one."""
+        """Measure at this pose (m, rad). Return the module's answer until the next measurement."""
         seen = sorted(((math.dist((x, y, z), (m.x, m.y, m.z)), m.address, m) for m in modules), key=lambda s: s[:2])
         ranges = tuple(
             AnchorRange(module.address, self._range(distance, heading), 100, module.known)
@@ -111,7 +111,7 @@ class Tag:
         return max(0.0, round(measured, 3))
 
     def _position(self, ranges: Sequence[AnchorRange]) -> Position:
-        """What the location engine gives; without a fix the old numbers with quality 0, as the real one."""
+        """Return the location engine's place; without a fix the last one with quality 0, as the real one does."""
         used = [item for item in ranges if item.position.quality > 0]
         fix = multilaterate(
             [(item.position.x, item.position.y, item.position.z) for item in used],

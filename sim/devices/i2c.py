@@ -8,7 +8,7 @@ from sim.core.devices import SimulatedRobot
 
 
 class SimulatedBus:
-    """See `services.balancer.i2c.I2CBus`."""
+    """The simulated bus of `services.balancer.i2c.I2CBus`."""
 
     def __init__(
         self,

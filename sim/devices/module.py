@@ -112,7 +112,7 @@ class ModuleBoard:
         return self._modules[name].module
 
     def update_pose(self, robot: str, x: float, y: float, heading: float) -> None:
-        """Where `robot` is now (m, rad); may be called from another thread."""
+        """Set the place of `robot` (m, rad); may be called from another thread."""
         before = self._places.get(robot)
         self._places[robot] = (x, y, 0.0, heading)
         if before is None or math.dist(before[:2], (x, y)) > _MOTION or abs(heading - before[3]) > _MOTION:
@@ -123,7 +123,7 @@ class ModuleBoard:
         return self._selector.fileno()
 
     def next_deadline(self) -> float:
-        """When `poll` has something to do without anything to read; infinity without modules."""
+        """Return when `poll` has something to do without anything to read; infinity without modules."""
         return min((each.module.next_deadline() for each in tuple(self._modules.values())), default=float("inf"))
 
     def poll(self, timeout: float) -> None:
@@ -156,7 +156,7 @@ class ModuleBoard:
         self._selector.register(module, selectors.EVENT_READ, module)
 
     def _measure(self, name: str, tag: Tag) -> Location:
-        """What the module called `name` measures where it is, to all that are anchors at this moment."""
+        """Return what the module called `name` measures at its place, to all modules that are anchors now."""
         if name not in self._places:
             return Location(NOWHERE, ())
         now = clock.now()

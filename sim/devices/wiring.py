@@ -80,8 +80,8 @@ def _devices(config: Config, robot: str, body: BalboaBody, noise: random.Random)
 
 
 def simulated_bus(config: Config, robot: str) -> SimulatedBus:
-    """A robot standing at its place of the config, held upright until its motors start, or lying where it fell when an
-    earlier process of its balancer ended."""
+    """Return the bus of a robot that stands at its place of the config, held upright until its motors start. Where
+    an earlier process of its balancer ended, it lies where it fell."""
     text = os.environ.get("SWARM_SEED", "0")
     if not text.lstrip("-").isdecimal():
         raise LocalError(f"SWARM_SEED={text!r}: expected an integer")

@@ -9,7 +9,7 @@ from sim.processes.processes import Child
 
 
 def commanded() -> float:
-    """When this run was asked for, on the monotonic clock: before its interpreter was loaded.
+    """Return when this run was asked for, on the monotonic clock: before its interpreter was loaded.
 
     That is when the process began, or what `./run` says, which may have set up the environment before. Both are given
     as time since boot, suspended time included; the difference of the two clocks takes that out.

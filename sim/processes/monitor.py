@@ -49,7 +49,7 @@ class Seen:
     epoch: AppEpoch | None = None
 
     def not_ready(self, services: Sequence[str]) -> list[str]:
-        """Which of `services` have not finished starting (a degraded one has)."""
+        """Return which of `services` have not finished starting (a degraded one has)."""
         return [name for name in services if name not in self.status or self.status[name].state == "starting"]
 
 

@@ -52,7 +52,7 @@ class Child:
 
     @property
     def log_file(self) -> Path:
-        """Where its output goes."""
+        """Return the file of its output."""
         return self.directory / f"{self.service.replace('/', '.')}.log"
 
     def start(self) -> None:

@@ -39,7 +39,7 @@ class ProgressDisplay:
         self._stream.flush()
 
     def say(self, sentence: str) -> None:
-        """One line that stays."""
+        """Print one line that stays."""
         self._erase()
         self._stream.write(sentence + "\n")
         self._stream.flush()
@@ -56,7 +56,7 @@ class ProgressDisplay:
 
 
 def said(robot: str, line: AppLog) -> str:
-    """What an app has printed or logged, in a line for people."""
+    """Return a line for people with what an app has printed or logged."""
     level = "" if line.level in ("print", "info") else f"{line.level}: "
     return f"{line.t:9.3f} s  {robot}  {level}{line.text}"
 

@@ -169,7 +169,7 @@ class ProcessRun:
             self._processes.add(name, service, words, directory)
 
     def _start_app(self, robot: str, app: str, settings: Sequence[str]) -> None:
-        """One of the built-in apps, on order."""
+        """Start one of the built-in apps on request."""
         words = [word for setting in settings for word in ("--set", setting)]
         self._processes.add(robot, f"app/{app}", [APP_SERVICE, app, *words], self._run_dir / robot)
 
@@ -252,7 +252,8 @@ class ProcessRun:
         self._stop = True
 
     def _trajectories(self, app: str) -> dict[str, Trajectory]:
-        """By robot; all of it only to compare it with another run: that of a day takes gigabytes."""
+        """Return the trajectories by robot. They are whole only where another run is compared: those of a day take
+        gigabytes."""
         whole = bool(self._scenario.recorded)
         names = self._scenario.config.names
         return {name: trajectory.read(self._records / f"{name}.{app}{SUFFIX}", whole=whole) for name in names}
@@ -316,7 +317,7 @@ def _faults(seen: Mapping[str, Seen]) -> list[str]:
 
 
 def _held_up(seen: Mapping[str, Seen]) -> list[str]:
-    """What members of the run wait for, where that is more than a robot that is away."""
+    """Return what members of the run wait for, except for a robot that is away."""
     waiting = [(name, seen[name].progress) for name in _members(seen)]
     return [
         f"{name} app waits for {', '.join(told.waiting_for)} at iteration {told.k}: {told.reason}"
@@ -340,7 +341,7 @@ def _messages(seen: Mapping[str, Seen]) -> int | None:
 
 
 def _ready(seen: Mapping[str, Seen], missing: Mapping[str, Sequence[str]]) -> int:
-    """How much of a starting swarm is there: services that are ready, links that are up, apps that say something."""
+    """Return how much of a starting swarm is there: services that are ready, links that are up, apps that report."""
     services = sum(len(robot.status.keys() - set(missing[name])) for name, robot in seen.items())
     links = sum(link.state == "up" for robot in seen.values() if robot.links for link in robot.links.links)
     return services + links + sum(robot.progress is not None for robot in seen.values())

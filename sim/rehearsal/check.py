@@ -50,7 +50,7 @@ def main() -> int:
 
 
 def judge(one: list[Json], other: list[Json]) -> Json:
-    """What two rehearsals found, together: `problems` say what, where and in which line."""
+    """Judge two rehearsals together: `problems` say what, where and in which line."""
     app: Json = one[0] if one and "app" in one[0] else {}
     graphs = [entry for entry in one if "graph" in entry]
     again = {entry["graph"]: entry for entry in other if "graph" in entry}
@@ -125,7 +125,7 @@ def text(found: Mapping[str, Any]) -> str:
 
 
 def _ran(found: Mapping[str, Any]) -> str:
-    """What the rehearsal has given the app, on each graph at least."""
+    """Return in words what the rehearsal has given the app, on each graph at least."""
     graphs = found["graphs"]
     if not graphs:
         return "nothing"
@@ -161,7 +161,7 @@ def _rehearse(options: argparse.Namespace, seed: str) -> list[Json]:
 
 
 def _kind(fault: str) -> str:
-    """A fault without robot and iteration."""
+    """Return a fault without robot and iteration."""
     return fault.rpartition(": ")[2].partition(" (")[0]
 
 
@@ -170,7 +170,7 @@ def _step(app: Json) -> str:
 
 
 def _first_difference(one: list[int], other: list[int]) -> int | None:
-    """Where two histories differ, as far as both go."""
+    """Return the first index at which two histories differ, up to the end of the shorter one."""
     return next((k for k, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), None)
 
 

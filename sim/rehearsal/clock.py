@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 
 class CommonClock:
-    """In place of `swarm.app.mesh_clock.MeshClock`: all robots have the very same time."""
+    """A replacement of `swarm.app.mesh_clock.MeshClock` in which all robots have the very same time."""
 
     error = 0.0
 
@@ -14,5 +14,5 @@ class CommonClock:
         self.now = now
 
     def monotonic(self, mesh: float) -> float:
-        """When it will be that time by the robot's own clock."""
+        """Return the time of the robot's own clock at a time of the mesh."""
         return mesh

@@ -20,7 +20,7 @@ LATENCY = 0.03
 
 
 class RehearsedRobot:
-    """One robot."""
+    """One robot of a rehearsal."""
 
     def __init__(self, world: VirtualWorld, name: str, app: str) -> None:
         self.name = name
@@ -50,7 +50,7 @@ class RehearsedRobot:
         self._world.act(self.name, actions.Press(button.upper(), PRESS_S))
 
     def result(self) -> Mapping[str, Value]:
-        """What the robot reports now."""
+        """Return the robot's present result."""
         return self.host.runner.result()
 
 

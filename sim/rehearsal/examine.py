@@ -54,7 +54,7 @@ FRAME = 18
 
 @frozen
 class Task:
-    """What is to be examined."""
+    """The app to examine, and how."""
 
     app: loader.LoadedApp
     robots: int = 6
@@ -79,7 +79,7 @@ class Task:
 
 @dataclass
 class _Finding:
-    """What came of one graph."""
+    """The findings on one graph."""
 
     graph: str
     fault: str = ""
@@ -129,7 +129,7 @@ def _tell(what: Mapping[str, object]) -> None:
 
 
 def describe(task: Task) -> dict[str, object]:
-    """What the class declares."""
+    """Return the declarations of the class."""
     app, kind = task.app, task.kind
     schema = kind.spec.schema
     return {

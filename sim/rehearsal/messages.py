@@ -17,7 +17,7 @@ class Request:
 
 
 class RehearsalOverlays:
-    """In place of `swarm.app.overlays.Overlays` on one robot."""
+    """A replacement of `swarm.app.overlays.Overlays` on one robot."""
 
     def __init__(self, robot: str, swarm: Sequence[str], deliver: Deliver) -> None:
         """`deliver(to, message)` brings a message to another robot."""

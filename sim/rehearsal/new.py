@@ -50,7 +50,7 @@ def write(path: Path, kind: str) -> tuple[Path, Path]:
 
 
 def beside(path: Path) -> Path:
-    """Where the test of an app is."""
+    """Return the path of an app's test."""
     return path.with_name(f"test_{path.stem}.py")
 
 

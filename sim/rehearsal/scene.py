@@ -61,7 +61,7 @@ def scene(
 
 
 def place(index: int) -> tuple[float, float]:
-    """Where a robot stands, m: on the table, then around it."""
+    """Return a robot's place, m: on the table, then around it."""
     if index < len(PLACES):
         return PLACES[index]
     angle = 2.4 * index  # the golden angle: no two in the same direction

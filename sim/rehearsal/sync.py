@@ -98,7 +98,7 @@ class SyncRehearsal:
             self.states[name][self.k] = own
 
     def step(self, name: str) -> tuple[bytes, bytes]:
-        """One robot's step: its next state, shared and private."""
+        """Compute one robot's step: its next state, shared and private."""
         return self.runners[name].step(self.k, self.states[name][self.k], self.around(name), self.measured(name))
 
     def _pass(self) -> None:
@@ -110,10 +110,10 @@ class SyncRehearsal:
                 devices.handle_timer()
 
     def _now(self) -> float:
-        """No two looks at the clock are the same, as on a robot."""
+        """Return the time, later at each call, as on a robot."""
         self._looks += 1
         return ITERATION_S * self.k + 1e-6 * self._looks
 
     def result(self, name: str) -> Mapping[str, Value]:
-        """What a robot reports now."""
+        """Return a robot's present result."""
         return self.results[name][-1]

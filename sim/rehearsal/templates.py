@@ -167,7 +167,7 @@ KINDS = {"sync": (SYNC, SYNC_TEST), "periodic": (PERIODIC, PERIODIC_TEST), "even
 
 
 def fill(text: str, name: str) -> str:
-    """A template for the app of this name."""
+    """Return a template filled for the app of this name."""
     words = name.replace("-", "_").split("_")
     kind = "".join(word.capitalize() for word in words if word)
     return text.replace("@NAME@", name).replace("@FILE@", f"{name}.py").replace("@CLASS@", kind)

@@ -14,7 +14,7 @@ Values = Mapping[str, object]
 
 
 def line_of(kind: type, method: str) -> int:
-    """Where a method of an app class begins, for what no single line of it is to blame for."""
+    """Return the first line of an app's method, for a problem that has no single line."""
     code = getattr(getattr(kind, method, None), "__code__", None)
     return int(code.co_firstlineno) if code is not None else 1
 

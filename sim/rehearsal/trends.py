@@ -19,7 +19,7 @@ WILD = 1e3
 
 
 def judge(histories: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, object]:
-    """What the results of all robots do, by robot and iteration.
+    """Describe the results of all robots over the iterations.
 
     `settles`: the iteration from which all stay near their last values (None where they still move); `spread`: the
     largest difference between two robots at the end; `grows`: whether they diverge.

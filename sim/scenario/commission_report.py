@@ -29,7 +29,7 @@ LONGEST = 1 << 20
 
 @frozen
 class MeasuredRobot:
-    """What a report says; None where it says nothing."""
+    """The measurements of one robot in a report; None where it has none."""
 
     scl: float | None = None
     """Hz."""

@@ -15,7 +15,7 @@ ROBOT_MODULES = frozenset({"eclipse_zenoh", "msgpack", "serial", "services", "sm
 
 
 def lacking(source: str, packages: Sequence[str] = ()) -> list[str]:
-    """One sentence with file and line for each import of the app in the file `source` that robots lack.
+    """Return one sentence with file and line for each import of the app in the file `source` that robots lack.
 
     `packages`: those of `[robot] packages`. The modules beside the app go to robots with it, and are looked at, too.
     """
@@ -36,7 +36,7 @@ def lacking(source: str, packages: Sequence[str] = ()) -> list[str]:
 
 
 def own_packages() -> tuple[str, ...]:
-    """Those of `[robot] packages`, where there is a swarm.toml here that can be read."""
+    """Return `[robot] packages` of the swarm.toml here, where there is one that can be read."""
     with contextlib.suppress(LocalError):
         return load(addressed=False).packages
     return ()

@@ -39,7 +39,8 @@ def notes(
 
 
 def algorithm_of(config: Config, app: loader.LoadedApp) -> str | None:
-    """What the app runs, None where it has no choice; `check` has seen to it that all robots run the same."""
+    """Return the algorithm that the app runs, None where it has no choice. `check` has made sure that all robots run
+    the same."""
     if "" in app.algorithms:
         return None
     return str(config.app(app.name).of(config.names[0]).get("algorithm", next(iter(app.algorithms))))

@@ -49,7 +49,7 @@ PRESS_S = 0.3
 
 @frozen
 class Options:
-    """What `swarm sim` was asked for. Lengths in m, times in s, rates in bytes/s."""
+    """The options of `swarm sim`. Lengths in m, times in s, rates in bytes/s."""
 
     app: str | None
     """What the run is about."""

@@ -73,7 +73,7 @@ class AppSetting(NamedTuple):
 
 
 def setting(text: str) -> AppSetting:
-    """A parameter `value=0.5` or, of one robot, `r2.value=3`; with `led_sync/` before it, of that app."""
+    """Parse a parameter `value=0.5` or, of one robot, `r2.value=3`; with `led_sync/` before it, of that app."""
     app, slash, rest = text.partition("/") if "/" in text.partition("=")[0] else ("", "", text)
     if slash and not is_name(app):
         raise argparse.ArgumentTypeError(f"{text!r}: {app!r} is no app's name")
@@ -109,7 +109,7 @@ def speed(text: str) -> float:
 
 
 def loss(text: str) -> float:
-    """A probability `5%` or `0.05`."""
+    """Parse a probability `5%` or `0.05`."""
     value = _quantity(text, {"": 1.0, "%": 0.01}, "a probability such as 5% or 0.05")
     if not value <= MAX_LOSS:
         raise argparse.ArgumentTypeError(f"{text!r}: expected at most {100 * MAX_LOSS:g}%")
@@ -128,7 +128,7 @@ def slots(text: str) -> Parameters:
 
 
 def skew(text: str) -> float:
-    """An error of clocks, `20ppm`."""
+    """Parse an error of clocks, `20ppm`."""
     value = _quantity(text, {"ppm": 1e-6}, "an error such as 20ppm")
     if not value <= MAX_SKEW:
         raise argparse.ArgumentTypeError(f"{text!r}: expected at most {1e6 * MAX_SKEW:g}ppm")
@@ -136,7 +136,7 @@ def skew(text: str) -> float:
 
 
 def positive(text: str) -> float:
-    """A number above zero."""
+    """Parse a number above zero."""
     value = _quantity(text, {"": 1.0}, "a number")
     if value <= 0:
         raise argparse.ArgumentTypeError("must be above zero")

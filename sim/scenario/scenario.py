@@ -113,7 +113,8 @@ class Scenario:
 
     @property
     def run_options_beside(self) -> RunOptions:
-        """How other apps go: as long as the first one does, or as there are measurements for."""
+        """Return the options of other apps: they run as long as the first one, or as there are measurements for
+        them."""
         return replace(self.run_options, last=self.iterations if self.recordings else None, rule=None)
 
     @property
@@ -204,7 +205,7 @@ def build(options: Options, run_dir: Path, app: loader.LoadedApp | None = None) 
 
 
 def _disturbances(config: Config, options: Options) -> tuple[Disturbance, ...]:
-    """What was asked for, with robots and times that the seed has drawn."""
+    """Return the disturbances, with robots and times that the seed has drawn."""
     kinds = (options.presses, options.cuts, options.offs, options.kills, options.pushes)
     found = tuple(each for kind in kinds for each in drawn(kind, config.names, options.seed))
     links = links_of(config, bluetooth=options.slots is not None)

@@ -39,7 +39,7 @@ def settings_of(kind: type[BaseApp], values: Mapping[str, Any], robots: Sequence
 
 
 def _for_each(name: str, given: Any, shape: tuple[int, ...], robots: int) -> list[Any] | None:
-    """A list's entries where it has one for each robot; None of one value for all."""
+    """Return a list's entries where it has one for each robot; None for one value of all."""
     found = _shape(given)
     if not found or found == shape or (len(shape) == 2 and found == (shape[0] * shape[1],)):
         return None
@@ -50,14 +50,14 @@ def _for_each(name: str, given: Any, shape: tuple[int, ...], robots: int) -> lis
 
 
 def _shape(given: Any) -> tuple[int, ...]:
-    """As numpy has it, by the first entries."""
+    """Return the shape as numpy has it, by the first entries."""
     if isinstance(given, str | bytes) or not hasattr(given, "__len__"):
         return ()
     return (len(given), *(_shape(given[0]) if len(given) else ()))
 
 
 def _plain(name: str, value: Any) -> Value:
-    """A value as a configuration holds it: numpy's numbers as Python's, matrices as one row after the other."""
+    """Return a value as a configuration holds it: Python's numbers for numpy's, matrices row by row."""
     if isinstance(value, enum.Enum):
         return value.name
     if hasattr(value, "tolist"):  # of numpy, which is not imported for this

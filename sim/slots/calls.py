@@ -31,7 +31,7 @@ class Call:
 
 
 class Calls:
-    """Of all robots."""
+    """The calls of all robots."""
 
     def __init__(self, clock: Clock, radio: SlotRadio) -> None:
         self._clock = clock

@@ -25,7 +25,7 @@ class Curve:
 
 @frozen
 class FittedValue:
-    """What fits best."""
+    """The value of a parameter that fits best."""
 
     value: float
     low: float

@@ -55,7 +55,7 @@ class _Frame:
 
 
 class LinkEnd:
-    """What one end of a link has to send."""
+    """The frames that one end of a link has to send."""
 
     def __init__(self, device: "Device", now: float) -> None:
         self.device = device
@@ -150,7 +150,7 @@ class SlotRadio:
         return len(self.devices[name].central_of) < MAX_PERIPHERALS
 
     def connect(self, central: str, peripheral: str) -> RadioLink:
-        """A link is there from now on."""
+        """Make a link that is there from now on."""
         now = self._clock.now
         c, p = self.devices[central], self.devices[peripheral]
         link = RadioLink(LinkEnd(c, now), LinkEnd(p, now), now)
@@ -227,7 +227,7 @@ class SlotRadio:
     # -- where a device is -------------------------------------------------------------------------------------
 
     def take_role(self, device: Device, role: str) -> None:
-        """A device shares its time with one thing more."""
+        """Add a role among which a device shares its time."""
         if role in device.roles:
             return
         device.roles.append(role)
@@ -252,7 +252,7 @@ class SlotRadio:
         self._clock.at(device.until, self._switch, device, device.switching)
 
     def _switch(self, device: Device, plan: int) -> None:
-        """To the next of its roles, after the exchange that is under way."""
+        """Go to the next of its roles, after the exchange that is under way."""
         if plan != device.switching:
             return
         now = self._clock.now
@@ -317,7 +317,7 @@ class SlotRadio:
         return self.random.random() < (p.loss if size else p.loss / 3.0)
 
     def _exchange(self, link: RadioLink) -> float:
-        """A packet down and one up; when that is over."""
+        """Exchange a packet down and one up; return when that is over."""
         now = self._clock.now
         down, up = link.central, link.peripheral
         central, peripheral = down.device, up.device

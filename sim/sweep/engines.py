@@ -16,10 +16,10 @@ ENGINES = ("local", "dask")
 
 
 class Engine(Protocol):
-    """Computes runs."""
+    """A function that computes runs."""
 
     def __call__(self, jobs: Sequence[Job], done: Callable[[], None]) -> list[SweptRun]:
-        """All of them, in the order of the jobs; `done()` is called after each."""
+        """Compute all jobs and return their runs in the same order; `done()` is called after each."""
 
 
 @contextlib.contextmanager
@@ -50,7 +50,8 @@ def local(processes: int) -> Iterator[Engine]:
 
 @contextlib.contextmanager
 def dask(processes: int, scheduler: str | None) -> Iterator[Engine]:
-    """A Dask cluster: the one at the address `scheduler`, whose workers have this package; else one of this machine."""
+    """Yield a Dask cluster: the one at the address `scheduler`, whose workers have this package; else one of this
+    machine."""
     try:
         from dask import distributed
     except ImportError:

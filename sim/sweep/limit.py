@@ -13,7 +13,7 @@ PRECISION = 0.01
 
 @dataclass
 class Bracket:
-    """What is known of one point."""
+    """The bounds known of one point."""
 
     good: float | None = None
     """The largest value with which all runs settled; None where none did."""

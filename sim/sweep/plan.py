@@ -13,13 +13,13 @@ _BETWEEN = re.compile(r",(?![^\[]*\])")
 
 @frozen
 class SweepPoint:
-    """One combination."""
+    """One combination of values."""
 
     choices: tuple[tuple[str, str], ...]
     """What was listed, and what is taken of it here: robots, topology, algorithm, parameters by name."""
 
     def arguments(self) -> list[str]:
-        """For `swarm sim`."""
+        """Return the arguments for `swarm sim`."""
         found: list[str] = []
         for name, value in self.choices:
             if name in ("robots", "topology", "algorithm"):
@@ -54,7 +54,7 @@ def values_of(text: str) -> tuple[str, ...]:
 
 
 def setting_of(text: str) -> tuple[str, tuple[str, ...]]:
-    """A parameter and its values, `gain=0.1,0.2` or `r2.value=3,4`."""
+    """Parse a parameter and its values, `gain=0.1,0.2` or `r2.value=3,4`."""
     name, equals, values = text.partition("=")
     if not equals or not name:
         raise argparse.ArgumentTypeError(f"{text!r} is not a parameter with values such as gain=0.1,0.2")
@@ -73,7 +73,7 @@ def seeds_of(text: str) -> tuple[int, ...]:
 
 
 def points_of(lists: Sequence[tuple[str, Sequence[str]]]) -> list[SweepPoint]:
-    """All combinations, the last list changing fastest."""
+    """Return all combinations, the last list changing fastest."""
     names = [name for name, _ in lists]
     return [
         SweepPoint(tuple(zip(names, chosen, strict=True)))

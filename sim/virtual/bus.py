@@ -28,7 +28,7 @@ class _Subscription(NamedTuple):
 
 @dataclass
 class VirtualRouter:
-    """What the sessions of one robot share."""
+    """The part that the sessions of one robot share."""
 
     time: EventQueue
     subscriptions: list[_Subscription] = field(default_factory=list)
@@ -49,7 +49,7 @@ class VirtualRouter:
 
 
 class VirtualSubscription:
-    """What a session has asked to hear; until closed."""
+    """One subscription of a session, until it is closed."""
 
     def __init__(self, router: VirtualRouter, entries: list[_Subscription]) -> None:
         self._router, self._entries = router, entries
@@ -78,15 +78,13 @@ class VirtualBus:
         router.sessions.append(self)
 
     def wait_connected(self, timeout_s: float | None) -> bool:
-        """True."""
         return True
 
     def on_change(self, callback: Callable[[bool], None]) -> None:
-        """Call `callback(True)`."""
         self._time.soon(callback, True)
 
     def hearers(self, key: str) -> tuple[OnSample, ...]:
-        """Who hears what this session publishes there."""
+        """Return the callbacks that hear what this session publishes under `key`."""
         return self._targets(key)
 
     def wanted(self, key: str) -> bool:

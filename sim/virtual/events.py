@@ -35,7 +35,7 @@ class EventQueue:
         return self.now
 
     def when(self, time: float) -> float:
-        """What `now` is in a call that was planned for `time`."""
+        """Return the value of `now` in a call that was planned for `time`."""
         return time
 
     def at(self, time: float, call: Callable[..., object], *arguments: Any) -> None:
@@ -99,7 +99,7 @@ class LocalTime:
 
     @property
     def now(self) -> float:
-        """What the clock shows, s."""
+        """Return the time of the clock, s."""
         return self._offset + self._rate * self._world.now
 
     @property

@@ -132,7 +132,7 @@ class VirtualRun:
 
     @_without_looking_for_garbage()
     def go(self) -> RunOutcome:
-        """The whole run."""
+        """Run from beginning to end."""
         with broken_off(), prints_heard():
             return self._go()
 
@@ -167,8 +167,8 @@ class VirtualRun:
     def _launch(
         self, app: loader.LoadedApp, which: str, run_options: RunOptions, records: AppRecords, observer: Observer
     ) -> Launch:
-        """How an app is to be started; its recording has begun. `which` gives each app a run number of its own, which
-        tickets of requests begin with."""
+        """Return how an app is to be started; its recording has begun. `which` gives each app a number with which
+        its tickets of requests begin."""
         place, scenario = self._options.record, self._scenario
         number = random.Random(f"{self._options.seed} run{which}").getrandbits(64)
         if place is not None:
@@ -197,7 +197,8 @@ class VirtualRun:
                 return
 
     def _stalled(self) -> None:
-        """Nothing has happened for long. For an app that waits for events that is the end; for others, a problem."""
+        """End the run after a long time without events: as done for an app that waits for events, as a problem for
+        others."""
         app = self._scenario.app
         hosts = [robot.apps[app] for robot in self.world.robots.values() if app in robot.apps]
         sources = [
@@ -242,7 +243,7 @@ class VirtualRun:
         self._records.parameters(robot, parameters)
 
     def _first_done(self) -> None:
-        """All robots have done their first iteration: the times of cuts and acts count from here."""
+        """Begin the times of cuts and acts: all robots have done their first iteration."""
         self._started = self.world.modules.moves_from = now = self.world.time.now
         for each in self._scenario.disturbances:
             if each.at is not None:
@@ -306,7 +307,7 @@ class VirtualRun:
         return sum(robot.sent for robot in self.world.robots.values())
 
     def _notes(self, ended_at: float) -> dict[str, str]:
-        """What a recording keeps of the outcome."""
+        """Return the outcome's part that a recording keeps."""
         return {
             "messages": str(self._messages()),
             "problems": json.dumps(self._problems),

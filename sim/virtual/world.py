@@ -63,7 +63,7 @@ much at most."""
 
 @dataclass
 class VirtualRobot:
-    """What there is of one robot."""
+    """The parts of one virtual robot."""
 
     name: str
     router: VirtualRouter
@@ -94,7 +94,7 @@ MakeRunner = Callable[[EventApp, str], EventRunner]
 
 
 class Launch(NamedTuple):
-    """How an app's hosts are started."""
+    """The way to start an app's hosts."""
 
     app: loader.LoadedApp
     run: int
@@ -287,7 +287,7 @@ class VirtualWorld:
         host.start()
 
     def truth(self, robot: str, app: str) -> Callable[[], RobotTruth]:
-        """What gives the truth for an app on a robot."""
+        """Return the function that gives the truth for an app on a robot."""
         simulation, known = self.config.simulation, told(self.config, app)
 
         def look() -> RobotTruth:
@@ -307,7 +307,7 @@ class VirtualWorld:
         return Replayed(runtime, last)
 
     def _tell_target(self) -> None:
-        """Where a target that moves is, for recordings."""
+        """Publish the place of a moving target, for recordings."""
         now = self.time.now
         self.time.at(now + TARGET_PERIOD_S, self._tell_target)
         place = Target(now, *self.config.simulation.target_after(now - self.modules.moves_from))

@@ -19,7 +19,7 @@ from swarm.recording.virtual_file import DirectRecording
 
 
 class AppRecords:
-    """Of one app, on all robots."""
+    """The records of one app on all robots."""
 
     def __init__(self, world: VirtualWorld, app: str, *, keep: bool, skewed: bool) -> None:
         """`keep`: the states of all iterations, not only the last; `skewed`: each robot has a clock of its own."""
@@ -59,14 +59,14 @@ class AppRecords:
             watch.hear_requests(bus, name)
 
     def advanced(self, source: Source, line: StepRecord) -> None:
-        """A robot has done an iteration."""
+        """Record that a robot has done an iteration."""
         if self._recorders:
             self._recorders[source.robot].advanced(source, line)
         if not source.part:
             self._builders[source.robot].write(source, line._replace(t=self._world.time.now) if self._skewed else line)
 
     def progressed(self, source: Source) -> None:
-        """A robot has begun, waits for others, or goes on."""
+        """Record that a robot has begun, waits for others, or goes on."""
         if not source.part and source.progress.phase == "starting":
             self._builders[source.robot].begin_anew()
         if self._recorders:
@@ -91,5 +91,5 @@ class AppRecords:
             file.close()
 
     def trajectories(self) -> dict[str, Trajectory]:
-        """By robot."""
+        """Return the trajectories by robot."""
         return {name: builder.trajectory() for name, builder in self._builders.items()}

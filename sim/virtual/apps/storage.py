@@ -7,7 +7,8 @@ from swarm.core.lockstep.frames import Snapshot
 
 
 class NoSnapshots:
-    """In place of snapshots that nobody would read: no process ends, and robots that are switched off lose theirs."""
+    """Snapshots that are not kept, since nobody would read them: no process ends, and robots that are switched off
+    lose theirs."""
 
     @staticmethod
     def read() -> list[bytes]:
@@ -15,7 +16,7 @@ class NoSnapshots:
 
     @staticmethod
     def keep(snapshot: Snapshot) -> None:
-        """See `Snapshots`."""
+        """Keep nothing."""
 
     @staticmethod
     def close() -> None:
@@ -23,7 +24,7 @@ class NoSnapshots:
 
 
 class MemorySnapshots:
-    """See `services.apps.persistence.storage.Snapshots`."""
+    """Snapshots in memory; see `services.apps.persistence.storage.Snapshots`."""
 
     def __init__(self, count: int) -> None:
         self._kept: deque[bytes] = deque(maxlen=count)
@@ -39,7 +40,7 @@ class MemorySnapshots:
 
 
 class MemoryVotes:
-    """See `services.apps.persistence.storage.Votes`."""
+    """Votes in memory; see `services.apps.persistence.storage.Votes`."""
 
     lost = False
 

@@ -9,7 +9,7 @@ from swarm.recording.trajectory import EMPTY, MOST_TIMES, Trajectory, is_kept
 
 
 class TrajectoryBuilder:
-    """What is kept of one robot's iterations: when each was done, and the states of all or of the last.
+    """The part of one robot's iterations that is kept: when each was done, and the states of all or of the last.
 
     Where not all states are kept, nor are all times of a long run: then those of two windows (`WINDOW`) in four are, of
     two in eight and so on, so that iterations can still be measured over a window.
@@ -28,7 +28,7 @@ class TrajectoryBuilder:
         self._breaks: list[int] = []
 
     def write(self, source: Source, line: StepRecord) -> None:
-        """One iteration."""
+        """Add one iteration."""
         self._source = source
         if self._breaks:
             line = line._replace(k=line.k + self._breaks[-1])
@@ -65,7 +65,7 @@ class TrajectoryBuilder:
             self._times.pop()
 
     def trajectory(self) -> Trajectory:
-        """As the recorder would have written it."""
+        """Return the trajectory as the recorder would have written it."""
         lines = self._lines
         if not self._keep and self._last is not None:
             lines = {self._last.k: self._last}

@@ -26,19 +26,19 @@ Due = dict[float, list["ConnectionEnd"]]
 
 
 class Medium(Protocol):
-    """What carries the links of a swarm. Its ends are its own: they have a `session`, and stations hand them back."""
+    """The medium that carries the links of a swarm. Its ends have a `session`; stations hand them back."""
 
     cuts: dict[frozenset[str], float]
     """Until when nothing passes between two robots."""
 
     def add(self, station: "Station") -> None:
-        """A robot that can be dialled."""
+        """Add a robot that can be dialled."""
 
     def remove(self, station: "Station") -> None:
         """It can no more."""
 
     def cut(self, a: str, b: str, seconds: float) -> None:
-        """Nothing passes between two robots for a while; what is under way arrives afterwards."""
+        """Let nothing pass between two robots for a while; what is under way arrives afterwards."""
 
     def dial(self, caller: "Station", peer: str) -> None:
         """Make a connection, and tell both ends of it; or tell the caller that there is none."""
@@ -104,7 +104,6 @@ class Station:
     # -- what the mesh calls -----------------------------------------------------------------------------------
 
     def dial(self, peer: str) -> None:
-        """Make a connection."""
         self._air.dial(self, peer)
 
     def flush(self, session: Session) -> None:
@@ -143,7 +142,7 @@ class Station:
         self._mesh.carry_out()
 
     def accepted(self, end: Any, caller: Caller = UNKNOWN) -> None:
-        """Somebody has called."""
+        """Take a call of another robot."""
         end.session = self._mesh.accepted(caller)
         if end.session is None:
             self._air.close(end)
@@ -156,7 +155,7 @@ class Station:
         self._mesh.dial_failed(peer, reason)
 
     def received(self, arrivals: list[tuple[Session, bytes | str]]) -> None:
-        """What has come in this moment; see `Mesh.received`."""
+        """Take what has come at this moment; see `Mesh.received`."""
         self._mesh.received(arrivals)
 
     def _due(self, planned: float) -> None:
@@ -177,7 +176,7 @@ class Air:
         """Until when nothing passes between two robots."""
 
     def add(self, station: Station) -> None:
-        """A robot that can be dialled."""
+        """Add a robot that can be dialled."""
         self._stations[station.robot] = station
         self._due[station.robot] = {}
 
@@ -186,7 +185,7 @@ class Air:
         del self._stations[station.robot]
 
     def cut(self, a: str, b: str, seconds: float) -> None:
-        """Nothing passes between two robots for a while; what is under way arrives afterwards."""
+        """Let nothing pass between two robots for a while; what is under way arrives afterwards."""
         pair = frozenset((a, b))
         self.cuts[pair] = max(self.cuts.get(pair, 0.0), self._time.now + seconds)
 
@@ -219,7 +218,7 @@ class Air:
         self._push(end, b"")
 
     def supervise(self, end: ConnectionEnd, seconds: float) -> None:
-        """A pipe knows no silence."""
+        """Do nothing: a pipe has no supervision."""
 
     def _dialled(self, caller: Station, peer: str) -> None:
         if not caller.running:
@@ -239,7 +238,7 @@ class Air:
         return line_of(self._model, sender, receiver)
 
     def _send(self, end: ConnectionEnd) -> None:
-        """From the socket onto the air at its own pace."""
+        """Move writes from the socket onto the air at its own pace."""
         while end.socket and end.line.free_at <= self._time.now:
             self._push(end, end.socket.popleft())
         if end.socket and not end.waits:
@@ -255,7 +254,8 @@ class Air:
         self._plan(end, end.line.push(data, self._time.now))
 
     def _plan(self, sender: ConnectionEnd, at: float) -> None:
-        """What arrives at a robot in one moment it gets at once: its objects are looked up in memory once for all."""
+        """Plan the arrival of what `sender` has sent. A robot gets all arrivals of one moment at once, so its
+        objects are looked up in memory once for all."""
         due, receiver = sender.due, sender.other
         receivers = due.get(at)
         if receivers is None:

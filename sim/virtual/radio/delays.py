@@ -31,7 +31,7 @@ Message = tuple[tuple[OnSample, ...], str, bytes]
 
 
 class DelayMesh:
-    """What carries one robot's messages to its neighbours."""
+    """A mesh that carries one robot's messages to its neighbours with delays alone."""
 
     def __init__(
         self, config: Config, robot: str, peers: tuple[str, ...], model: AirModel, time: EventQueue, bus: VirtualBus
@@ -52,7 +52,7 @@ class DelayMesh:
         bus.subscribe([key(robot, "mesh", "set", "*"), key(robot, "mesh", "set", "*", "**")], self._refuse)
 
     def link(self, meshes: Mapping[str, "DelayMesh"], cuts: Mapping[frozenset[str], float]) -> None:
-        """All robots' meshes, once they are there; `cuts`: until when nothing passes between two robots."""
+        """Link with all robots' meshes, once they are there; `cuts`: until when nothing passes between two robots."""
         self._meshes, self._cuts = meshes, cuts
 
     def _publish(self, source: int, name: str, payload: bytes) -> None:
@@ -72,8 +72,8 @@ class DelayMesh:
                 self._meshes[peer].expect(arrival, name, data, alone=bool(self._cuts))
 
     def expect(self, arrival: float, name: str, data: bytes, *, alone: bool) -> None:
-        """A message comes to this robot, to those who hear it now: not to an app that begins meanwhile. `alone`: it is
-        not handed over with others. Behind a cut several of one link arrive in one moment, and in turn."""
+        """Take a message for the subscribers that hear it now, not for an app that begins meanwhile. `alone`: it is
+        not handed over with others. Behind a cut several of one link arrive in one moment, in turn."""
         message = self._bus.hearers(name), name, data
         if alone:
             self._time.at(arrival, self._hand_over, (message,))

@@ -19,7 +19,7 @@ FIRST_INCARNATION = 1
 
 
 class Common:
-    """What the meshes of all robots have in common; made once, since it grows with the swarm."""
+    """The common part of all robots' meshes; made once, since it grows with the swarm."""
 
     def __init__(self, config: Config, *, bluetooth: bool = False) -> None:
         """`bluetooth`: links are of such a radio, on which it matters who calls."""
@@ -36,8 +36,8 @@ class Common:
         self.near = {name: tuple(sorted(others)) for name, others in near.items()}
 
     def dials(self, robot: str) -> dict[str, bool]:
-        """Whom a robot may be linked with, and whether it calls them: of a fixed topology its neighbours alone, or the
-        tables of a thousand robots would hold a million entries that nobody uses."""
+        """Return with which robots a robot may be linked, and whether it calls them. Of a fixed topology these are
+        its neighbours alone: the tables of a thousand robots would hold a million unused entries."""
         own = self.robots[robot]
         anybody = self.config.auto or self.ground.carried
         others = self.names - {robot} if anybody else self.near[robot]

@@ -39,7 +39,7 @@ class SlotAir:
         """Until when nothing passes between two robots."""
 
     def add(self, station: Station) -> None:
-        """A robot that can be dialled."""
+        """Add a robot that can be dialled."""
         self._stations[station.robot] = station
         self._calls.reachable.add(station.robot)
 
@@ -49,7 +49,7 @@ class SlotAir:
         self._calls.reachable.discard(station.robot)
 
     def cut(self, a: str, b: str, seconds: float) -> None:
-        """Nothing passes between two robots for a while."""
+        """Let nothing pass between two robots for a while."""
         pair = frozenset((a, b))
         self.cuts[pair] = max(self.cuts.get(pair, 0.0), self._time.now + seconds)
 

@@ -88,12 +88,12 @@ class VirtualBalancer:
             time.soon(self._be_seen, scene_record)
 
     def look(self) -> VirtualBody:
-        """Its body, as it is now."""
+        """Return its body as it is now."""
         self.body.advance(self._time.now)
         return self.body
 
     def act(self, act: SimulationAction) -> None:
-        """What a person does to it."""
+        """Do what a person does to it."""
         now = self._time.now
         match act:
             case Press(button, seconds):
@@ -160,18 +160,15 @@ class VirtualBalancer:
         self.begins_to_move(self.robot)
 
     def command(self, mode: str, now: float) -> None:
-        """Change the mode."""
         self.body.command(mode, now)
         self._claim.clear()
         self._changed()
         self.begins_to_move(self.robot)
 
     def test_motors(self, request: TryMotors, now: float) -> None:
-        """Refuse."""
         raise LocalError("motors: under virtual time a body has no motors that could be tested")
 
     def change(self, parameters: Mapping[str, float]) -> None:
-        """Refuse."""
         raise LocalError("parameters: under virtual time a body has no physics that they could change")
 
     def claim_leds(self, leds: Shown, seconds: float, now: float, at: float | None = None) -> None:
@@ -181,7 +178,7 @@ class VirtualBalancer:
         self._time.at(order.until, self._show_leds)
 
     def stop(self, reason: str) -> bool:
-        """Motors off."""
+        """Switch the motors off."""
         if self.body.fault:
             return False
         self.body.stop(f"stopped: {reason}", self._time.now)
@@ -231,7 +228,7 @@ class VirtualBalancer:
         self._side.publish(self.state())
 
     def state(self) -> BalancerState:
-        """What there is to say of the body now."""
+        """Return the present state of the body."""
         now, body = self._time.now, self.body
         body.advance(now)
         speed, turn_rate = body.demand
@@ -265,7 +262,7 @@ class VirtualBalancer:
         scene_record.pose(self.robot, self._time.true, (body.x, body.y), body.tilt)
 
     def _tell_slowly(self) -> None:
-        """What is told once a second."""
+        """Publish what is published once a second."""
         self._time.at(self._time.now + REPEAT_S, self._tell_slowly)
         if not self.powered:
             return

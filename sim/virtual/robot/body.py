@@ -104,7 +104,7 @@ class VirtualBody:
 
     @property
     def next_change(self) -> float:
-        """When its mode changes by itself, s; infinity where it does not."""
+        """Return when its mode changes by itself, s; infinity where it does not."""
         return self._until if self.mode in (STANDING, FALLING) else math.inf
 
     @property
@@ -186,7 +186,7 @@ class VirtualBody:
     # -- motion ------------------------------------------------------------------------------------------------
 
     def advance(self, now: float) -> None:
-        """Let time pass."""
+        """Advance the body to the time `now`."""
         while self._now < now:
             if self.mode == BALANCING:
                 if self._drive.speed == 0.0 == self._drive.turn_rate and self._now >= self._until:
@@ -205,7 +205,7 @@ class VirtualBody:
                 self._now = now
 
     def odometry(self, now: float) -> Odometry:
-        """What its sensors have summed up."""
+        """Return the sums of its sensors."""
         self.advance(now)
         self._sequence += 1
         half = 0.5 * self._track * self._turned
@@ -243,7 +243,7 @@ class VirtualBody:
         self._now += dt
 
     def _rest(self, dt: float) -> None:
-        """What the gyro adds by itself."""
+        """Add the gyro's own drift."""
         if self._walk:
             self._gyro += self._bias * dt + self._gauss(0.0, self._walk * math.sqrt(dt))
 

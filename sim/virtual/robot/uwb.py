@@ -61,11 +61,11 @@ class ModuleField:
         ]
 
     def carry(self, robot: str, address: str, balancer: VirtualBalancer) -> None:
-        """A robot whose module is an anchor."""
+        """Add a robot whose module is an anchor."""
         self._carried[robot] = (address, balancer)
 
     def around(self, robot: str, now: float) -> list[Module]:
-        """What a robot's module may range to."""
+        """Return the modules to which a robot's module may range."""
         if self._simulation.moving and self._target is not None:
             self.move(self._target, *self._simulation.target_after(now - self.moves_from))
         modules = [Module(each.address, *each.place, each.known) for each in self._standing]
