@@ -37,7 +37,7 @@ _SLACK_S = 15.0
 
 @dataclass
 class _Answers:
-    """What came back."""
+    """The answers of ssh, bus and mesh."""
 
     outcomes: dict[str, everyone.RobotOutcome] = field(default_factory=dict)
     """By robot: whether it was reached and has confirmed, and how."""
@@ -85,7 +85,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def robots_of(args: argparse.Namespace) -> tuple[tuple[Host, ...], Ssh] | None:
-    """Whom ssh can reach; None on a robot, for a simulation alone, or without a configuration that names robots.
+    """Return the robots that ssh can reach. None on a robot, for a simulation alone, or without a configuration that
+    names robots.
 
     Raises `LocalError` where a configuration was named and cannot be used.
     """
@@ -101,7 +102,7 @@ def robots_of(args: argparse.Namespace) -> tuple[tuple[Host, ...], Ssh] | None:
 
 
 def _how(name: str, rows: Sequence[Row], answers: _Answers) -> str:
-    """By which path a robot is confirmed; empty where by none."""
+    """Return the paths by which a robot is confirmed; empty where it is not."""
     paths = ["bus or mesh"] if any(row.confirmed for row in rows if row.robot == name) else []
     paths += ["ssh"] if answers.outcomes[name].ok else []
     paths += [f"mesh (seen by {answers.seen[name]})"] if name in answers.seen else []
@@ -109,7 +110,7 @@ def _how(name: str, rows: Sequence[Row], answers: _Answers) -> str:
 
 
 def table(how: Mapping[str, str], answers: _Answers, *, stop: bool) -> list[str]:
-    """What people read of the robots that ssh was to reach. `how`: the paths by which each is confirmed."""
+    """Return the lines about the robots that ssh was to reach. `how`: the paths by which each is confirmed."""
     what = "stopped" if stop else "armed"
     lines = [("robot", what, "confirmed by", "ssh says")]
     for name, paths in how.items():

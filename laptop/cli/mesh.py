@@ -45,8 +45,9 @@ def draw(mesh: CollectedMesh, path: Path) -> None:
 
 
 def places(graph: Graph) -> dict[str, Place]:
-    """Where to draw each robot: on a circle, or such that the picture's distances are near the numbers of links between
-    robots (classical multidimensional scaling: Torgerson 1952). Parts that are not linked are drawn apart."""
+    """Return the place of each robot in the picture: on a circle, or such that distances are near the numbers of
+    links between robots (classical multidimensional scaling: Torgerson 1952). Parts that are not linked are drawn
+    apart."""
     names = graph.names
     if len(names) <= ON_A_CIRCLE:
         angles = [math.pi / 2 - 2 * math.pi * number / len(names) for number in range(len(names))]

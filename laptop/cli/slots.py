@@ -44,7 +44,7 @@ FLAT = 1.15
 
 @frozen
 class Radio:
-    """What a radio did in a run, recorded or simulated."""
+    """The behaviour of a radio in a run, recorded or simulated."""
 
     pace: float
     """s an iteration, median"""
@@ -121,7 +121,7 @@ def _read(path: Path) -> Recorded:
 
 
 def _radio(pace: float, told: Mapping[str, Sequence[LinkState]]) -> Radio:
-    """Of what each robot has told last of its links."""
+    """Return the radio's figures from each robot's last report of its links."""
     states = [(robot, link) for robot, links in told.items() for link in links]
     medians = [link.rtt_median for _, link in states if link.rtt_median is not None]
     longest = [link.rtt_p99 for _, link in states if link.rtt_p99 is not None]

@@ -65,7 +65,7 @@ _LINE = re.compile(r"([0-9a-f]{64}) - ([a-z][a-z0-9_-]*)\.env (\S+)")
 
 
 class StartedApp(NamedTuple):
-    """How an app was started on a robot."""
+    """The way an app was started on a robot."""
 
     digest: str
     """SHA-256 of its settings; equal where it is the same run, started in the same way."""
@@ -143,7 +143,7 @@ def check_name(name: str, told: str) -> None:
 
 
 def check_settings(settings: Sequence[str], config: Config, name: str) -> None:
-    """What can be known here is said here: the robots' own word would come when the app has not started."""
+    """Check the settings before the start. The robots' own check would come when the app has not started."""
     try:
         on_top(config.app(name), map(parse, settings), config.names)
     except AppError as error:
@@ -151,7 +151,7 @@ def check_settings(settings: Sequence[str], config: Config, name: str) -> None:
 
 
 async def ask_versions(ssh: Ssh, host: Host) -> Versions:
-    """What a robot runs; raises `HostError`, too where it has no release."""
+    """Return the versions on a robot. Raises `HostError`, also where it has no release."""
     try:
         return versions.parse(await ssh.check(host, versions.question(host.robot)))
     except RemoteError as error:
@@ -159,7 +159,7 @@ async def ask_versions(ssh: Ssh, host: Host) -> Versions:
 
 
 def differences(found: Mapping[str, Versions], config: Config) -> str:
-    """What is not the same on all robots and here, in words; empty where nothing is: one swarm, one version of all."""
+    """Explain in words which versions differ between robots and this computer; empty where none does."""
     here = hashlib.sha256(config.path.read_bytes()).hexdigest()
     wrong = versions.differences(found, here) if found else []
     return f"the robots have {'; '.join(wrong)}" if wrong else ""

@@ -18,7 +18,7 @@ LISTENS_S = 20.0
 
 
 async def look(ssh: Ssh, host: Host) -> dict[str, Any]:
-    """A robot's adapter (`address`, `powered`) and the devices it knows; raises `HostError`."""
+    """Return a robot's adapter (`address`, `powered`) and the devices it knows. Raises `HostError`."""
     return await ask(ssh, host, {"do": "look"})
 
 
@@ -100,7 +100,7 @@ class Pairing:
                 raise HostError(f"done, and still {_state(a, b, first, second)}")
 
     def _bonds(self, edge: Edge, a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[Bond | None, Bond | None]:
-        """What each end knows of the other."""
+        """Return what each end knows of the other."""
         found = [answer["devices"].get(other["address"]) for answer, other in ((a, b), (b, a))]
         first, second = (None if device is None else Bond(device["paired"], device["trusted"]) for device in found)
         return first, second
@@ -136,7 +136,7 @@ class Pairing:
 
 
 def _state(a: str, b: str, first: Bond | None, second: Bond | None) -> str:
-    """In words."""
+    """Describe the state of a pairing in words."""
 
     def word(bond: Bond | None) -> str:
         if bond is None or not bond.paired:

@@ -37,7 +37,7 @@ ASK_S = 2.0
 
 @frozen
 class Rig:
-    """Where a robot's files are, for tests: another root than `/`, other places of what the kernel says."""
+    """The place of a robot's files, for tests: another root than `/`, and other places of what the kernel tells."""
 
     root: str = "/"
     places: Mapping[str, str] = field(default_factory=dict)
@@ -45,7 +45,7 @@ class Rig:
 
 
 class Provisioning:
-    """One robot."""
+    """The provisioning of one robot."""
 
     def __init__(
         self,
@@ -123,7 +123,7 @@ class Provisioning:
         return await self._stage(facts, steps.FIRST, repository, files)
 
     async def _resolve(self, repository: Repository, names: Sequence[str]) -> tuple[list[Package], str]:
-        """What apt on the robot would install for these names, and what keeps it from it."""
+        """Return what apt on the robot would install for these names, and what prevents it."""
         request = {"folder": self._cache, "index": repository.index, "apt": self._apt(), "packages": names}
         said = await remote.call(self._ssh, self._host, "repository", request)
         wanted = [repository.packages.get((name, version)) for name, version in said["install"]]
@@ -198,7 +198,7 @@ class Provisioning:
             raise HostError(f"{said['step']}: {said['problem']}")
 
     def _verify(self, step: ProvisioningStep, wanted: Verdict, found: Verdict) -> None:
-        """A change is done when its step finds nothing more to do, but for a reboot."""
+        """Check a change: its step must find nothing more to do, except for a reboot."""
         if found.state == "ok" or (found.state == "change" and found.reboot and wanted.reboot and not found.changes):
             self.changed += 1
             self._tell(f"{step.name}: changed: {wanted.text}")

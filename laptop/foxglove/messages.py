@@ -45,8 +45,8 @@ class Message(NamedTuple):
 
 
 def sample(robot: str, topic: str, value: object, log_time: int) -> Message | None:
-    """A robot's sample at a log time, ns since 1970, under the key that it has on the bus; None where JSON cannot carry
-    it. `value` is what the key holds: maps, lists, texts and numbers."""
+    """Return a robot's sample at a log time, ns since 1970, under the key that it has on the bus; None where JSON
+    cannot carry it. `value` is what the key holds: maps, lists, texts and numbers."""
     key = f"swarm/{robot}/{topic}"
     name = _schema_name(key, topic)
     try:
@@ -74,7 +74,7 @@ def _schema_name(key: str, topic: str) -> str:
 
 
 def frames(places: Mapping[str, tuple[float, float, float]], log_time: int) -> Message:
-    """A frame of reference for each robot: x and y, m, and heading, rad, in the frame of the anchors."""
+    """Return a frame of reference for each robot: x and y, m, and heading, rad, in the frame of the anchors."""
     transforms = [
         {
             "timestamp": timestamp(log_time),
@@ -89,7 +89,7 @@ def frames(places: Mapping[str, tuple[float, float, float]], log_time: int) -> M
 
 
 def log(events: Iterable[Event], log_time: int) -> Iterator[Message]:
-    """What has happened, a line each."""
+    """Yield a line for each event."""
     for event in events:
         line = {
             "timestamp": timestamp(log_time),
@@ -103,18 +103,18 @@ def log(events: Iterable[Event], log_time: int) -> Iterator[Message]:
 
 
 def number(value: object) -> float | None:
-    """A number that a float can be; None for anything else."""
+    """Return a number as a float; None for other values."""
     return float(value) if is_number(value) else None
 
 
 def timestamp(log_time: int) -> dict[str, int]:
-    """A time, ns since 1970, as Foxglove writes it."""
+    """Return a time, ns since 1970, as Foxglove writes it."""
     sec, nsec = divmod(log_time, 1_000_000_000)
     return {"sec": sec, "nsec": nsec}
 
 
 def rotation(heading: float) -> dict[str, float]:
-    """A turn about the vertical axis, rad, as a quaternion."""
+    """Return a rotation about the vertical axis, rad, as a quaternion."""
     return {"x": 0.0, "y": 0.0, "z": math.sin(heading / 2.0), "w": math.cos(heading / 2.0)}
 
 

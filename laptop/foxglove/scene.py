@@ -34,7 +34,7 @@ Place = tuple[float, float, float]
 
 
 def places(picture: Picture, config: Config) -> dict[str, Place]:
-    """Where robots are: truly where that is known (a simulation), else as they estimate it."""
+    """Return the places of robots: the true ones where they are known (a simulation), else their estimates."""
     found = {}
     for robot in config.names:
         for topic in ("sim/truth", "dwm/pose"):
@@ -53,7 +53,7 @@ def _xy(value: object) -> tuple[float, float] | None:
 
 
 def scene(picture: Picture, config: Config, log_time: int) -> Message:
-    """All that is drawn, at a log time, ns since 1970. Each entity replaces the one of its name."""
+    """Return the drawing at a log time, ns since 1970. Each entity replaces the one of its name."""
     where = places(picture, config)
     entities = [
         *(_robot(robot, place, picture, log_time) for robot, place in where.items()),
@@ -92,7 +92,7 @@ def _robot(robot: str, place: Place, picture: Picture, log_time: int) -> dict[st
 def _links(
     picture: Picture, config: Config, where: Mapping[str, Place]
 ) -> Iterator[tuple[Sequence[float], Sequence[float], Color]]:
-    """Each link once: up where one of its ends says so."""
+    """Yield each link once: up where one of its ends reports so."""
     states: dict[tuple[str, ...], bool] = {}
     for robot in config.names:
         value = picture.newest(robot, "mesh/links")
@@ -108,7 +108,7 @@ def _links(
 def _ranges(
     picture: Picture, config: Config, where: Mapping[str, Place]
 ) -> Iterator[tuple[Sequence[float], Sequence[float], Color]]:
-    """A line from each robot to each anchor that it has measured lately."""
+    """Yield a line from each robot to each anchor that it has measured lately."""
     anchors = {anchor.address: anchor for anchor in config.anchors}
     for robot, (x, y, _) in where.items():
         value = picture.newest(robot, "dwm/ranges")

@@ -93,14 +93,14 @@ class FoxgloveServer:
         """See `on_parameters_subscribe`."""
 
     def on_subscribe(self, client: Any, channel: Any) -> None:
-        """Who comes late is told what was said before: much of it is said on change only."""
+        """Publish what was published before for a new subscriber, since much is published on change only."""
         self._late.set()
 
     def on_unsubscribe(self, client: Any, channel: Any) -> None:
         """The SDK keeps who wants what."""
 
     def _parameters(self) -> dict[str, Any]:
-        """Of all apps, by `robot.app.name`."""
+        """Return the parameters of all apps, by `robot.app.name`."""
         config, found = self._feed.config, {}
         with self._feed.lock:
             for robot in config.names if config is not None else ():

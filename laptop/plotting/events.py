@@ -19,7 +19,8 @@ STANDING = "balancing"
 
 
 def leds(figure: Any, run: Run) -> None:
-    """Who flashes when: the end of the run in detail, and each flash against the first robot's, over the whole run."""
+    """Draw the flashes of robots: the end of the run in detail, and each flash relative to the first robot's, over
+    the whole run."""
     flashes, lit = _flashes(run)
     robots = [name for name in run.robots if flashes.get(name)]
     if not robots:
@@ -63,9 +64,10 @@ def leds(figure: Any, run: Run) -> None:
 
 
 def standup(figure: Any, run: Run) -> None:
-    """When each robot stands, and its tilt meanwhile (thesis figure 4.2).
+    """Draw when each robot stands, and its tilt meanwhile (thesis figure 4.2).
 
-    The moment is the app's own word where it has one: the body's state is recorded five times a second only."""
+    The moment is the app's own word where it has one: the body's state is recorded five times a second only.
+    """
     said = {
         robot: sample.t
         for sample in reversed([s for s in run.samples("swarm/*/app/*/record/standing") if s.message["value"]])
@@ -128,6 +130,6 @@ def _flashes(run: Run) -> tuple[dict[str, list[float]], dict[str, list[tuple[flo
 
 
 def _nearest(times: list[float], t: float) -> float:
-    """How much later t is than the nearest of the times."""
+    """Return how much later t is than the nearest of the times."""
     index = bisect_left(times, t)
     return min((t - other for other in times[max(0, index - 1) : index + 1]), key=abs)

@@ -18,8 +18,8 @@ OUT, BACK = style.COLOURS[0], style.COLOURS[1]
 
 
 def floods(figure: Any, run: Run) -> None:
-    """Each flood from its start: when it reached whom, and when its origin knew that it was complete (thesis figures
-    3.13 and 3.14)."""
+    """Draw each flood from its start: when it reached each robot, and when its origin knew that it was complete
+    (thesis figures 3.13 and 3.14)."""
     requests = [it for it in _requests(run) if not it.to]
     answers, heard = _answers(run), _heard(run)
     panels, some = _panels(figure, run, requests, "flood")
@@ -30,8 +30,8 @@ def floods(figure: Any, run: Run) -> None:
 
 
 def unicasts(figure: Any, run: Run) -> None:
-    """Each message from one robot to another: its way out and that of its answer, robot by robot, and when its sender
-    knew (thesis figure 3.16)."""
+    """Draw each message from one robot to another: its path and that of its answer, robot by robot, and when its
+    sender knew (thesis figure 3.16)."""
     requests = [it for it in _requests(run) if it.to]
     answers, heard, passes = _answers(run), _heard(run), _passes(run)
     panels, some = _panels(figure, run, requests, "message")
@@ -59,7 +59,7 @@ class Pass(NamedTuple):
 
 
 class JourneyLeg(NamedTuple):
-    """Its way over one link."""
+    """The path of a message over one link."""
 
     t: float
     robot: str
@@ -128,7 +128,7 @@ def _requests(run: Run) -> list[_Request]:
 
 
 def _answers(run: Run) -> dict[tuple[str, str], _Answer]:
-    """By robot and ticket: when the answer was known, and what it is."""
+    """Return by robot and ticket when the answer was known, and what it is."""
     found: dict[tuple[str, str], _Answer] = {}
     for sample in run.samples("swarm/*/mesh/flooded", "swarm/*/mesh/sent"):
         found.setdefault((sample.topic.split("/")[1], sample.message["ticket"]), (sample.t, sample.message))
@@ -152,7 +152,7 @@ def _passes(run: Run) -> list[_Passed]:
 
 
 def _of(request: _Request, passes: Sequence[_Passed], until: float) -> list[Pass]:
-    """What was told of one request's message. Numbers are given anew by a mesh that is started again."""
+    """Return the reports on one request's message. A mesh that is started again counts its numbers anew."""
     message = next(
         (each.message for each in passes if (each.it.robot, each.ticket) == (request.origin, request.ticket)), None
     )
@@ -175,7 +175,8 @@ def _panels(figure: Any, run: Run, requests: Sequence[_Request], what: str) -> t
 
 
 def _arrivals(request: _Request, requests: Sequence[_Request], heard: Sequence[_Heard]) -> list[tuple[float, str]]:
-    """When a request's payload came to whom: what came from its origin before that one's next request to them."""
+    """Return when a request's payload came to which robot: what came from its origin before that one's next request
+    to them."""
     later = [it.t for it in requests if it.origin == request.origin and it.to == request.to and it.t > request.t]
     until = min(later, default=math.inf)
     return [
@@ -191,7 +192,7 @@ def _arrivals(request: _Request, requests: Sequence[_Request], heard: Sequence[_
 def _flood(
     axes: Any, request: _Request, answer: _Answer | None, arrivals: list[tuple[float, str]], robots: list[str]
 ) -> None:
-    """One flood's panel."""
+    """Draw one flood's panel."""
     row = robots.index(request.origin)
     last = max((1e3 * (t - request.t) for t, _ in arrivals), default=1.0)
     outcome = "no answer"
@@ -216,7 +217,7 @@ def _message(
     way: Sequence[JourneyLeg],
     robots: list[str],
 ) -> None:
-    """One message's panel: its way from row to row."""
+    """Draw one message's panel: its path from row to row."""
 
     def after(t: float) -> float:
         return 1e3 * (t - request.t)

@@ -111,7 +111,8 @@ def layout(names: list[str], links: list[Pair], real: Mapping[str, Place]) -> di
 
 
 def spots(places: Mapping[str, Place], links: list[Pair]) -> dict[Pair, Place]:
-    """Where the words of each link stand: on it, clear of robots, other links and other words, as far as possible."""
+    """Return the place of the words of each link: on it, clear of robots, other links and other words, as far as
+    possible."""
     size = _size(places)
     found: dict[Pair, Place] = {}
     for a, b in links:

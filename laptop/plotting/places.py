@@ -32,7 +32,7 @@ SIGMAS = 2.0
 
 
 class _Estimate(NamedTuple):
-    """Of the target, by one robot."""
+    """One robot's estimate of the target."""
 
     k: int
     t: float
@@ -126,7 +126,7 @@ def _config(path: Path) -> Config | None:
 
 
 def _once(marks: set[str], label: str) -> dict[str, str]:
-    """A label for the legend, the first time only."""
+    """Return a label for the legend the first time only."""
     if label in marks:
         return {}
     marks.add(label)
@@ -134,8 +134,8 @@ def _once(marks: set[str], label: str) -> dict[str, str]:
 
 
 def paths(run: Run, topics: Sequence[str] = PLACED) -> dict[str, list[tuple[Place, dict[str, Any]]]]:
-    """Where each robot was, by the first of the topics that has it: by its poses, else by the simulation's truth, else
-    by what its app measured."""
+    """Return each robot's places by the first of the topics that has them: its poses, else the simulation's truth,
+    else what its app measured."""
     found: dict[str, list[tuple[Place, dict[str, Any]]]] = {}
     for topic in topics:
         fresh: dict[str, list[tuple[Place, dict[str, Any]]]] = {}
@@ -148,7 +148,7 @@ def paths(run: Run, topics: Sequence[str] = PLACED) -> dict[str, list[tuple[Plac
 
 
 def _target(run: Run, swarm: Config | None) -> list[tuple[float, Place]]:
-    """Where the simulated target was, over time; of real robots nobody knows."""
+    """Return the places of the simulated target over time; of real robots they are unknown."""
     if swarm is None or "localization" not in run.apps:
         return []
     topics = sorted(topic for topic in run.topics if topic.endswith("/sim/target"))
@@ -169,7 +169,7 @@ def _at(way: Sequence[tuple[float, Place]], t: float) -> Place:
 
 
 def _estimates(run: Run) -> dict[str, list[_Estimate]]:
-    """Each robot's estimates of the target, with variances and covariance where it tells them."""
+    """Return each robot's estimates of the target, with variances and covariance where it tells them."""
     found: dict[str, list[_Estimate]] = {}
     if "localization" not in run.apps:
         return found
@@ -195,7 +195,7 @@ def _errors(
     robots: list[str],
     references: Mapping[str, Sequence[Place]],
 ) -> None:
-    """How far from the target each robot's estimates were, and those that it is compared with."""
+    """Draw the distance of each robot's estimates from the target."""
     for index, name in enumerate(robots):
         track = estimates.get(name, ())
         errors = [100 * math.dist(it.place, _at(way, it.t)) for it in track]
@@ -260,7 +260,7 @@ def _path(axes: Any, path: list[tuple[Place, dict[str, Any]]], colour: Any, mark
 
 
 def _ellipse(axes: Any, place: Place, spread: Spread, colour: Any, marks: set[str]) -> None:
-    """Of two standard deviations, from variances and covariance."""
+    """Draw an ellipse of two standard deviations, from variances and covariance."""
     if not all(map(math.isfinite, spread)):
         return
     from matplotlib.patches import Ellipse

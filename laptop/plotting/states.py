@@ -24,7 +24,7 @@ PANELS = 6
 
 
 def states(figure: Any, run: Run, columns: Sequence[str] = (), labels: Mapping[str, str] | None = None) -> None:
-    """A row of two panels for each column: over iterations and over time. Truth values get one panel, over time.
+    """Draw a row of two panels for each column: over iterations and over time. Truth values get one panel, over time.
 
     `columns`: names as in the app, or with the channel before them (`frequency.value`); default: what is shared.
     `labels`: what stands at the axis of a column, with its unit; default: its name.
@@ -66,7 +66,7 @@ def states(figure: Any, run: Run, columns: Sequence[str] = (), labels: Mapping[s
 
 
 def _marked(run: Run, panels: Sequence[_Panel]) -> list[_Panel]:
-    """What the author's `plotted` names, in that order."""
+    """Return the panels that the author's `plotted` names, in that order."""
     # Each robot's file has them.
     names = list(dict.fromkeys(name for notes in run.notes(PLOTTED) for name in notes.get(run.app, "").split()))
     shared = {panel[0] for panel in panels if not panel[1].startswith("result.")}
@@ -75,7 +75,7 @@ def _marked(run: Run, panels: Sequence[_Panel]) -> list[_Panel]:
 
 
 def _chosen(panels: Sequence[_Panel]) -> list[_Panel]:
-    """What tells most where nothing is named: errors, single values, then vectors entry by entry."""
+    """Choose panels where none is named: errors, single values, then vectors entry by entry."""
     errors = [panel for panel in panels if is_metric(panel[1])]
     shared = [panel for panel in panels if not panel[1].startswith("result.")]
     results = [panel for panel in panels if panel[1].startswith("result.") and not is_metric(panel[1])]
@@ -183,7 +183,7 @@ def _is_truth(column: str, paths: Mapping[str, Trajectory]) -> bool:
 
 
 def _truth(axes: Any, label: str, column: str, paths: Mapping[str, Trajectory]) -> None:
-    """A row for each robot, filled while it is true."""
+    """Draw a row for each robot, filled while its value is true."""
     end = max((t for path in paths.values() for t in path.times.values()), default=0.0)
     for index, path in enumerate(paths.values()):
         at = path.columns.index(column)
@@ -209,7 +209,7 @@ def _truth(axes: Any, label: str, column: str, paths: Mapping[str, Trajectory]) 
 
 
 def _look(index: int, robots: int, points: int) -> dict[str, Any]:
-    """Of one robot's line; `points`: the most that a line of the picture has."""
+    """Return the style of one robot's line; `points`: the most that a line of the picture has."""
     dots = points <= DOTS and robots <= style.FEW
     return {
         "color": style.colour(index, robots),

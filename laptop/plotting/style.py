@@ -51,12 +51,12 @@ def colour(index: int, count: int) -> Any:
 
 
 def mark(index: int) -> str:
-    """A marker, for those who print in grey."""
+    """Return a marker, for prints without colours."""
     return MARKS[index % len(MARKS)]
 
 
 def legend(axes: Any, count: int, **options: Any) -> None:
-    """A legend of robots above the axes, where no data is; with too many robots it would hide the picture."""
+    """Draw a legend of robots above the axes, where no data is. With too many robots it would hide the picture."""
     if count <= FEW:
         place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": count, "borderaxespad": 0.2}
         axes.legend(**{**place, "handlelength": 1.4, "columnspacing": 1.0, **options})
@@ -97,7 +97,7 @@ def name_points(
 
 
 def _room(middle: tuple[float, float], width: float, height: float, point: tuple[float, float]) -> float:
-    """How far a point is from a box, in pixels; 0 within it."""
+    """Return the distance of a point from a box, in pixels; 0 within it."""
     return math.hypot(max(0.0, abs(point[0] - middle[0]) - width / 2), max(0.0, abs(point[1] - middle[1]) - height / 2))
 
 
@@ -117,14 +117,13 @@ def rows_of_robots(axes: Any, robots: Sequence[str]) -> None:
 
 
 def add_plot(parser: argparse.ArgumentParser) -> None:
-    """Declare `--plot`."""
     parser.add_argument("--plot", type=Path, metavar="FILE", help="write a picture: .png, .pdf or .svg")
 
 
 @contextlib.contextmanager
 def figure(path: Path, *, settings: Any = None, **options: Any) -> Iterator[Any]:
-    """A matplotlib figure that is written to `path` in the end; its ending says in which format. `settings` are
-    matplotlib's own. Raises `LocalError` where that cannot be done."""
+    """Yield a matplotlib figure that is written to `path` at the end; the ending of `path` gives the format.
+    `settings` are matplotlib's own. Raises `LocalError` where that is impossible."""
     try:
         import matplotlib as mpl
     except ImportError:
@@ -145,7 +144,7 @@ def figure(path: Path, *, settings: Any = None, **options: Any) -> Iterator[Any]
 
 @contextlib.contextmanager
 def shown_figure(path: Path | None) -> Iterator["Figure"]:
-    """A matplotlib figure in our style that a notebook shows where its cell ends with it, and that is written to
+    """Yield a matplotlib figure in our style. A notebook shows it where its cell ends with it; it is written to
     `path`, where there is one. Raises `LocalError` as `figure` does."""
     try:
         from matplotlib import pyplot as plt

@@ -103,7 +103,7 @@ class RunData:
 
     @cached_property
     def target(self) -> Array | None:
-        """Where the simulated target was then, m: float of shape (iteration, robot, 2); None of real robots."""
+        """Return the place of the simulated target, m: float of shape (iteration, robot, 2); None of real robots."""
         moving = self._along("target", ("x", "y"))
         file = self.path / folder.CONFIG_FILE
         if moving is not None or self.truth is None or not file.is_file():
@@ -114,9 +114,9 @@ class RunData:
     # -- arrays
 
     def __getitem__(self, name: str) -> Array:
-        """A state or a result by name: of shape (iteration, robot), of a vector of n (iteration, robot, n), of a matrix
-        (iteration, robot, n, m). float64; bool and int64 as long as no entry is missing; texts (and members of an enum,
-        by name) as objects. Raises `LocalError` with the names that there are."""
+        """Return a state or a result by name: of shape (iteration, robot), of a vector of n (iteration, robot, n),
+        of a matrix (iteration, robot, n, m). The type is float64; bool and int64 as long as no entry is missing;
+        texts (and members of an enum, by name) are objects. Raises `LocalError` with the names that there are."""
         if name not in self._columns:
             raise LocalError(f"there is no column {name!r}; there are: {', '.join(self.columns) or 'none'}")
         channel, places = self._columns[name]
@@ -131,8 +131,8 @@ class RunData:
         return name in self._columns
 
     def to_pandas(self) -> "pd.DataFrame":
-        """A table with a row for each iteration and robot: `iteration`, `robot`, `t`, and the app's columns, a vector's
-        entries as `x[0]`, `x[1]`... Needs pandas, of the extra `notebook`."""
+        """Return a table with a row for each iteration and robot: `iteration`, `robot`, `t`, and the app's columns,
+        a vector's entries as `x[0]`, `x[1]`... Needs pandas, of the extra `notebook`."""
         k, robot = np.nonzero(~np.isnan(self.times))
         table: dict[str, Any] = {
             "iteration": k, "robot": np.array(self.robots)[robot], "t": self.times[k, robot],
@@ -197,7 +197,7 @@ class RunData:
 
     @cached_property
     def _trajectories(self) -> dict[str, dict[str, Trajectory]]:
-        """By channel (the app itself is empty) and robot."""
+        """Return the trajectories by channel (the app itself is empty) and robot."""
         found = {channel: self.recording.trajectories(channel=channel) for channel in self.recording.states()}
         if not found:
             raise RecordingError(f"{self.path}: no app's states are recorded")
@@ -205,7 +205,7 @@ class RunData:
 
     @cached_property
     def _columns(self) -> dict[str, tuple[str, list[str]]]:
-        """By the name that is asked for: channel, and the columns that belong to it."""
+        """Return by each name that can be asked for: its channel, and the columns that belong to it."""
         found: dict[str, tuple[str, list[str]]] = {}
         for channel, paths in self._trajectories.items():
             names = next((path.columns for path in paths.values() if path.columns), ())
@@ -223,7 +223,7 @@ class RunData:
         return [f"{channel}.{place}" if channel else place for place in places]
 
     def _along(self, topic: str, fields: Sequence[str]) -> Array | None:
-        """What the world said of each robot under a topic, at the times of its states."""
+        """Return what the world told of each robot under a topic, at the times of its states."""
         said: dict[str, list[tuple[float, ...]]] = {robot: [] for robot in self.robots}
         for sample in self.recording.samples(f"swarm/*/sim/{topic}"):
             said[sample.topic.split("/")[1]].append((sample.t, *(sample.message[field] for field in fields)))
@@ -241,7 +241,7 @@ class RunData:
 
 
 def table_of(columns: Any) -> "pd.DataFrame":
-    """A pandas table; raises `LocalError` where there is no pandas."""
+    """Return a pandas table. Raises `LocalError` where there is no pandas."""
     try:
         import pandas as pd
     except ImportError:
@@ -250,10 +250,11 @@ def table_of(columns: Any) -> "pd.DataFrame":
 
 
 def load(path: str | Path, app: str = "") -> RunData:
-    """A recorded run, of real robots (`swarm fetch`) or of a simulation (`swarm sim --record`, `RunData.save`).
+    """Load a recorded run, of real robots (`swarm fetch`) or of a simulation (`swarm sim --record`, `RunData.save`).
 
     `path` is its folder, or one recording (.mcap) of it; `app` says which one is looked at where robots ran several.
-    Raises `RecordingError`."""
+    Raises `RecordingError`.
+    """
     return RunData(Path(path), app)
 
 
@@ -280,7 +281,7 @@ def _times(paths: Mapping[str, Trajectory]) -> Array:
 
 
 def _array(paths: Mapping[str, Trajectory], column: str) -> tuple[Array, int | None]:
-    """A column, and its place within a vector; None of a single value."""
+    """Return a column, and its place within a vector; None for a single value."""
     cells: list[list[str]] = []
     places: list[list[int]] = []
     for path in paths.values():
@@ -297,7 +298,7 @@ def _array(paths: Mapping[str, Trajectory], column: str) -> tuple[Array, int | N
 
 
 def _kind(texts: set[str], *, whole: bool) -> tuple[Any, Any, Any]:
-    """How cells become entries, of which type, and what stands for one that is missing."""
+    """Return how cells become entries, their type, and the entry for a missing cell."""
     if texts <= {"True", "False"}:
         return ("True".__eq__, bool, False) if whole else ({"True": 1.0, "False": 0.0}.__getitem__, float, np.nan)
     try:

@@ -92,7 +92,7 @@ def simulate(
 
 
 def _say(out: TextIO, robot: str, line: AppLog) -> None:
-    """What an app prints and logs goes to where the program's own prints go."""
+    """Print what an app prints and logs where the program's own prints go."""
     out.write(said(robot, line) + "\n")
 
 

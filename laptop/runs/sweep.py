@@ -27,23 +27,23 @@ WITHIN = 0.01
 
 
 class SweepTable:
-    """What came out of a sweep. Printed, it is a table with a row for each combination."""
+    """The results of a sweep. Printed, it is a table with a row for each combination."""
 
     def __init__(self, app: str, points: Sequence[SweepPoint], found: Sequence[SweptRun]) -> None:
         self._app, self._points, self._found = app, points, found
 
     @property
     def rows(self) -> list[dict[str, Any]]:
-        """One for each combination: the values that make it, and over all seeds `runs`, `failed`, `unsettled`,
-        `settled` (iterations, median), `settled_most`, `error` (median), `error_most`, `iteration_s`, `problem` (the
-        first), and each metric `error_NAME` of the app like `error`. None where there is nothing to say."""
+        """Return one row for each combination: the values that make it, and over all seeds `runs`, `failed`,
+        `unsettled`, `settled` (iterations, median), `settled_most`, `error` (median), `error_most`, `iteration_s`,
+        `problem` (the first), and each metric `error_NAME` of the app like `error`. None where a value is unknown."""
         runs = sweep_results.by_point(self._points, self._found)
         return [{**_values(point), **_flat(summarize(each))} for point, each in zip(self._points, runs, strict=True)]
 
     @property
     def runs(self) -> list[dict[str, Any]]:
-        """One for each combination and seed: the values, `seed`, `iterations`, `settled`, `error`, `seconds` (virtual),
-        `iteration_s`, `computed_s`, `problem`, and the app's metrics `error_NAME`."""
+        """Return one row for each combination and seed: the values, `seed`, `iterations`, `settled`, `error`,
+        `seconds` (virtual), `iteration_s`, `computed_s`, `problem`, and the app's metrics `error_NAME`."""
         return [{**_values(self._points[run.point]), **_flat(run)} for run in self._found]
 
     def to_pandas(self) -> "pd.DataFrame":
@@ -128,7 +128,7 @@ def sweep(
 
 
 def _text(value: Any) -> str:
-    """As `--set` has it."""
+    """Return a value as `--set` takes it."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, list | tuple):
@@ -137,7 +137,7 @@ def _text(value: Any) -> str:
 
 
 def _flat(row: SweptRun | Summary) -> dict[str, Any]:
-    """What is known of a run or a combination, by name, with the app's metrics beside the rest."""
+    """Return the fields of a run or a combination by name, with the app's metrics beside the rest."""
     return {name: x for name, x in asdict(row).items() if name not in ("point", "metrics")} | dict(row.metrics)
 
 

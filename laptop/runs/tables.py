@@ -20,8 +20,9 @@ _EXTRA = {"npz": ("numpy", "lab"), "mat": ("scipy", "tables"), "parquet": ("pyar
 
 
 def of_topic(recorded: Run, topic: str) -> Table:
-    """All messages of a topic below the robots' names, such as `balancer/state`: a row each, with `t` (s, common to all
-    robots, 0 = the first state), `robot` and the message's fields. Raises `RecordingError` where there are none."""
+    """Return all messages of a topic below the robots' names, such as `balancer/state`: a row each, with `t` (s,
+    common to all robots, 0 = the first state), `robot` and the message's fields. Raises `RecordingError` where there
+    are none."""
     known = {"/".join(name.split("/")[2:]) for name in recorded.topics}
     if topic not in known:
         raise RecordingError(f"{recorded.path}: no topic {topic} is recorded; there are: {', '.join(sorted(known))}")

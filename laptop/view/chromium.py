@@ -59,8 +59,8 @@ class Page:
         await self._ask("Page.navigate", url=address)
 
     async def evaluate(self, expression: str) -> Any:
-        """What an expression of JavaScript is, where it is a promise: what it promises. Raises `LocalError` where it
-        fails."""
+        """Return the value of an expression of JavaScript; of a promise the value that it promises. Raises
+        `LocalError` where the expression fails."""
         found = await self._ask("Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True)
         if (problem := found.get("exceptionDetails")) is not None:
             said = problem.get("exception", {}).get("description", problem.get("text"))
@@ -76,7 +76,7 @@ class Page:
             await asyncio.sleep(POLL_S)
 
     async def picture(self) -> bytes:
-        """What is seen, as a PNG."""
+        """Return the visible page as a PNG."""
         found = await self._ask("Page.captureScreenshot", format="png", optimizeForSpeed=True)
         return base64.b64decode(found["data"])
 
@@ -104,8 +104,8 @@ class Page:
 
 @contextlib.asynccontextmanager
 async def opened(address: str, size: tuple[int, int], scale: float = 1.0) -> AsyncIterator[Page]:
-    """A page of `size` pixels that shows what is at `address`; the browser ends with it. A `scale` below 1 makes all
-    that is on it smaller. Raises `LocalError`."""
+    """Yield a page of `size` pixels that shows `address`; the browser ends with it. A `scale` below 1 makes all of
+    it smaller. Raises `LocalError`."""
     program = browser()
     with tempfile.TemporaryDirectory(prefix="swarm-view-", ignore_cleanup_errors=True) as profile:
         options = [

@@ -30,7 +30,7 @@ MAX_FRAMES = 200_000
 
 @frozen
 class Film:
-    """What is to be shown, and how."""
+    """The content of a film, and how it is shown."""
 
     begin: float
     """s of the recording."""
@@ -47,7 +47,7 @@ class Film:
     theme: str = "light"
 
     def instants(self) -> list[float]:
-        """Of its pictures, s of the recording: at least one, and none behind the end."""
+        """Return the instants of its pictures, s of the recording: at least one, and none behind the end."""
         count = max(1, round((self.end - self.begin) / self.speed * self.fps))
         if count > MAX_FRAMES:
             raise LocalError(f"{count} pictures: at most {MAX_FRAMES}; use --from, --to, --speed or --fps")

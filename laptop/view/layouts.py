@@ -23,7 +23,7 @@ Panel = tuple[str, int, int]
 
 
 def default_path() -> Path:
-    """Where this user's layouts are: `~/.config/swarm/view.json`, as XDG has it."""
+    """Return the file of this user's layouts: `~/.config/swarm/view.json`, as XDG has it."""
     return (user_folder() or Path.home() / ".config" / "swarm") / "view.json"
 
 
@@ -43,7 +43,7 @@ class Layouts:
             self.current = kept["current"] if kept["current"] in self.named else ""
 
     def told(self) -> dict[str, Any]:
-        """As a page is told of them."""
+        """Return the layouts as a page gets them."""
         return {"current": self.current, "layouts": {name: list(map(list, each)) for name, each in self.named.items()}}
 
     def keep(self, asked: Any) -> str:

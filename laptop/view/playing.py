@@ -35,7 +35,7 @@ class Playing:
                 self._recording = self._load(wanted)
 
     def first(self) -> dict[str, Any]:
-        """What a page is told before it asks."""
+        """Return the message that a page gets before it asks."""
         run = self._recording
         swarm = scene(run, None) or {"kind": run.kind, "robots": list(run.robots), "edges": [], "acts": []}
         told = {"first": run.first, "last": run.last, "damage": run.damage, "name": run.path.resolve().name}
@@ -48,7 +48,7 @@ class Playing:
         }
 
     def answer(self, asked: Any) -> dict[str, Any]:
-        """To one question."""
+        """Answer one question."""
         try:
             if "seek" in asked:
                 since = asked["seek"].get("since")
@@ -97,7 +97,7 @@ class Playing:
         )
 
     def _load(self, name: object) -> ViewedRecording:
-        """One of those that are listed, and no other file of this machine."""
+        """Load one of the recordings that are listed, and no other file of this machine."""
         if str(name) not in {each["name"] for each in runs_in(self._folder)}:
             raise RecordingError(f"{self._folder}: there is no recording {str(name)[:60]!r}")
         return ViewedRecording(self._folder / str(name))
@@ -120,7 +120,7 @@ def runs_in(directory: Path) -> list[dict[str, Any]]:
 
 
 def number(value: object) -> float:
-    """A number that a page has sent; `TypeError` where it is none."""
+    """Return a number that a page has sent. Raises `TypeError` for other values."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError("no number")
     return float(value)

@@ -31,7 +31,7 @@ class Questions:
         self._answers = asyncio.Queue[Answer](MAX_WAITING)
 
     async def take(self, asked: object) -> None:
-        """A question. A stop, or its end, is given when this returns; everything else waits for its turn."""
+        """Take a question. A stop, or its end, is given when this returns; everything else waits for its turn."""
         if is_halt(asked):
             self.tell(await self._at_once(asked))
             return
@@ -41,7 +41,7 @@ class Questions:
             self.tell({"refused": f"{MAX_WAITING} others wait: try again when they are done"})
 
     def tell(self, answer: Answer) -> None:
-        """An answer for the page, lost where it does not read its answers."""
+        """Send an answer to the page; it is lost where the page does not read its answers."""
         with contextlib.suppress(asyncio.QueueFull):
             self._answers.put_nowait(answer)
 

@@ -57,7 +57,7 @@ class ViewedRecording:
         self.robots = run.robots
 
     def step(self, since: float | None, t: float) -> dict[str, Any]:
-        """What a page that shows the instant `since` (None: nothing yet) needs to show the instant `t`, s."""
+        """Return what a page that shows the instant `since` (None: nothing yet) needs to show the instant `t`, s."""
         if since is not None and not since <= t <= since + JUMP_S:
             since = None  # with the trails of that instant: the way between is not drawn
         robots: dict[str, dict[str, object]] = {}
@@ -94,7 +94,7 @@ class ViewedRecording:
         return sorted((event.t, event.level, f"{event.robot} {event.text}") for event in worst)
 
     def places(self, t: float) -> dict[str, tuple[float, float]]:
-        """Where the robots were at an instant, m."""
+        """Return the robots' places at an instant, m."""
         found = {}
         for robot in self._rows:
             here = list(places(self._newest(robot, self._pose_topic(robot), t), -math.inf))
@@ -103,7 +103,8 @@ class ViewedRecording:
         return found
 
     def parameters(self) -> dict[str, object]:
-        """Of the apps of the first robot that tells them, by `APP NAME`, as they were at the end."""
+        """Return the parameters of the apps of the first robot that tells them, by `APP NAME`, as they were at the
+        end."""
         for topics in self._rows.values():
             found: dict[str, object] = {}
             for topic, (_, data) in topics.items():

@@ -9,7 +9,7 @@ from swarm.config.types import Config
 
 
 def scene(feed: LiveFeed | ViewedRecording, control: Control | None) -> dict[str, Any] | None:
-    """What does not move: names, links that are to be, anchors."""
+    """Return the part of the page that does not move: names, links of the topology, anchors."""
     config = feed.config
     if config is None:
         return None
@@ -24,7 +24,7 @@ def scene(feed: LiveFeed | ViewedRecording, control: Control | None) -> dict[str
 
 
 def _target(config: Config) -> dict[str, Any] | None:
-    """Where the target really is; of real robots nobody knows, unless it is one of the anchors."""
+    """Return the target's true place; of real robots it is unknown, unless the target is one of the anchors."""
     simulated = all(str(robot.link).startswith("sim:") for robot in config.robots)
     if config.dwm.target is None or not simulated:
         return None

@@ -68,7 +68,7 @@ def _at(items: Sequence[object], name: str) -> object:
 
 
 def _number(value: object) -> float | int | None:
-    """A number that a chart can draw, else None."""
+    """Return a number that a chart can draw, else None."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not -1e300 < value < 1e300:
         return None
     return value

@@ -90,7 +90,7 @@ def application(feed: Feed, control: Control | None, token: str, layouts: Path |
 
 @web.middleware
 async def _guard(request: web.Request, handler: Callable[..., Any]) -> web.StreamResponse:
-    """Only this machine's browser, and only who has the token; the page's own parts hold no secrets."""
+    """Serve only a browser on this machine that has the token; the page's own parts hold no secrets."""
     origin, host = request.headers.get("Origin"), request.headers.get("Host", "")
     if host.partition(":")[0] not in (HOST, "localhost") or origin not in (None, f"http://{host}"):
         raise web.HTTPForbidden(text="this page is for the machine that it was started on\n")
@@ -245,7 +245,7 @@ def _answer(feed: LiveFeed, control: Control | None, layouts: Layouts, asked: An
 
 
 def _look(feed: LiveFeed, t: float) -> Answer:
-    """What a page showed at an instant of the last two minutes."""
+    """Return what a page showed at an instant of the last two minutes."""
     with feed.lock:
         picture = feed.picture
         robots = picture.look(t)

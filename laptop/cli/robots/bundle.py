@@ -18,7 +18,6 @@ MACHINES = {"arm64": "aarch64", "amd64": "x86_64"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Where to, and what for."""
     parser.add_argument(
         "folder", type=Path, metavar="FOLDER", help="folder to write; packages and releases in it are replaced"
     )
@@ -41,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """One folder of packages and one release for each Debian."""
+    """Write a folder of packages and a release for each Debian."""
     key = args.pi_key or next((path for path in bundle.PI_KEYS if path.exists()), None)
     packages = [*PACKAGES, *(bundle.PI_PACKAGES if key is not None else ())]
     path = args.config or find()

@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Each robot gets the release that fits it; 0 where it runs on every one."""
+    """Install the release that fits each robot. Return 0 where it runs on every one."""
     config, robots, ssh = everyone.chosen(args)
     files = read_files(config.path, args.key)
     whole = {host.robot: with_calibration(files, config, host.robot) for host in robots}
@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _made(config: Config, robots: Sequence[Host], ssh: Ssh, timeout_s: float) -> list[Release]:
-    """One release for each kind of robot that answers; who does not is named when it gets none."""
+    """Make a release for each kind of robot that answers. A robot that does not answer is named when it gets none."""
     _, found = everyone.gather(robots, lambda host: ask_kind(ssh, host), timeout_s)
     with tempfile.TemporaryDirectory() as folder:
         kinds = sorted({kind for kind in found.values() if kind is not None})

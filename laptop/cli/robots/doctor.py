@@ -30,7 +30,6 @@ ROBOT_PYTHON = "/opt/swarm/current/bin/python"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Which robots, and how much is said."""
     parser.add_argument(
         "which", nargs="*", metavar="ROBOT", help="names of robots (default: all of the simulation, or of the config)"
     )
@@ -67,7 +66,7 @@ def text(
     *,
     everything: bool,
 ) -> list[str]:
-    """A table for each robot: what is wrong, or all of it."""
+    """Return a table for each robot: the problems, or all findings."""
     out = []
     for name, findings in report.items():
         counts = {state: sum(each.state == state for each in findings.values()) for state in ("bad", "warning", "ok")}
@@ -108,7 +107,7 @@ def _free(path: Path) -> int | None:
 
 
 def _key(config: Config) -> dict[str, Any] | None:
-    """Of the key file that all simulated robots share."""
+    """Return the facts of the key file that all simulated robots share."""
     if config.mesh.key_file is None:
         return None
     with contextlib.suppress(OSError):
@@ -137,7 +136,7 @@ def _real(args: argparse.Namespace, rig: Rig) -> tuple[dict[str, ExaminedRobot],
 
 
 async def _ask(ssh: Ssh, host: Host, robot: ExaminedRobot, rig: Rig) -> ExaminedRobot:
-    """All that can be found out about one robot; raises `HostError` where it cannot be reached."""
+    """Examine one robot. Raises `HostError` where it cannot be reached."""
     request = {
         **steps.LOOK,
         "files": [*steps.LOOK["files"], "/etc/swarm/key"],

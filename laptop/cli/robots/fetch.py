@@ -17,7 +17,6 @@ HELP = "copy the recordings and logs of all robots to this computer, over ssh"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Which runs, where to, and whether robots keep them."""
     parser.add_argument("runs", nargs="*", metavar="RUN", help="names of runs (APP-NUMBER) or of apps (default: all)")
     parser.add_argument("--into", type=Path, default=Path("runs"), metavar="DIR", help="folder for the copies (runs)")
     parser.add_argument(

@@ -29,7 +29,6 @@ FOLLOW_S = 0.3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Which services, and how much."""
     parser.add_argument("services", nargs="*", metavar="SERVICE|RUN",
                         help="services or apps (default: all); or a run's folder or recording")  # fmt: skip
     parser.add_argument("-f", "--follow", action="store_true", help="also show new lines, until Ctrl-C")
@@ -61,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _of_run(args: argparse.Namespace) -> int:
-    """What apps have printed and logged, in the order of time; of the robots named by --robots alone."""
+    """Print what apps have printed and logged, in the order of time; with --robots of these robots alone."""
     recorded = Run(Path(args.services[0]))
     wanted = set(args.robots or recorded.robots)
     if odd := wanted - set(recorded.robots):
@@ -79,7 +78,7 @@ def _of_run(args: argparse.Namespace) -> int:
 
 
 def _simulated(args: argparse.Namespace, there: Mapping[str, Path]) -> int:
-    """What the services of simulated robots have written into their files."""
+    """Print the log files of simulated robots' services."""
     wanted = {f"{name}.log" if name in SERVICES else f"app.{name}.log" for name in args.services}
     files = [
         (name, path)

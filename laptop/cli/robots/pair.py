@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """A line for each link; 0 where all are paired and trusted at both ends."""
+    """Print a line for each link. Return 0 where all are paired and trusted at both ends."""
     if args.check and args.again:
         raise LocalError("--check changes nothing, --again does: one of them")
     config, robots, ssh = everyone.chosen(args, addressed=False)

@@ -22,7 +22,6 @@ HELP = "turn fresh Raspberry Pis into robots, over ssh"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Which robots, and what they get."""
     parser.add_argument(
         "which", nargs="*", metavar="ROBOT[=USER@ADDRESS]", help="names of robots (default: all of the config)"
     )
@@ -89,7 +88,7 @@ def _chosen(args: argparse.Namespace) -> tuple[Config, tuple[Host, ...], Ssh]:
 
 
 def _unaddressed(config: Config) -> str | None:
-    """Which robots' Bluetooth addresses the file lacks, in words; a release refuses such a file."""
+    """Name in words the robots without a Bluetooth address in the file; a release refuses such a file."""
     try:
         load(config.path)
     except ConfigError:

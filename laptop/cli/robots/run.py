@@ -81,7 +81,7 @@ def settings_of(args: argparse.Namespace, names: Sequence[str]) -> dict[str, lis
 
 
 def _app(text: str) -> tuple[str, Mapping[str, bytes] | None]:
-    """Its name, and its files where it is one of the user."""
+    """Return an app's name, and its files where it is one of the user."""
     path = Path(text)
     name = path.stem if path.suffix == ".py" else text
     apps.check_name(name, text)

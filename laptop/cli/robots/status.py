@@ -39,7 +39,7 @@ _BYTES = re.compile(r"[0-9]{1,18}")
 
 @frozen
 class StatusRow:
-    """What one robot says of itself; None where it says nothing."""
+    """One robot's report of itself; None where it reports nothing."""
 
     release: str
     firmware: str | None
@@ -119,7 +119,7 @@ async def _look(ssh: Ssh, host: Host) -> StatusRow:
 
 
 def question(robot: str) -> str:
-    """For the robot's shell; `parse` reads the answer."""
+    """Return the command for the robot's shell; `parse` reads its answer."""
     units = " ".join(f"swarm-{name}.service" for name in SERVICES)  # a pattern here, so with its ending
     return (
         f"echo '{_MARK}release'; readlink /opt/swarm/current; echo '{_MARK}units'; "
@@ -207,7 +207,7 @@ def _time(seconds: float) -> str:
 
 
 def table(outcomes: list[RobotOutcome], rows: dict[str, StatusRow], budget: float) -> list[str]:
-    """For a terminal; `budget`: bytes that recordings may take."""
+    """Return the lines for a terminal; `budget`: bytes that recordings may take."""
     cells: list[tuple[str, ...]] = [
         ("robot", "services", "battery", "body", "links", "pose", "apps", "recordings", "release", "firmware")
     ]

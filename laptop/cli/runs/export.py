@@ -82,7 +82,7 @@ def _lines(recorded: Run) -> dict[str, str]:
 
 
 def _layouts(recorded: Run) -> dict[str, str]:
-    """A run of ours in the thesis' layouts. Robots are numbered in the order of their names."""
+    """Return a run of ours in the thesis' layouts. Robots are numbered in the order of their names."""
     began = recorded.epoch + recorded.origin
     files = {}
     for channel in recorded.states():
@@ -115,7 +115,7 @@ def _measured(recorded: Run, robot: str) -> dict[int, tuple[float, float, float]
 
 
 def _tables(recorded: Run, topics: Sequence[str]) -> dict[str, tables.Table]:
-    """By the name of the file: of topics one each, else of the states of each robot."""
+    """Return the tables by the name of their file: one of each topic, or else of the states of each robot."""
     if topics:
         return {topic.replace("/", "."): tables.of_topic(recorded, topic) for topic in topics}
     found = {
@@ -135,7 +135,7 @@ def _table(path: Trajectory) -> tables.Table:
 
 
 def _value(text: str) -> object:
-    """A cell as what it was written from."""
+    """Return a cell as the value from which it was written."""
     if text in ("True", "False"):
         return text == "True"
     for convert in (int, float):
@@ -145,7 +145,8 @@ def _value(text: str) -> object:
 
 
 def _merge(recorded: Run, path: Path) -> None:
-    """One file: times count from the time of day at which the run began, as far as that is known."""
+    """Write the run into one file. Its times count from the time of day at which the run began, as far as that is
+    known."""
     epoch_ns = round((recorded.epoch + recorded.origin) * 1e9)
     writer = Writer(LIBRARY, epoch_ns=epoch_ns)
     writer.metadata(RUN, {**recorded.info, EPOCH: str(epoch_ns)})

@@ -122,7 +122,7 @@ def _plan(args: argparse.Namespace, feed: "ViewedRecording") -> "Film":
 
 
 def _bar(done: int, count: int) -> None:
-    """On a terminal a bar that grows, elsewhere a line for each tenth."""
+    """Draw a bar that grows on a terminal; elsewhere print a line for each tenth."""
     bar(sys.stderr, done, count)
     if sys.stderr.isatty():
         sys.stderr.write("\n" * (done == count))

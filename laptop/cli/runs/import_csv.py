@@ -65,7 +65,7 @@ def _topic(name: PurePosixPath) -> str:
 
 
 def _put(recording: DirectRecording, name: PurePosixPath, kind: str, text: str, topic: str) -> None:
-    """One file: every line as it is, and what it says."""
+    """Record one file: every line as it is, and its values."""
     prefix = f"swarm/{thesis_csv.robot_of(name)}/app/{kind}"
     # Several experiments in one folder, and files that are of no robot, are told apart as channels are.
     place = ".".join(name.parent.parts) if name.stem.isdecimal() else name.stem

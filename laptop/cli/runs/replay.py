@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
 
 @contextlib.contextmanager
 def _bus(args: argparse.Namespace) -> Iterator[Bus]:
-    """A bus that is there, or one of our own at the place where z_sub looks for simulations."""
+    """Yield a bus that is there, or one of our own at the place where z_sub looks for simulations."""
     with contextlib.ExitStack() as stack:
         directory = args.on
         if directory is None:

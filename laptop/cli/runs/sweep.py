@@ -129,14 +129,14 @@ def _limits(
 
 
 class _Progress:
-    """How many runs are done: one line that is drawn over and over on a terminal; nothing elsewhere."""
+    """The number of runs that are done: one line that is drawn again and again on a terminal; nothing elsewhere."""
 
     def __init__(self, stream: TextIO, total: int | None) -> None:
         self._stream, self._total = stream, total
         self._count = 0
 
     def done(self) -> None:
-        """One more."""
+        """Count one more run."""
         self._count += 1
         if self._total is not None:
             bar(self._stream, self._count, self._total, " runs")

@@ -37,7 +37,7 @@ def by_point(points: Sequence[SweepPoint], found: Sequence[SweptRun]) -> list[li
 
 
 def table(points: Sequence[SweepPoint], found: Sequence[SweptRun]) -> str:
-    """A row for each point, and what failed."""
+    """Return a table with a row for each point, and the failures."""
     sums = [summarize(runs) for runs in by_point(points, found)]
     names = [name for name, _ in points[0].choices] if points else []
     metrics = _metrics(sums)
@@ -59,7 +59,7 @@ def table(points: Sequence[SweepPoint], found: Sequence[SweptRun]) -> str:
 
 
 def limits(points: Sequence[SweepPoint], name: str, brackets: Sequence[Bracket]) -> str:
-    """A row for each point."""
+    """Return a table with a row for each point."""
     rows = [[*(name for name, _ in points[0].choices), f"{name} settles", "fails"]]
     for point, each in zip(points, brackets, strict=True):
         rows.append([*(value for _, value in point.choices), _shown(each.good), _shown(each.bad)])
@@ -67,7 +67,7 @@ def limits(points: Sequence[SweepPoint], name: str, brackets: Sequence[Bracket])
 
 
 def as_json(points: Sequence[SweepPoint], found: Sequence[SweptRun]) -> list[dict[str, object]]:
-    """Each point with its summary and its runs."""
+    """Return each point with its summary and its runs."""
     return [
         {**dict(point.choices), "summary": asdict(summarize(runs)), "runs": [_run(run) for run in runs]}
         for point, runs in zip(points, by_point(points, found), strict=True)
@@ -154,7 +154,7 @@ def _run(run: SweptRun) -> dict[str, object]:
 
 
 def _named(point: SweepPoint) -> str:
-    """What a note about a point begins with, behind its first word."""
+    """Return the name of a point behind the first word of a note."""
     return "".join(f" {name}={value}" for name, value in point.choices)
 
 

@@ -8,5 +8,6 @@ MISUNDERSTOOD = (RemoteError, LookupError, ValueError, TypeError, AttributeError
 
 
 def misunderstood(error: BaseException) -> str:
-    """In words: its release may be another one, or the robot is not ours any more. No other robot is harmed by it."""
+    """Describe an answer that cannot be understood: the robot's release may be another one, or the robot is not ours
+    any more. No other robot is harmed by it."""
     return f"its answer cannot be understood: {type(error).__name__}: {printable(str(error))}"

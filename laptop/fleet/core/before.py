@@ -4,7 +4,7 @@ from laptop.fleet.core.wish import BOARDS, MIN_FREE, SUITES, DesiredRobot, Facts
 
 
 def board(facts: Facts, wish: DesiredRobot) -> Verdict:
-    """A board we know, and the one that swarm.toml says."""
+    """Check that the board is one we know, and the one of swarm.toml."""
     model = facts["model"]
     found = next((name for begin, name in BOARDS.items() if model.startswith(begin)), None)
     if found is None:

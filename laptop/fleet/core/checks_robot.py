@@ -32,7 +32,7 @@ def devices(robot: ExaminedRobot) -> Finding:
 
 
 def _scanned(found: dict[str, object]) -> Finding:
-    """By our own look at the bus, where the balancer does not run."""
+    """Return the finding of our own look at the bus, where the balancer does not run."""
     if found["problem"]:
         return bad(f"/dev/i2c-1: {found['problem']}", "swarm provision switches I2C on")
     silent = [name for name in ("imu", "atmega") if found[name] is None]
@@ -79,7 +79,7 @@ def firmware(robot: ExaminedRobot) -> Finding:
 
 
 def module(robot: ExaminedRobot) -> Finding:
-    """The DWM1001 answers."""
+    """Check that the DWM1001 answers."""
     status = robot.said("dwm/status")
     if not status:
         return bad("the dwm service says nothing", "swarm logs dwm")
@@ -124,7 +124,7 @@ def adapter(robot: ExaminedRobot) -> Finding:
 
 
 def pairing(robot: ExaminedRobot) -> Finding:
-    """All robots that may have a link with it are paired and trusted."""
+    """Check that all robots that may have a link with it are paired and trusted."""
     its = robot.facts["pairing"]
     if its is None or robot.config.robot(robot.name).link is not None:
         return skipped("its links are not Bluetooth's")
@@ -189,7 +189,7 @@ def body(robot: ExaminedRobot) -> Finding:
 
 
 def battery(robot: ExaminedRobot) -> Finding:
-    """The batteries last."""
+    """Check that the batteries are charged."""
     volts = robot.said("balancer/battery").get("voltage", robot.said("balancer/state").get("battery"))
     if volts is None:
         return bad("not read yet", "see devices")

@@ -23,7 +23,7 @@ def _wish(robot: ExaminedRobot) -> DesiredRobot:
 
 
 def _step(step: ProvisioningStep) -> Callable[[ExaminedRobot], Finding]:
-    """A step of provisioning as a check: the same judgement."""
+    """Make a check of a provisioning step, with the same judgement."""
 
     def judge(robot: ExaminedRobot) -> Finding:
         verdict = step.judge(robot.facts, _wish(robot))
@@ -80,7 +80,7 @@ def heat(robot: ExaminedRobot) -> Finding:
 
 
 def services(robot: ExaminedRobot) -> Finding:
-    """All services run, and none starts again and again."""
+    """Check that all services run, and that none starts again and again."""
     if robot.system is None:
         if robot.bus is None or not robot.bus.get("bus"):
             return bad("its bus does not answer", "is the simulation running?")
@@ -107,7 +107,7 @@ def services(robot: ExaminedRobot) -> Finding:
 
 
 def release(robot: ExaminedRobot) -> Finding:
-    """A release is installed."""
+    """Check that a release is installed."""
     current = robot.facts["current"]
     if not current:
         return bad("no release is installed", "swarm provision, or swarm deploy")

@@ -35,7 +35,7 @@ class ExaminedRobot:
 
     @property
     def facts(self) -> Mapping[str, Any]:
-        """What was found out about its own computer; raises `SimulatedError` where it has none."""
+        """Return the facts about the robot's own computer. Raises `SimulatedError` where it has none."""
         if self.system is None:
             raise SimulatedError
         return self.system
@@ -47,7 +47,7 @@ class ExaminedRobot:
 
 @frozen
 class Finding:
-    """What a check says."""
+    """The result of a check."""
 
     state: str
     """ok, warning, bad, or skipped where it does not apply."""
@@ -68,7 +68,7 @@ class Check:
 
 
 def ok(text: str) -> Finding:
-    """As it should be."""
+    """Return a finding without a problem."""
     return Finding("ok", text)
 
 

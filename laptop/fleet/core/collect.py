@@ -70,7 +70,7 @@ class File:
         return self.path.rpartition("/")[2].startswith(f"{robot}.")
 
     def own(self, robot: str) -> str:
-        """Its path among those of other robots, whatever these have under the same name."""
+        """Return its path among those of other robots, whatever these have under the same name."""
         folder, _, name = self.path.rpartition("/")
         return self.path if self.is_of(robot) else f"{folder}/{robot}.{name}"
 
@@ -94,7 +94,7 @@ def parse_list(text: str) -> tuple[list[File], list[str]]:
 
 
 def chosen(files: Sequence[File], wanted: Sequence[str]) -> list[File]:
-    """Those of the wanted runs, named by folder or by app; all without any."""
+    """Return the files of the wanted runs, named by folder or by app; all without any."""
     return [file for file in files if not wanted or file.run in wanted or file.app in wanted]
 
 
@@ -112,8 +112,8 @@ class Wanted:
 
 
 def plan(files: Sequence[File], have: Mapping[str, int]) -> list[Wanted]:
-    """What to ask for; `have` gives the bytes that are here, by the robot's path. A copy that is longer than the file
-    is no beginning of it: it is asked for as if nothing were here."""
+    """Return what to ask for; `have` gives the bytes that are here, by the robot's path. A copy that is longer than
+    the file is no beginning of it, so the whole file is asked for."""
     return [Wanted(file, have.get(file.path, 0) if have.get(file.path, 0) <= file.size else 0) for file in files]
 
 

@@ -10,7 +10,7 @@ CHECKS: tuple[Check, ...] = (*checks_system.CHECKS, *checks_robot.CHECKS)
 
 
 def examine(robot: ExaminedRobot) -> dict[str, Finding]:
-    """What each check says of a robot, by name."""
+    """Return the finding of each check, by name."""
     return {check.name: _judged(check, robot) for check in CHECKS}
 
 
@@ -24,7 +24,7 @@ def _judged(check: Check, robot: ExaminedRobot) -> Finding:
 
 
 def compare(robots: Sequence[ExaminedRobot]) -> list[str]:
-    """What must be the same on all robots of a swarm, and is not."""
+    """Return what differs between robots of a swarm and must not."""
     asked: dict[str, Callable[[ExaminedRobot], str | None]] = {
         "releases (swarm deploy the same to all)": _release,
         "firmware (swarm flash the same to all)": _firmware,

@@ -83,7 +83,7 @@ def apt_get(*words: str) -> list[str]:
 
 
 def kernel(facts: Facts, wish: DesiredRobot) -> Verdict:
-    """A kernel whose RFCOMM bears a call into nothing."""
+    """Check for a kernel whose RFCOMM survives a call to a robot that is away."""
     least = ".".join(map(str, MIN_KERNEL))
     if texts.kernel_version(facts["kernel"]) >= MIN_KERNEL:
         return ok(facts["kernel"])

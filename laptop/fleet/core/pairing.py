@@ -13,7 +13,7 @@ from swarm.frozen import frozen
 
 @frozen
 class Bond:
-    """What one robot's bluetoothd says of another robot."""
+    """One robot's record of another robot, by its bluetoothd."""
 
     paired: bool = False
     trusted: bool = False
@@ -33,7 +33,8 @@ def edges(config: Config, robots: Collection[str]) -> list[Edge]:
 
 
 def check(config: Config, addresses: Mapping[str, str]) -> dict[str, str]:
-    """What is wrong, by robot, where adapters have these addresses: the config has another, or two have the same."""
+    """Explain by robot what is wrong where adapters have these addresses: the config has another, or two have the
+    same."""
     wrong = {}
     for name, address in addresses.items():
         said = config.robot(name).bluetooth
@@ -53,7 +54,7 @@ def check(config: Config, addresses: Mapping[str, str]) -> dict[str, str]:
 
 
 def plan(a: Bond | None, b: Bond | None) -> list[str]:
-    """What is to be done with a link whose ends know each other so (None: not at all), in order.
+    """Return the steps for a link whose ends know each other so (None: not at all), in order.
 
     forget-a, forget-b: remove what is left of a pairing the other end knows nothing of; pair; trust-a, trust-b.
     """
@@ -66,7 +67,7 @@ def plan(a: Bond | None, b: Bond | None) -> list[str]:
 
 @dataclass
 class PairingSchedule:
-    """Which links are worked at, so that no robot is asked twice at once: one radio does one thing at a time."""
+    """A schedule of the links to pair. No robot has two at once: one radio does one thing at a time."""
 
     waiting: list[Edge]
     busy: set[str] = field(default_factory=set)

@@ -134,7 +134,7 @@ def network(facts: Facts, wish: DesiredRobot) -> Verdict:
 
 
 def wifi_text(name: str, password: str) -> str:
-    """A connection of NetworkManager's (its keyfile format: a backslash and a leading space are written escaped)."""
+    """Return a connection in NetworkManager's keyfile format (a backslash and a leading space are written escaped)."""
 
     def escaped(text: str) -> str:
         text = text.replace("\\", "\\\\")

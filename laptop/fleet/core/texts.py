@@ -30,7 +30,7 @@ def with_words(text: str, add: Sequence[str], remove: Collection[str] = ()) -> s
 
 
 def with_setting(text: str, section: str, key: str, value: str) -> str:
-    """An ini file (`/etc/bluetooth/main.conf`) with `key = value` in `[section]`.
+    """Return an ini file (`/etc/bluetooth/main.conf`) with `key = value` in `[section]`.
 
     A line that sets it, or one that is commented out, is replaced; others of the section stay.
     """

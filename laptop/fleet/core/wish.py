@@ -30,7 +30,7 @@ MIN_FREE = {"/": 400_000_000, "/boot/firmware": 20_000_000}
 
 @frozen
 class Packages:
-    """What apt would do on the robot with the bundle's packages."""
+    """The changes that apt would make on the robot with the bundle's packages."""
 
     files: Mapping[str, int] = field(default_factory=dict)
     """Bytes by file of the bundle; nothing = all is there."""
@@ -41,7 +41,7 @@ class Packages:
 
 @frozen
 class DesiredRobot:
-    """What is asked for one robot."""
+    """The desired state of one robot."""
 
     robot: str
     board: str
@@ -71,7 +71,7 @@ class DesiredRobot:
 def wish(
     config: Config, robot: str, address: str, now: float, *, key: bool, wifi: tuple[str, str] | None
 ) -> DesiredRobot:
-    """What swarm.toml asks of a robot."""
+    """Return the desired state of a robot by swarm.toml."""
     entry = config.robot(robot)
     kind, _, port = config.dwm.source.partition(":")
     own = kind == "serial" and port in ("/dev/serial0", "/dev/ttyAMA0", "/dev/ttyS0")
@@ -96,7 +96,7 @@ Change = dict[str, Any]
 
 @frozen
 class Verdict:
-    """What a step finds."""
+    """The result of a step's look at a robot."""
 
     state: str
     """ok, change or failed."""
@@ -124,7 +124,7 @@ def change(text: str, *changes: Change, reboot: bool = False) -> Verdict:
 
 @frozen
 class ProvisioningStep:
-    """One idea."""
+    """One step of provisioning."""
 
     name: str
     judge: Callable[[Facts, DesiredRobot], Verdict]

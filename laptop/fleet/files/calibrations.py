@@ -21,7 +21,7 @@ _THERE = "/etc/swarm/calibration/{robot}.toml"
 
 
 def with_calibration(files: Mapping[str, bytes], config: Config, robot: str) -> dict[str, bytes]:
-    """What goes with a release to one robot: `files` and its calibration, where there is one here.
+    """Return the files that go with a release to one robot: `files` and its calibration, where there is one here.
 
     Raises `LocalError` where its dwm service would refuse the file.
     """
@@ -72,5 +72,5 @@ async def bring_back(ssh: Ssh, host: Host, config: Config) -> str:
 
 
 def _made(file: CalibrationFile) -> str:
-    """When its newest part was made, UTC in ISO 8601: earlier ones sort first."""
+    """Return when its newest part was made, UTC in ISO 8601: earlier ones sort first."""
     return max((part[1].made for part in (file.distance, file.position) if part is not None), default="")

@@ -30,7 +30,7 @@ _ACTIVE = "systemctl list-units --plain --no-legend --state=active,activating,re
 
 @dataclass
 class Got:
-    """What came of one robot's recordings."""
+    """The result of fetching one robot's recordings."""
 
     files: int = 0
     runs: set[str] = field(default_factory=set)
@@ -95,7 +95,7 @@ class RecordingFetch:
         return common if common.is_file() and common.stat().st_size == file.size else own
 
     def _settle(self, file: File, path: Path, same: bool) -> None:
-        """A file is whole: `same` as the robot's, or not."""
+        """Finish a whole file: `same` as the robot's, or not."""
         common = self._folder / file.path
         if not same and path == common and not file.is_of(self._host.robot):
             self._differs.add(file)

@@ -20,7 +20,7 @@ _MAX_DIGITS = 20
 
 @frozen
 class JournalMark:
-    """How far a journal was fetched."""
+    """The place up to which a journal was fetched."""
 
     size: int = 0
     """Bytes of text."""
@@ -28,12 +28,12 @@ class JournalMark:
 
     @property
     def text(self) -> str:
-        """As it is kept."""
+        """Return the mark as text to keep."""
         return f"{self.size} {self.cursor}\n"
 
     @classmethod
     def of(cls, text: str) -> "JournalMark":
-        """From what was kept; a mark that cannot be read is the beginning."""
+        """Read a mark that was kept; one that cannot be read is the beginning."""
         size, _, cursor = text.strip().partition(" ")
         if not text.endswith("\n"):
             return cls()
@@ -42,7 +42,7 @@ class JournalMark:
 
 
 def entry(line: str) -> tuple[str, str] | None:
-    """An entry of `journalctl --output=json` as (cursor, line of text); None where it is none."""
+    """Parse an entry of `journalctl --output=json` into (cursor, line of text); None where it is no entry."""
     try:
         fields = read_json(line)
         cursor, micros = fields["__CURSOR"], int(fields["__REALTIME_TIMESTAMP"])

@@ -43,7 +43,7 @@ class Repository:
     """By name and version."""
 
     def data(self, package: Package) -> bytes:
-        """A package's file, checked; raises `LocalError`."""
+        """Return the file of a package after checking it. Raises `LocalError`."""
         path = self.folder / package.file
         try:
             data = path.read_bytes()
@@ -102,7 +102,8 @@ def entries(index: str) -> list[Package]:
 
 
 def index_of(all_stanzas: Iterable[str], files: Mapping[str, str]) -> str:
-    """An index of those packages of `all_stanzas` whose SHA-256 is a key of `files`, at the file name it gives."""
+    """Return an index of those packages of `all_stanzas` whose SHA-256 is a key of `files`, with the file name it
+    gives."""
     kept = {}
     for stanza in all_stanzas:
         digest = fields(stanza).get("SHA256", "").lower()
@@ -130,7 +131,7 @@ class Archive:
 
     @property
     def line(self) -> str:
-        """As apt reads it."""
+        """Return the line that apt reads."""
         return f"deb [signed-by={self.keys.resolve()}] {self.url} {self.suite} main"
 
 
@@ -219,7 +220,7 @@ class _Apt:
         return self._run("apt-get", "--no-install-recommends", *words)
 
     def cache(self, *words: str) -> str:
-        """apt-cache."""
+        """Run apt-cache."""
         return self._run("apt-cache", *words)
 
     def _run(self, program: str, *words: str) -> str:

@@ -49,7 +49,7 @@ class Release:
         return "".join(lines).encode()
 
     def lacks(self, packages: Iterable[str]) -> list[str]:
-        """Those of `[robot] packages` of which it has no wheel."""
+        """Return those of `[robot] packages` of which it has no wheel."""
         there = {_plain(name.removeprefix("wheels/").partition("-")[0]) for name in self.files if name.endswith(".whl")}
         return [each for each in packages if _plain(_NAME.match(each)[0]) not in there]  # type: ignore[index]
 
@@ -58,12 +58,12 @@ _NAME = re.compile(r"[A-Za-z0-9._-]+")
 
 
 def _plain(name: str) -> str:
-    """A package's name as pip compares it."""
+    """Return a package's name as pip compares it."""
     return re.sub(r"[-_.]+", "_", name).lower()
 
 
 def pack(files: Mapping[str, bytes], modes: Mapping[str, int]) -> bytes:
-    """A tar of these files; those without a mode are their owner's alone."""
+    """Pack files as a tar; only the owner can read those without a mode."""
     buffer = io.BytesIO()
     with tarfile.open(fileobj=buffer, mode="w") as archive:
         for name, data in files.items():
@@ -133,8 +133,8 @@ _INSTALL = (
 
 
 def read_files(config: Path, key: Path | None) -> dict[str, bytes]:
-    """What goes with a release, by the option of `install`; raises `LocalError` where it cannot be read, or is no key
-    that only its owner can read."""
+    """Return the files that go with a release, by the option of `install`. Raises `LocalError` where one cannot be
+    read, or where the key is readable by others."""
     if key is not None:
         read_keys(key)
     files = {}

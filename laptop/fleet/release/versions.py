@@ -17,7 +17,7 @@ _SUM = re.compile(r"[0-9a-f]{64}")
 
 @frozen
 class Versions:
-    """Of one robot; None where it does not say."""
+    """The versions on one robot; None where it does not tell."""
 
     release: str | None
     config: str | None
@@ -29,7 +29,7 @@ class Versions:
 
 
 def question(robot: str) -> str:
-    """For the robot's shell; `parse` reads the answer."""
+    """Return the command for the robot's shell; `parse` reads its answer."""
     firmware = f"swarm/{robot}/balancer/firmware"
     return (
         f"echo '{_MARK}release'; readlink /opt/swarm/current; "
@@ -52,7 +52,7 @@ def parse(text: str) -> Versions:
 
 
 def firmware(line: str) -> str | None:
-    """From a line of z_sub."""
+    """Return the firmware's version from a line of z_sub."""
     try:
         value = read_json(line)["value"]
         return f"revision {int(value['revision'])} (layout {int(value['layout'])})"
@@ -61,7 +61,7 @@ def firmware(line: str) -> str | None:
 
 
 def differences(robots: Mapping[str, Versions], config: str) -> list[str]:
-    """What is not the same on all of them, in words; `config` is the SHA-256 of the swarm.toml here.
+    """Explain in words what differs between robots; `config` is the SHA-256 of the swarm.toml here.
 
     A robot that does not tell its firmware is no difference: its balancer may be stopped.
     """

@@ -21,7 +21,7 @@ from swarm.process.terminal import columns, write_lines
 
 @frozen
 class RobotOutcome:
-    """What came of it on one robot."""
+    """The outcome on one robot."""
 
     robot: str
     ok: bool
@@ -135,7 +135,7 @@ def run(args: argparse.Namespace, robots: Sequence[Host], job: Job) -> int:
 
 
 def table(outcomes: Sequence[RobotOutcome]) -> list[str]:
-    """One row a robot."""
+    """Return the lines of a table, one for each robot."""
     return columns(
         [(each.robot, "ok" if each.ok else "FAILED", f"{each.seconds:6.1f} s", each.text) for each in outcomes]
     )

@@ -85,7 +85,7 @@ def program(main: str, request: object) -> bytes:
 
 
 def command(*, root: bool = True) -> str:
-    """For the robot's shell."""
+    """Return the command for the robot's shell."""
     return f"{'sudo -n ' if root else ''}python3 -I -c {shlex.quote(BOOT)}"
 
 

@@ -54,7 +54,7 @@ class Host:
 
 @frozen
 class Done:
-    """How a command ended on a robot."""
+    """The end of a command on a robot."""
 
     code: int
     out: str

@@ -12,7 +12,7 @@ from swarm.config import Config
 
 
 class Plan:
-    """Of one start."""
+    """The plan of one start."""
 
     def __init__(self, app: str, config: Config, *, alone: bool) -> None:
         """`alone`: for one robot, which others may run it with."""
@@ -28,7 +28,7 @@ class Plan:
         """What they go on with."""
 
     def found(self, robot: str, versions: Versions, known: StartedApp | None) -> None:
-        """What a robot runs, and how the app was started there last."""
+        """Note the versions on a robot, and how the app was started there last."""
         self._versions[robot], self._known[robot] = versions, known
 
     def is_new(self, robot: str) -> bool:

@@ -84,7 +84,7 @@ class RemoteActions:
         self._loop.close()
 
     def give(self, robots: Sequence[str], app: str, values: Mapping[str, Value]) -> list[str]:
-        """By `swarm app param` on each robot, which says what became of it."""
+        """Set parameters by `swarm app param` on each robot, which reports the outcome."""
         words = [f"{name}={str(value).lower() if isinstance(value, bool) else value}" for name, value in values.items()]
         told = f"app/{app}: {' '.join(words)}"
 
@@ -322,14 +322,14 @@ class RemoteActions:
 
 
 async def _all(works: Iterable[Coroutine[Any, Any, None]]) -> None:
-    """At once. Cancelled, it waits for the end of each, which `asyncio.gather` does not."""
+    """Run all at once. When cancelled, wait for the end of each, which `asyncio.gather` does not."""
     async with asyncio.TaskGroup() as group:
         for work in works:
             group.create_task(work)
 
 
 def _link(peer: str) -> str:
-    """No name of an app."""
+    """Return a key for a link that is no app's name."""
     return f"link {peer}"
 
 

@@ -20,7 +20,7 @@ class RobotActions(Protocol):
 
     @property
     def acts(self) -> Mapping[str, PageAction]:
-        """What can be done to these robots; a page shows no other."""
+        """Return what can be done to these robots; a page shows no other action."""
 
     def give(self, robots: Sequence[str], app: str, values: Mapping[str, Value]) -> list[str]:
         """Have an app's parameters set on robots whose bus is not near; those of them that cannot be asked."""
@@ -30,14 +30,15 @@ class RobotActions(Protocol):
 
 
 def named(name: object, robots: Collection[str]) -> str:
-    """A robot's name; `LocalError` where it is none of these."""
+    """Return a robot's name. Raises `LocalError` where it is none of these."""
     if str(name) not in robots:
         raise LocalError(f"no robot {str(name)[:20]!r}, there are {', '.join(robots)}")
     return str(name)
 
 
 def settings_of(asked: Mapping[str, Any]) -> list[Setting]:
-    """What an app is to be started with, `{"settings": {"gain": 1, "r2.gain": 2}}`; `LocalError` for anything else."""
+    """Return the settings with which an app is to be started, `{"settings": {"gain": 1, "r2.gain": 2}}`. Raises
+    `LocalError` for anything else."""
     found = asked.get("settings", {})
     if not isinstance(found, dict):
         raise LocalError("settings: expected parameters and their values")

@@ -32,11 +32,11 @@ class SimulatedActions:
         }
 
     def give(self, robots: Sequence[str], app: str, values: Mapping[str, Value]) -> list[str]:
-        """All buses are near; one that is not has gone."""
+        """Return all robots: every bus is near, and one that is not has gone."""
         return list(robots)
 
     def close(self) -> None:
-        """Nothing is under way."""
+        """Do nothing: no action is under way."""
 
     def _press(self, asked: Mapping[str, Any]) -> str:
         robot, button = self._robot(asked), str(asked["button"]).upper()

@@ -34,7 +34,7 @@ class Publisher(Protocol):
 
 
 class LiveFeed(Protocol):
-    """Where the present of a swarm comes from."""
+    """A source of the present of a swarm."""
 
     @property
     def kind(self) -> str:
@@ -42,11 +42,11 @@ class LiveFeed(Protocol):
 
     @property
     def picture(self) -> Picture:
-        """What is known; to be looked at under `lock`."""
+        """Return the picture, which callers read under `lock`."""
 
     @property
     def lock(self) -> threading.Lock:
-        """Around the picture."""
+        """Return the lock of the picture."""
 
     @property
     def live(self) -> bool:
@@ -54,7 +54,7 @@ class LiveFeed(Protocol):
 
     @property
     def config(self) -> Config | None:
-        """Of the swarm; None as long as it is not there."""
+        """Return the swarm's config; None while it is unknown."""
 
     @property
     def buses(self) -> Mapping[str, Publisher]:
@@ -64,7 +64,7 @@ class LiveFeed(Protocol):
         """The page's time, s."""
 
     def pace(self) -> dict[str, object] | None:
-        """How fast time passes, where that can be changed: `{speed, actual, paused}`."""
+        """Return how fast time passes, where that can be changed: `{speed, actual, paused}`."""
 
     def set_pace(self, speed: float | None, paused: bool) -> None:
         """Let it pass otherwise. Raises `ValueError` where that cannot be."""
@@ -88,7 +88,7 @@ class RealTime:
         """It passes as it does."""
 
     def set_pace(self, speed: float | None, paused: bool) -> None:
-        """Refused."""
+        """Refuse: this is real time."""
         raise ValueError("this is real time")
 
 

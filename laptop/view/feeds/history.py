@@ -26,7 +26,7 @@ _Rows = deque[tuple[float, bytes]]
 
 
 class History:
-    """Of one robot. Times are the caller's clock, s."""
+    """The history of one robot. Times are the caller's clock, s."""
 
     def __init__(self) -> None:
         self._keys: dict[str, _Rows] = {}
@@ -47,11 +47,12 @@ class History:
             self._count(topic, -_ENTRY - len(rows.popleft()[1]))
 
     def rows(self, topic: str) -> Iterator[tuple[float, bytes]]:
-        """What a key held, oldest first."""
+        """Return the values of a key, oldest first."""
         return iter(self._keys.get(topic, ()))
 
     def at(self, t: float) -> Iterator[tuple[str, bytes]]:
-        """What each key held at an instant; nothing of those that are younger, or whose past is kept no more."""
+        """Yield the value of each key at an instant, except for keys that are younger, or whose past is not kept any
+        more."""
         for topic, rows in self._keys.items():
             if (payload := next((each for at, each in reversed(rows) if at <= t), None)) is not None:
                 yield topic, payload

@@ -107,7 +107,8 @@ class Picture:
         """The last event by robot and subject."""
 
     def take(self, bus: str, key: str, payload: bytes, now: float) -> None:
-        """A sample seen on a robot's bus (`bus` = "": on any one). There no other robot speaks for itself."""
+        """Take a sample seen on a robot's bus (`bus` = "": on any one). On its own bus no other robot speaks for
+        itself."""
         try:
             robot, service, topic = parse(key)
         except PayloadError:
@@ -127,13 +128,13 @@ class Picture:
         self._history.setdefault(robot, History()).add(name, payload, now)
 
     def passed(self, sender: str, receiver: str, count: int) -> None:
-        """How many messages have passed between the two so far, from whoever counts them."""
+        """Set how many messages have passed between two robots so far."""
         hop = f"{sender}>{receiver}"
         if hop in self._hops or len(self._hops) < MAX_HOPS:
             self._hops[hop] = count
 
     def put(self, robot: str, topic: str, value: object, now: float) -> None:
-        """A decoded sample. It has no history."""
+        """Take a decoded sample, which gets no history."""
         self._now = now
         if self._fits(robot, topic, value) and self._keep(robot, topic, value):
             self._read(robot, topic, value, now)
@@ -158,8 +159,8 @@ class Picture:
         return True
 
     def _open(self, robot: str, topic: str, value: object) -> object:
-        """What a sample says, `_NOTHING` where it is no message: most are followed by the next one before somebody
-        looks."""
+        """Decode a sample, `_NOTHING` where it is no message. This is done when somebody looks: most samples are
+        replaced before."""
         if not isinstance(value, _Packed):
             return value
         if value.value is None:
@@ -196,7 +197,7 @@ class Picture:
                     self.note(now, robot, level, text)
 
     def alive(self, robot: str, service: str, there: bool, now: float) -> None:
-        """A service's process has come or gone."""
+        """Note that a service's process has come or gone."""
         services = self._alive.setdefault(robot, {})
         before = services.get(service)
         if before == there or (before is None and len(services) >= MAX_SERVICES):
@@ -207,7 +208,7 @@ class Picture:
             self.note(now, robot, "info" if there else "error", f"{service} is {'back' if there else 'gone'}")
 
     def services(self) -> dict[str, dict[str, bool]]:
-        """Which services have been there, by robot, and whether they are now."""
+        """Return by robot which services have been there, and whether they are now."""
         return self._alive
 
     def topics(self, robot: str) -> tuple[str, ...]:
@@ -245,8 +246,8 @@ class Picture:
         return dict(self._hops)
 
     def history(self, robot: str, topic: str, most: int | None = None) -> list[tuple[float, object]]:
-        """What a key held in the last two minutes, oldest first; where there are more than `most`, each n-th of them
-        and the newest."""
+        """Return the values of a key in the last two minutes, oldest first. Where there are more than `most`, each
+        n-th of them and the newest."""
         packed = list(self._history[robot].rows(topic)) if robot in self._history else []
         step = 1 if most is None else -(-len(packed) // most) or 1
         found = []
@@ -257,7 +258,7 @@ class Picture:
 
     @property
     def robots(self) -> list[str]:
-        """Those that have said something, by name."""
+        """Return the names of the robots that have said something."""
         return sorted(self._topics)
 
     def look(self, t: float) -> dict[str, dict[str, object]]:
@@ -295,7 +296,7 @@ def _check(topic: str, message: object) -> None:
 
 
 def _message(topic: str, payload: bytes) -> object:
-    """What a sample says; raises `PayloadError`."""
+    """Decode a sample. Raises `PayloadError`."""
     message = json_value(unpack(payload), MAX_BYTES)
     _check(topic, message)
     return message
@@ -307,7 +308,7 @@ def _size(value: object) -> int:
 
 
 def places(history: Iterable[tuple[float, object]], since: float) -> Iterator[tuple[float, float]]:
-    """Where a robot has been since a time, m, by what a key with `x` and `y` held."""
+    """Yield a robot's places since a time, m, by the values of a key with `x` and `y`."""
     for t, value in history:
         if t >= since and isinstance(value, dict):
             x, y = value.get("x"), value.get("y")

@@ -90,7 +90,7 @@ class Robots(RealTime):
             tunnel.close()
 
     def _wait(self) -> None:
-        """Until the first robot speaks."""
+        """Wait until the first robot is heard."""
         end = clock.now() + _FIRST_S
         while not self.live:
             problems = [f"{name}: {tunnel.problem}" for name, tunnel in self.buses.items() if tunnel.problem]
@@ -130,7 +130,7 @@ class Robots(RealTime):
         return next((name for name, tunnel in self.buses.items() if tunnel.connected), None)
 
     def _reach(self, name: str, now: float) -> tuple[str | None, str]:
-        """How a robot is seen at this moment, and why not."""
+        """Return how a robot is seen at this moment, and why not."""
         why, tunnel = "", self.buses.get(name)
         if tunnel is not None:
             if stranger := self._stranger.get(name):
@@ -202,7 +202,7 @@ class Robots(RealTime):
         return tunnel is not None and tunnel.connected and self._bus.get(robot, True)
 
     def _view(self, robot: str, name: str, payload: bytes, now: float) -> None:
-        """What another robot tells of itself, as if it had been heard on its own bus."""
+        """Take another robot's report of itself, as if it had been heard on its own bus."""
         try:
             view = decode(View, payload, name)
             services = {name: whose_token(f"swarm/{robot}/{name}/alive")[1] for name in view.services}

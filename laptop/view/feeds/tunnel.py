@@ -35,7 +35,7 @@ _LARGEST = 4 << 20
 
 
 class Tunnel:
-    """To one robot."""
+    """The connection to one robot."""
 
     def __init__(self, ssh: Ssh, host: Host, take: Callable[[list[object]], None], changed: Callable[[], None]) -> None:
         """`take` gets each array that the robot's lookout tells, in a thread of ours; `changed()` is called when
@@ -86,7 +86,7 @@ class Tunnel:
             self._closing.wait(RETRY_S[min(tries, len(RETRY_S) - 1)])
 
     def _once(self) -> bool:
-        """One connection, from its beginning to its end; whether the robot has said anything."""
+        """Run one connection to its end; return whether the robot has said anything."""
         # To a file: nobody has to read it meanwhile, and a connection that ssh shares may keep it open.
         with tempfile.TemporaryFile() as errors:
             try:
@@ -162,7 +162,7 @@ class Tunnel:
 
 
 def _end(process: subprocess.Popen[bytes]) -> int:
-    """Its exit code: the connection has ended, or was told to."""
+    """Return the exit code of a connection that has ended, or was told to."""
     try:
         return process.wait(_END_S)
     except subprocess.TimeoutExpired:

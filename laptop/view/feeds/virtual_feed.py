@@ -73,14 +73,14 @@ class VirtualFeed:
         world.time.soon(self._tick)
 
     def now(self) -> float:
-        """Virtual time, s."""
+        """Return the virtual time, s."""
         return self._now
 
     def check_control(self) -> None:
         """Nobody can be told anything."""
 
     def pace(self) -> dict[str, object]:
-        """How fast time passes: what was wished (None: as fast as it computes), and what it comes to."""
+        """Return how fast time passes: the wish (None: as fast as it computes), and the actual speed."""
         wished = self._speed if math.isfinite(self._speed) else None
         return {"speed": wished, "actual": round(self._actual, 3), "paused": self._paused}
 
