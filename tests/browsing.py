@@ -1,6 +1,7 @@
 """`swarm view` and a browser that shows its page."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -79,6 +80,11 @@ def visit(browser: Any, view: View, **options: Any) -> Iterator[Any]:
 def row(page: Any, robot: str) -> Any:
     """The row of a robot in the table."""
     return page.locator(f"tr[data-robot={robot}]")
+
+
+def event(page: Any, robot: str, text: str) -> Any:
+    """The newest line of events that tells this of a robot, be it alone or with others."""
+    return page.locator("#events li", has_text=re.compile(rf"\b(all|{robot})\b.* {re.escape(text)}")).first
 
 
 def until(page: Any, condition: str) -> None:

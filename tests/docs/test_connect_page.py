@@ -1,15 +1,21 @@
 """The programs of the pages about other tools run against a simulation and its recording."""
 
+import contextlib
 import importlib.util
 import re
+import socket
+import struct
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from conftest import wait_until
 
 from bench.running import running
+from swarm.bus.zenoh_bus import Bus
+from swarm.messages import Pose, read
 
 ROOT = Path(__file__).parents[2]
 PAGES = ("how-to/tools/zenoh-client.md", "how-to/runs/export.md")
@@ -53,6 +59,67 @@ def test_pandas_reads_a_recording_through_the_makers_reader(tmp_path: Path) -> N
     subprocess.run([sys.executable, "-m", "laptop.cli", *map(str, words)], check=True, cwd=ROOT, capture_output=True)
     (recording,) = (tmp_path / "recorded").rglob("*.mcap")
     assert "state.value" in run_program("table.py", tmp_path, recording)
+
+
+CAPTURED = """
+network = "lab"
+robots = [{ name = "r0" }, { name = "r1" }]
+topology = { shape = "line" }
+anchors = [
+    { address = "D001", x = 0.0, y = 0.0, z = 0.3 },
+    { address = "D002", x = 2.0, y = 0.0, z = 0.3 },
+    { address = "D003", x = 1.0, y = 2.0, z = 0.3 },
+]
+dwm = { source = "bus:swarm/{robot}/dwm/set/report" }
+"""
+NATNET = 1511
+"""The port of Motive's stream."""
+
+
+def natnet_frame(body: int, x: float, y: float) -> bytes:
+    """A frame of mocap data of NatNet 3 with no marker and one tracked rigid body, which looks along x."""
+    data = struct.pack("<4i", 1, 0, 0, 1) + struct.pack("<i7ffh", body, x, y, 0.0, 0.0, 0.0, 0.0, 1.0, 0.001, 1)
+    return struct.pack("<HH", 7, len(data)) + data
+
+
+def test_the_bridges_of_motion_capture_give_a_simulation_its_poses(tmp_path: Path, runtime: Path) -> None:
+    (tmp_path / "swarm.toml").write_text(CAPTURED)
+    (tmp_path / "poses.csv").write_text("".join(f"{0.1 * k:.1f},r0,1.25,0.5,0.1\n" for k in range(600)))
+    run, mocap = runtime / "run", ROOT / "examples" / "mocap"
+    sim = ("-m", "laptop.cli", "sim", "--config", tmp_path / "swarm.toml", "--seconds", "150", "--run-dir", run)
+    robots = [run / robot for robot in ("r0", "r1")]
+    places: dict[str, tuple[float, float, str]] = {}
+
+    def heard(key: str, payload: bytes) -> None:
+        pose = read(key, payload)
+        assert isinstance(pose, Pose)
+        places[key.split("/")[1]] = (pose.x, pose.y, pose.source)
+
+    with contextlib.ExitStack() as stack:
+
+        def start(*words: object) -> None:
+            stack.enter_context(running([sys.executable, *map(str, words)], cwd=ROOT, stdout=subprocess.DEVNULL))
+
+        start(*sim)
+        wait_until(lambda: all((each / "bus.sock").is_socket() for each in robots), what="the buses of the simulation")
+        for each in robots:
+            bus = stack.enter_context(Bus.of(each))
+            assert bus.wait_connected(60)
+            bus.subscribe("swarm/*/dwm/pose", heard)
+        start(mocap / "from_csv.py", tmp_path / "poses.csv", f"r0={robots[0] / 'bus.sock'}")
+        start(mocap / "from_natnet.py", "127.0.0.1", f"7=r1:{robots[1] / 'bus.sock'}")
+        stream = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+
+        def placed() -> bool:
+            stream.sendto(natnet_frame(7, 0.5, 1.5), ("127.0.0.1", NATNET))
+            return places.keys() == {"r0", "r1"}
+
+        wait_until(placed, what="poses of both robots")
+        assert places == {"r0": (1.25, 0.5, "external"), "r1": (0.5, 1.5, "external")}
+        words = ("dwm", "check", "--truth", "sim/truth", "--run-dir", str(run), "--robots", "r0", "--seconds", "3")
+        check = [sys.executable, "-m", "laptop.cli", *words]
+        told = subprocess.run(check, capture_output=True, text=True, check=False, timeout=60)
+        assert re.search(r"r0: \d+ poses: error [\d.]+ cm rms", told.stdout + told.stderr)
 
 
 def test_the_layout_for_foxglove_names_topics_that_are_served() -> None:

@@ -205,7 +205,10 @@ class Picture:
         services[service] = there
         self.version += 1
         if before is not None:
-            self.note(now, robot, "info" if there else "error", f"{service} is {'back' if there else 'gone'}")
+            status = self.newest(robot, f"{service}/status")
+            ended = service.startswith("app/") and isinstance(status, dict) and status.get("state") == "stopping"
+            level = "info" if there or ended else "error"
+            self.note(now, robot, level, f"{service} is {'back' if there else 'gone'}")
 
     def services(self) -> dict[str, dict[str, bool]]:
         """Return by robot which services have been there, and whether they are now."""

@@ -68,10 +68,13 @@ class Goto(DrivingApp):
         if self._reached < len(self._goals) and math.dist(here, self._goals[self._reached]) < self.reach:
             self._reached += 1
             self.robot.record("reached", self._reached)
+        if not self._goals:
+            return 0.0, 0.0
+        x, y = self._goals[min(self._reached, len(self._goals) - 1)]
+        left = math.dist(here, (x, y))
+        self.robot.record("off", left)
         if self._reached == len(self._goals):
             return 0.0, 0.0
-        x, y = self._goals[self._reached]
-        left = math.dist(here, (x, y))
         pace = min(self.speed, SLOWING * left) / left
         return pace * (x - here[0]), pace * (y - here[1])
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browsing import PATIENCE_MS, chromium, row, shown, until
+from browsing import PATIENCE_MS, chromium, event, row, shown, until
 from conftest import Processes
 from remote_swarm import Swarm, real_page
 
@@ -30,8 +30,8 @@ def swarm(processes: Processes, tmp_path: Path) -> Iterator[Swarm]:
     swarm.close()
 
 
-def event(page: Any, text: str) -> None:
-    expect(page.locator("#events li", has_text=text).first).to_be_visible(timeout=PATIENCE_MS)
+def told(page: Any, robot: str, text: str) -> None:
+    expect(event(page, robot, text)).to_be_visible(timeout=PATIENCE_MS)
 
 
 def click(page: Any, name: str) -> None:
@@ -48,9 +48,9 @@ def test_apps_links_and_services_of_real_robots(swarm: Swarm) -> None:
         page.get_by_label("app to start").fill("consensus", timeout=PATIENCE_MS)
         click(page, "start on all")
         expect(page.locator("#said")).to_contain_text("consensus: to be started on r0 r1 r2", timeout=PATIENCE_MS)
-        event(page, "r2 app/consensus was not started: it runs no ssh server")
-        event(page, "r0 app/consensus was started")
-        event(page, "r1 app/consensus was started")
+        told(page, "r2", "consensus was not started: it runs no ssh server")
+        told(page, "r0", "consensus was started")
+        told(page, "r1", "consensus was started")
         for robot in ("r0", "r1"):
             until(page, f"swarmView.store.services.{robot}?.['app/consensus']")
 
@@ -61,36 +61,36 @@ def test_apps_links_and_services_of_real_robots(swarm: Swarm) -> None:
 
         click(page, "cut r1")
         until(page, "swarmView.store.link('r0', 'r1')?.state === 'down'")
-        event(page, "r0 link to r1 down: held down on command")
+        told(page, "r0", "link down: held down on command")
         click(page, "mend r1")
         until(page, "swarmView.store.link('r0', 'r1')?.state === 'up'")
 
         click(page, "kill mesh")
-        event(page, "r0 mesh was killed")
-        event(page, "r0 mesh is gone")
-        event(page, "r0 mesh is back")
+        told(page, "r0", "mesh was killed")
+        told(page, "r0", "mesh is gone")
+        told(page, "r0", "mesh is back")
         until(page, "swarmView.store.link('r0', 'r1')?.state === 'up'")
 
         # Of a robot that the page sees over the mesh alone, with one end that cannot be told.
         row(page, "r1").click()
         click(page, "cut r2")
-        event(page, "r2 it cannot be told to cut the link r1 - r2: it runs no ssh server")
+        told(page, "r2", "it cannot be told to cut the link r1 - r2: it runs no ssh server")
         until(page, "swarmView.store.link('r1', 'r2')?.state === 'down'")
         click(page, "mend r2")
         until(page, "swarmView.store.link('r1', 'r2')?.state === 'up'")
         click(page, "kill app/consensus")
-        event(page, "r1 app/consensus was killed")
+        told(page, "r1", "consensus was killed")
 
         click(page, "stop consensus on all")
-        event(page, "r2 app/consensus was not stopped: it runs no ssh server")
+        told(page, "r2", "consensus was not stopped: it runs no ssh server")
         for robot in ("r0", "r1"):
-            event(page, f"{robot} app/consensus was stopped")
+            told(page, robot, "consensus was stopped")
             until(page, f"!swarmView.store.services.{robot}?.['app/consensus']")
 
     # Another page offers what was started before, and one without --control nothing.
     with chromium() as browser, shown(browser, *options, "--control") as page:
         click(page, "start consensus on all")
-        event(page, "r1 app/consensus was started: it goes on where it was")
+        told(page, "r1", "consensus was started: it goes on where it was")
         until(page, "swarmView.store.services.r1?.['app/consensus']")
     with chromium() as browser, shown(browser, *options) as page:
         row(page, "r0").click(timeout=PATIENCE_MS)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from browsing import PATIENCE_MS, chromium, row, shown, until
+from browsing import PATIENCE_MS, chromium, event, row, shown, until
 from conftest import Processes, wait_until
 from remote_swarm import Swarm, real_page
 
@@ -73,8 +73,7 @@ def test_robots_that_live_obey_leave_and_are_out_of_reach(swarm: Swarm) -> None:
         said = page.locator("#said")
         expect(said).to_have_text("mine: gain=0.75 asked of r0 r1 r2", timeout=PATIENCE_MS)
         for robot in ("r1", "r2"):  # no ssh leads there
-            told = page.locator("#events li.warn", has_text=f"{robot} app/mine: gain=0.75 was not set: ").first
-            expect(told).to_be_visible(timeout=PATIENCE_MS)
+            expect(event(page, robot, "mine: gain=0.75 was not set: ")).to_be_visible(timeout=PATIENCE_MS)
         until(page, "swarmView.store.get('r0', 'app/mine/parameters').parameters.gain.value === 0.75")
         gain.fill("77")
         gain.press("Enter")
@@ -90,7 +89,7 @@ def test_robots_that_live_obey_leave_and_are_out_of_reach(swarm: Swarm) -> None:
         # One leaves: it is named, and so is who waits for it.
         swarm.meshes["r2"].kill()
         expect(row(page, "r2")).to_contain_text("out of reach: the mesh has lost it", timeout=PATIENCE_MS)
-        expect(page.locator("#events li.warn", has_text="r2 out of reach").first).to_be_visible()
+        expect(event(page, "r2", "out of reach")).to_be_visible()
         expect(row(page, "r1")).to_contain_text("waiting", timeout=PATIENCE_MS)
         expect(page.locator("#lockstep p")).to_contain_text("r1 waits for r2", timeout=PATIENCE_MS)
 

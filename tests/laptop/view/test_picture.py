@@ -125,6 +125,26 @@ def test_a_service_that_goes_is_told_once() -> None:
     assert picture.services() == {"r0": {"mesh": True}}
 
 
+def test_an_app_that_ends_in_order_is_no_error_and_one_that_does_not_is() -> None:
+    picture = Picture()
+    for robot, state in (("r0", "stopping"), ("r1", "ready")):
+        picture.alive(robot, "app/x", True, 0.0)
+        picture.put(robot, "app/x/status", {"t": 1.0, "state": state, "reason": ""}, 1.0)
+        picture.alive(robot, "app/x", False, 2.0)
+    assert [(event.robot, event.level) for event in picture.events if event.text == "app/x is gone"] == [
+        ("r0", "info"),
+        ("r1", "error"),
+    ]
+
+
+def test_robots_that_wait_for_each_other_before_their_first_iteration_are_no_warning() -> None:
+    picture = Picture()
+    for k, level in ((0, "info"), (3, "warning")):
+        picture.put("r0", "app/x/progress", {"t": 1.0, "phase": "running", "k": k}, 1.0)
+        picture.put("r0", "app/x/progress", {"t": 1.0, "phase": "waiting", "k": k, "waiting_for": ["r1"]}, 1.0)
+        assert picture.events[-1].level == level
+
+
 def test_memory_is_bounded() -> None:
     picture = Picture()
     for number in range(2 * MAX_TOPICS):

@@ -102,7 +102,8 @@ export class Chart {
       const ys = this.series.points(entry, name).map(([, y]) => y * factor);
       return [newest.get(name) * factor, Math.min(...ys), Math.max(...ys)];
     });
-    const written = column(numbers.flat()), text = numbers.map((cells, index) => [robots[index], ...cells.map(written)]);
+    const columns = [0, 1, 2].map((index) => column(numbers.map((cells) => cells[index])));
+    const text = numbers.map((cells, row) => [robots[row], ...cells.map((each, index) => columns[index](each))]);
     const shape = JSON.stringify(text);
     if (shape === this.told) return;
     this.told = shape;

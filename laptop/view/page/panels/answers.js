@@ -9,6 +9,7 @@ const SAMPLES = 24;
 const JUDGE_MS = 400; // what is made of many numbers
 const STILL = 0.02; // 1/s: slower than that it stands
 const SETTLED = 0.01; // of the largest spread
+const NEARLY = 0.05; // where what no longer gets less is noise
 const LOW_S = 45 * 60;
 
 export class Answers {
@@ -78,7 +79,7 @@ export class Answers {
     if (this.focus.kind === "event") return { value: now.slice(value.label.length + 2), note: `${value.label} of ${robots.length} robots` };
     if (this.focus.kind === "lockstep" && this.waiting().size && this.still()) return { value: "Held", note: now, kind: "warn" };
     const rate = slope(spread, t, Math.min(BACK_S, t - Math.min(...points.map((each) => each[0][0]))));
-    if (!(last > SETTLED * most)) return { value: "Yes, settled", note: now };
+    if (!(last > SETTLED * most) || (last < NEARLY * most && rate > -STILL)) return { value: "Yes, settled", note: now };
     if (rate < -STILL) return { value: `Yes, halves in ${+(Math.LN2 / -rate).toPrecision(2)} s`, note: now };
     return rate > STILL ? { value: "No, it grows", note: now, kind: "warn" } : { value: "It stays", note: now };
   }

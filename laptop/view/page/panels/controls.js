@@ -107,7 +107,7 @@ export class Controls {
     this.panel.hidden = !robot;
     if (this.panel.hidden) return;
     const peers = (this.store.get(robot, "mesh/links")?.links ?? []).map((each) => each.peer);
-    const services = Object.keys(this.store.services[robot] ?? {}).sort();
+    const services = Object.entries(this.store.services[robot] ?? {}).filter(([, there]) => there).map(([service]) => service).sort();
     const apps = this.running([robot]), shown = JSON.stringify([robot, peers, services, apps]);
     if (shown === this.shown) return;
     this.shown = shown;

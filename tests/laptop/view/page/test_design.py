@@ -206,6 +206,22 @@ def test_what_several_robots_tell_at_once_is_one_line_of_events(waiting: Any) ->
 
 
 @pytest.mark.slow
+def test_a_value_that_sways_at_a_few_hundredths_of_what_it_was_has_settled(waiting: Any) -> None:
+    said = waiting.evaluate("""async () => {
+      const { Answers } = await import("/page/panels/answers.js");
+      const sways = (i) => (i < 200 ? 1.5 * Math.exp(-i / 40) : 0.01 + 0.0002 * (i - 200));
+      const rows = (y) => Array.from({ length: 300 }, (_, i) => [i / 10, y(i)]);
+      const said = (y) => Object.assign(Object.create(Answers.prototype), {
+        values: { first: { label: "off", unit: "m" } }, focus: { kind: "periodic" },
+        store: { swarm: { recording: {} }, t: 29.9, names: ["r0"] },
+        series: { want: () => ({}), robots: () => ["r0"], points: () => rows(y) }
+      }).converging().value;
+      return [said(sways), said((i) => 0.1 + 0.005 * i)];
+    }""")
+    assert said == ["Yes, settled", "No, it grows"]
+
+
+@pytest.mark.slow
 def test_a_run_beside_is_at_the_same_instant_and_its_differences_are_told(
     browser: Any, waits: Path, forms: Path
 ) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browsing import PATIENCE_MS, View, row, seek, shown, until, visit
+from browsing import PATIENCE_MS, View, event, row, seek, shown, until, visit
 from conftest import wait_until
 from virtual_run import recorded
 
@@ -102,7 +102,7 @@ def test_a_cut_link_turns_red_and_mends(page: Any) -> None:
     row(page, "r0").click(timeout=PATIENCE_MS)
     page.get_by_role("button", name="cut r1").click(timeout=PATIENCE_MS)
     until(page, "swarmView.store.link('r0', 'r1')?.state === 'down'")
-    expect(page.locator("#events li.warn", has_text="link to r1 down").first).to_be_visible(timeout=PATIENCE_MS)
+    expect(event(page, "r0", "link down")).to_be_visible(timeout=PATIENCE_MS)
     expect(row(page, "r0")).to_contain_text("1/2", timeout=PATIENCE_MS)
     page.get_by_role("button", name="mend r1").click()
     until(page, "swarmView.store.link('r0', 'r1')?.state === 'up'")
@@ -113,8 +113,8 @@ def test_a_cut_link_turns_red_and_mends(page: Any) -> None:
 def test_a_killed_service_is_named_and_comes_back(page: Any) -> None:
     row(page, "r4").click(timeout=PATIENCE_MS)
     page.get_by_role("button", name="kill dwm").click(timeout=PATIENCE_MS)
-    expect(page.locator("#events li", has_text="r4 dwm is gone")).to_be_visible(timeout=PATIENCE_MS)
-    expect(page.locator("#events li", has_text="r4 dwm is back")).to_be_visible(timeout=PATIENCE_MS)
+    expect(event(page, "r4", "dwm is gone")).to_be_visible(timeout=PATIENCE_MS)
+    expect(event(page, "r4", "dwm is back")).to_be_visible(timeout=PATIENCE_MS)
 
 
 @pytest.mark.parametrize("page", [("--control",)], indirect=True)
@@ -149,7 +149,7 @@ def test_hands_are_laid_on_a_robot(page: Any) -> None:
     page.get_by_role("button", name="push").click()
     expect(page.locator("#said")).to_contain_text("r3: pushed", timeout=PATIENCE_MS)
     page.get_by_role("button", name="lay on back").click()
-    expect(page.locator("#events li", has_text="r3 fault fell").first).to_be_visible(timeout=PATIENCE_MS)
+    expect(event(page, "r3", "fault fell")).to_be_visible(timeout=PATIENCE_MS)
     expect(row(page, "r3").locator("td").last).to_contain_text("fell", timeout=PATIENCE_MS)
 
 
@@ -180,7 +180,7 @@ def test_apps_are_started_set_and_stopped(page: Any) -> None:
     expect(page.locator("#said")).to_contain_text("gain", timeout=PATIENCE_MS)
     expect(page.locator("#said")).to_have_class("bad", timeout=PATIENCE_MS)
     page.get_by_role("button", name="stop formation", exact=True).click()
-    expect(page.locator("#events li", has_text="r1 app/formation is gone").first).to_be_visible(timeout=PATIENCE_MS)
+    expect(event(page, "r1", "formation is gone")).to_be_visible(timeout=PATIENCE_MS)
     assert page.evaluate("swarmView.store.services.r0['app/formation']")
     page.get_by_role("button", name="stop formation on all").click()
     until(page, "swarmView.store.names.every((name) => !swarmView.store.services[name]['app/formation'])")
