@@ -46,6 +46,7 @@ SECTIONS: Sections = {
             }
         ),
         "drive": Command("laptop.cli.robots.body.drive"),
+        "pad": Command("laptop.cli.robots.body.pad"),
         "commission": Command("laptop.cli.robots.body.commission"),
         "mesh": robot.MESH._replace(
             commands={name: each._replace(far=FAR) for name, each in robot.MESH.commands.items()}

@@ -25,6 +25,7 @@ NOTHING_FOR_PROGRAMS = {
     "completion": "it prints a script",
     "flash here": "a robot tells how far it is, line by line; the laptop's command has the outcome of all",
     "drive": "a person drives",
+    "pad": "its output is keys for another command",
     "calibrate distance": "a person is led through a session",
     "calibrate position": "a person is led through a session",
     "calibrate samples": "a person is led through a session",

@@ -1,0 +1,105 @@
+"""`swarm pad [DEVICE] | swarm drive ROBOT`: drive by game pad, with its shoulder button as the dead-man's key.
+
+The pad is read by Linux' joystick interface (Documentation/input/joydev/joystick-api.rst), and its stick becomes the
+keys that `swarm drive` takes. Keys come only while a shoulder button is held. Where the pad is unplugged the keys end,
+and `swarm drive` with them.
+"""
+
+import argparse
+import contextlib
+import os
+import select
+import struct
+import sys
+from pathlib import Path
+
+from swarm.errors import LocalError
+
+HELP = "turn a game pad into keys: swarm pad | swarm drive r2"
+
+DEVICE = Path("/dev/input/js0")
+EVENT = struct.Struct("<IhBB")
+"""Time in ms, value, kind, number of the axis or button."""
+AXIS, BUTTON, AT_START = 0x02, 0x01, 0x80
+"""Kinds; the last one is added to what tells the state at the start."""
+SIDEWAYS, UPRIGHT = (0, 6), (1, 7)
+"""Axes of the left stick and of the cross: to the right and down are positive."""
+SHOULDERS = (4, 5)
+STOPS = (0, 1, 2, 3)
+"""The four buttons at the right: each stops all robots."""
+THRESHOLD = 16384
+"""Half of the way of a stick."""
+
+REPEAT_S = 0.1
+"""Between two keys: `swarm drive` holds a repeated key for 0.2 s."""
+KEYS = {(1, 0): "w", (-1, 0): "s", (0, 1): "a", (0, -1): "d", (1, 1): "q", (1, -1): "e", (-1, 1): "s", (-1, -1): "s"}
+"""By forward and left."""
+RELEASE, STOP = ".", " "
+"""A key that is no direction ends the motion at once."""
+
+
+class PadKeys:
+    """Which key the state of a pad stands for."""
+
+    def __init__(self) -> None:
+        self._axes: dict[int, int] = {}
+        self._held: set[int] = set()
+
+    @property
+    def key(self) -> str:
+        """The direction that is held down; empty where none is, or no shoulder button."""
+        if not self._held.intersection(SHOULDERS):
+            return ""
+        return KEYS.get((-self._way(UPRIGHT), -self._way(SIDEWAYS)), "")
+
+    def take(self, event: bytes) -> str:
+        """Take an event; returns `STOP` where it asks for that, else an empty text."""
+        _, value, kind, number = EVENT.unpack(event)
+        if kind & ~AT_START == AXIS:
+            self._axes[number] = value
+        elif kind & ~AT_START == BUTTON:
+            (self._held.add if value else self._held.discard)(number)
+            return STOP if value and number in STOPS and not kind & AT_START else ""
+        return ""
+
+    def _way(self, axes: tuple[int, ...]) -> int:
+        """1, 0 or -1: as the first of these axes says that is not in its middle."""
+        values = (self._axes.get(axis, 0) for axis in axes)
+        return next((1 if value > 0 else -1 for value in values if abs(value) >= THRESHOLD), 0)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the pad's device."""
+    parser.add_argument("device", nargs="?", type=Path, default=DEVICE, metavar="DEVICE", help=f"the pad ({DEVICE})")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write keys to the standard output until the pad is unplugged, or nobody reads them."""
+    if sys.stdout.isatty():
+        raise LocalError("the keys are for another command: swarm pad | swarm drive ROBOT")
+    try:
+        pad = os.open(args.device, os.O_RDONLY)
+    except OSError as error:
+        raise LocalError(f"{args.device}: {error.strerror}; is a game pad plugged in? name its device") from None
+    with contextlib.closing(os.fdopen(pad, "rb", buffering=0)), contextlib.suppress(BrokenPipeError):
+        _write_keys(pad)
+    return 0
+
+
+def _write_keys(pad: int) -> None:
+    state, before = PadKeys(), ""
+    while True:
+        said = ""
+        if select.select([pad], [], [], REPEAT_S if before else None)[0]:
+            try:
+                event = os.read(pad, EVENT.size)
+            except OSError:  # it was unplugged
+                return
+            if len(event) < EVENT.size:
+                return
+            said = state.take(event)
+            if not said and state.key == before:
+                continue
+        said = said or state.key or RELEASE
+        before = state.key
+        os.write(sys.stdout.fileno(), said.encode())
