@@ -27,15 +27,15 @@ image import inbox info input install interface journal journeys key keys large 
 limit limits line linear link links list listen live load loader localization localizer lock locked locks log logs look
 main making map measure measurements message messages model module monitor motion move moving name names network new
 noise note notes number numbered numbers on orders outbox packages packer packets pad page pair pairing param paths
-periodic persistence physical picture pieces pipe pipeline place places plan play player playing plot plots plotting poller
-port posture power process processes progress publisher quantities question questions radio ranging rates reader record
-recorded recorder recording records register registers regulator remote replay report request requests restore results
-robot robots roster round routing rules run runner runs samples scenario scene screen sections see send sender senders
-serial series server service services session settings shapes shell show side sim simulated simulation simulations slots
-sockets source space spec spectrum stand start state states status steps stop stopping storage store stream style sub
-supervision surroundings survey switch system tables tasks telemetry templates terminal terms text texts threads time
-timeout times tool topics tracing track tracker traffic transfers trends trips tune types units unix up values version
-versions view viewing wanted watch wire wiring wish world writer zero far manoeuvre spare calling
+periodic persistence physical picture pieces pipe pipeline place places plan play player playing plot plots plotting
+poller port posture power process processes progress publisher quantities question questions radio ranging rates reader
+record recorded recorder recording records register registers regulator remote replay report request requests restore
+results robot robots roster round routing rules run runner runs samples scenario scene screen sections see send sender
+senders serial series server service services session settings shapes shell show side sim simulated simulation
+simulations slots sockets source space spec spectrum stand start state states status steps stop stopping storage store
+stream style sub supervision surroundings survey switch system tables tasks telemetry templates terminal terms text
+texts threads time timeout times tool topics tracing track tracker traffic transfers trends trips tune types units unix
+up values version versions view viewing wanted watch wire wiring wish world writer zero far manoeuvre spare calling
 """
 PLAIN = frozenset(_PLAIN_WORDS.split())
 """English words that mean in a module's name what they mean in English."""
