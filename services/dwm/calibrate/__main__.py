@@ -213,7 +213,7 @@ def _read_places(text: str) -> list[Place]:
     try:
         places = [(float(x), float(y)) for x, y in (word.split(",") for word in words)]
     except ValueError:
-        raise LocalError(f"--places: expected x,y x,y ... in m, or a file of them, got {text[:60]!r}") from None
+        raise LocalError(f'--places: expected "x,y x,y ..." in m, or a file of them, got {text[:60]!r}') from None
     if not places:
         raise LocalError("--places: no place given")
     return places
@@ -251,7 +251,7 @@ def options_of(argv: list[str]) -> argparse.Namespace:
     found = command("fit", fit, "fit samples recorded before: ours, or in the thesis' layout")
     found.add_argument("samples", type=Path, help="a file, or a folder of *.csv")
     found.add_argument(
-        "--places", metavar="LIST", help="places of files in the thesis' layout: x,y x,y ... in m, or thesis"
+        "--places", metavar="LIST", help="places of files in the thesis' layout: 'x,y x,y ...' in m, or thesis"
     )
     found.add_argument("--only", choices=("distance", "position"), help="fit one of the two")
     found.add_argument("--thesis", action="store_true", help="print the thesis' figures from its own samples")
@@ -268,7 +268,7 @@ def options_of(argv: list[str]) -> argparse.Namespace:
 
 
 def _session_arguments(parser: argparse.ArgumentParser, step: float, samples: str) -> None:
-    parser.add_argument("--places", metavar="LIST", help="x,y x,y ... in m, or a file (a grid over the anchors)")
+    parser.add_argument("--places", metavar="LIST", help="'x,y x,y ...' in m, or a file (a grid over the anchors)")
     parser.add_argument("--step", type=float, default=step, metavar="M", help=f"spacing of the grid ({step})")
     parser.add_argument(
         "--orientations", type=int, default=4, choices=(1, 2, 3, 4), help="orientations at each place (4)"

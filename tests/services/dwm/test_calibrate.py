@@ -181,7 +181,7 @@ def test_the_end_of_the_answers_ends_the_session(processes, router, swarm, runti
     [
         (["fit", "nowhere.csv"], "nowhere.csv: cannot be read"),
         (["fit", "empty."], "holds no *.csv"),
-        (["distance", "--places", "1;2"], "--places: expected x,y x,y"),
+        (["distance", "--places", "1;2"], '--places: expected "x,y x,y'),
         (["fit", "line.csv"], "all places lie within 0 cm of one line, 0 degrees from x: across it nothing is known"),
         (["check"], "of/r0.toml: ranges and places are corrected as [dwm] says only; make one by"),
         (["offset", "nowhere", "--place", "0.5", "1.5"], "there is no such folder of recordings"),

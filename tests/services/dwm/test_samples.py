@@ -85,7 +85,7 @@ def test_any_text_is_read_or_refused(text):
 
 
 def test_a_file_in_the_thesis_layout_is_no_better_than_the_places_that_are_told_for_it():
-    with pytest.raises(RecordingError, match=r"f:1: in the thesis' layout, .*--places x,y .*--places thesis"):
+    with pytest.raises(RecordingError, match=r"f:1: in the thesis' layout, .*--places .x,y .*--places thesis"):
         read("0\n268.0,228.0,1083.0\n", "f")
     (found,) = read("0\n268.0,228.0,1083.0\n", "f", [(1.5, 0.5)], "D00A")
     assert (found.x, found.y, found.module) == (1.5, 0.5, "D00A")

@@ -198,7 +198,7 @@ def _read_thesis(lines: Sequence[str], name: str, places: Sequence[Place] | None
                 _expect(
                     places is not None,
                     "in the thesis' layout, which does not say where place 0, 1, ... are: give them by "
-                    "--places x,y x,y ... (m), or --places thesis for the thesis' own recording",
+                    '--places "x,y x,y ..." (m), or --places thesis for its own recording',
                 )
                 known = len(places or ())
                 _expect(values[0] in range(known), f"place {values[0]:g}, and there are places 0 to {known - 1}")
