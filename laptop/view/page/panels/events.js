@@ -25,8 +25,8 @@ export class Events {
       if (event.number <= this.last) continue;
       this.last = event.number;
       const { who, what, whom } = read(event, this.store.order), key = `${event.level} ${what}`;
-      let line = this.lines.slice(0, OPEN).find((each) => each.key === key && event.t <= each.t + TOGETHER_S);
-      line ??= { key, what, level: event.level, who: new Set(), whom: new Set(), ...element(event.level) };
+      let line = this.lines.slice(0, OPEN).find((each) => each.key === key && event.t <= each.began + TOGETHER_S);
+      line ??= { key, what, began: event.t, level: event.level, who: new Set(), whom: new Set(), ...element(event.level) };
       if (this.lines[0] !== line) {
         this.lines = [line, ...this.lines.filter((each) => each !== line)];
         this.list.prepend(line.element);
