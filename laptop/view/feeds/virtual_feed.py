@@ -21,7 +21,9 @@ TOPICS = (
     "mesh/stopped", "mesh/topology", "app/*/state", "app/*/progress", "app/*/*/state", "app/*/*/progress",
     "app/*/parameters", "app/*/out/*", "app/*/record/*",
 )  # fmt: skip
-"""Of a robot, below its name. The filters of `dwm` cost more than all else, and the true pose is there."""
+"""Of a robot, below its name."""
+ESTIMATED = 12
+"""Robots up to which their estimates of places are told: the filters of `dwm` cost more than all else."""
 
 FRAMES = ("app/*/sync/*", "app/*/sync/*/*", "app/*/latest/*")
 CROWD = 50
@@ -68,7 +70,7 @@ class VirtualFeed:
         """A virtual and a real time that belong together."""
         world.watched = True
         for name, robot in world.robots.items():
-            self._join(name, VirtualBus(robot.router), crowd=len(config.names) >= CROWD)
+            self._join(name, VirtualBus(robot.router), len(config.names))
         self._begin_again()
         world.time.soon(self._tick)
 
@@ -110,7 +112,7 @@ class VirtualFeed:
 
     # -- in the thread of the simulation -----------------------------------------------------------------------
 
-    def _join(self, name: str, bus: VirtualBus, *, crowd: bool) -> None:
+    def _join(self, name: str, bus: VirtualBus, robots: int) -> None:
         def take(key: str, payload: bytes) -> None:
             self._newest[name, key] = payload
 
@@ -119,8 +121,9 @@ class VirtualFeed:
             if sender != name:
                 self._hops[sender, name] = self._hops.get((sender, name), 0) + 1
 
-        bus.subscribe([f"swarm/{name}/{topic}" for topic in TOPICS], take)
-        if not crowd:
+        topics = (*TOPICS, "dwm/pose") if robots <= ESTIMATED else TOPICS
+        bus.subscribe([f"swarm/{name}/{topic}" for topic in topics], take)
+        if robots < CROWD:
             bus.subscribe([f"swarm/*/{topic}" for topic in FRAMES], count)
 
     def _tick(self) -> None:

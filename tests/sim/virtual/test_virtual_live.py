@@ -64,6 +64,7 @@ def test_it_shows_what_a_simulation_in_real_time_shows() -> None:
         assert newest(live, "r1", "app/consensus/state")["k"] == 40
         assert newest(live, "r1", "app/consensus/progress")["phase"] == "done"
         assert {"x", "y", "heading"} <= newest(live, "r2", "sim/truth").keys()
+        assert newest(live, "r2", "dwm/pose")["deviation_x"] > 0.0
         assert newest(live, "r0", "balancer/state")["mode"] == "balancing"
         assert [link["state"] for link in newest(live, "r1", "mesh/links")["links"]] == ["up", "up"]
         assert live.picture.hops()["r0>r1"] >= 40

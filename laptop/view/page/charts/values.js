@@ -238,7 +238,7 @@ export class PlaceErrors {
     this.drawn = now;
     const value = this.focus.error(), claimed = value?.truth && !this.series.beside; // the lines of a run beside are dashed, too
     this.chart.also = claimed ? this.series.want(plain(...CLAIM)) : null;
-    const why = this.focus.store.swarm?.kind === "virtual" ? "No estimates: virtual time is watched without the robots' filters" : "No estimates of places: no dwm service tells one";
+    const why = this.focus.store.swarm?.kind === "virtual" ? "No estimates: of more than 12 robots virtual time is watched without their filters" : "No estimates of places: no dwm service tells one";
     this.chart.draw(value, selected, why, (newest) => {
       const [name, most] = worst(newest);
       return { value: median([...newest.values()]), text: ({ factor }) => `median · worst ${short(most * factor)}, ${name}${claimed ? " · dashed: own 95 %" : value.truth ? "" : " · as they claim: no truth"}` };

@@ -54,7 +54,7 @@ export class Events {
     const named = (names) => (names.size > 1 && names.size === this.store.names.length ? "all" : some([...names].sort((a, b) => this.store.order.get(a) - this.store.order.get(b) || (a < b ? -1 : 1))));
     if (what.startsWith("link ") && who.size > 2) return [`${who.size} links`, what.slice(5)];
     const [robots, others] = [named(who), named(whom)];
-    return [robots, whom.size ? `${what} for ${whom.size > 1 && robots === others ? "each other" : others}` : what];
+    return [robots, whom.size ? `${what} for ${whom.size > 1 && [...whom].every((each) => who.has(each)) ? "each other" : others}` : what];
   }
 
   count(level) {
