@@ -161,6 +161,7 @@ function news() {
   layout.draw();
   events.draw(store.events);
   controls.draw(selected, map);
+  find("#tabs [data-panel=control]").hidden = find("#control").hidden;
   pace.draw();
   keep.draw();
 }

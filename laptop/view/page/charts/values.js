@@ -228,9 +228,12 @@ export class PlaceErrors {
 
   // The largest error after the first seconds, in which filters find their places and would make all else small; null of short runs.
   settled(entry, robots) {
+    if (this.known?.entry === entry && this.known.version === entry.version) return this.known.most;
     const all = robots.flatMap((name) => ["rows", "beside"].map((of) => this.series.points(entry, name, of))).filter((points) => points.length);
     const later = all.map((points) => largest(points.filter(([t]) => t > points[0][0] + START_S).map(([, y]) => y)));
-    return all.some((points) => points.at(-1)[0] > points[0][0] + 2 * START_S) ? 1.1 * largest(later) : null;
+    const most = all.some((points) => points.at(-1)[0] > points[0][0] + 2 * START_S) ? 1.1 * largest(later) : null;
+    this.known = { entry, version: entry.version, most };
+    return most;
   }
 
   draw(now, selected) {

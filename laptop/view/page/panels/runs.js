@@ -20,6 +20,7 @@ export class Runs {
     if (!this.store.swarm?.recording) return;
     this.panel.hidden = !open;
     this.main.classList.toggle("runs", open);
+    this.begins = open; // then the run that is shown is in sight
     if (open) this.ask({ runs: {} });
     else this.ask({ beside: null });
   }
@@ -37,6 +38,8 @@ export class Runs {
       row.append(name, button("A", `show ${run.name}`, is, () => this.ask({ open: run.name })), button("B", `put ${run.name} beside`, beside, () => this.ask({ beside: beside ? null : run.name }), "beside"), about);
       return row;
     }));
+    if (this.begins) this.list.scrollTop = (this.list.querySelector(".on")?.offsetTop ?? 0) - this.list.offsetTop;
+    this.begins = false;
   }
 
   // What the server has put beside; null: nothing.
