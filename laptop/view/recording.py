@@ -13,7 +13,7 @@ from laptop.view.series import dig
 from swarm.errors import RecordingError, SwarmError
 from swarm.messages.json_values import json_value
 from swarm.messages.keys import parse as parse_key
-from swarm.recording.core import json_text
+from swarm.recording.core import foxglove, json_text
 from swarm.recording.run import Run
 
 LEVELS = ("error", "warning", "info")
@@ -66,7 +66,10 @@ class ViewedRecording:
             for topic, (times, data) in topics.items():
                 index = bisect_right(times, t)
                 if index > (0 if since is None else bisect_right(times, since)):
-                    new[topic] = self._message(data[index - 1])
+                    value = self._message(data[index - 1])
+                    if topic == "dwm/pose" and isinstance(value, dict):
+                        value = {field: each for field, each in value.items() if field not in foxglove.VIEW}
+                    new[topic] = value
             if new:
                 robots[robot] = new
         events = [event for event in self._events if (since is None or event.t > since) and event.t <= t]

@@ -10,6 +10,9 @@ POSE = "foxglove.PoseInFrame"
 FRAME = "anchors"
 """The frame of reference of all poses: that of the UWB anchors."""
 
+VIEW = frozenset(("timestamp", "frame_id", "pose"))
+"""Fields that Foxglove reads, and that our own ones say already."""
+
 _NUMBER = {"type": "number"}
 _TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
 

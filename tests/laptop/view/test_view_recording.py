@@ -64,6 +64,8 @@ def test_the_values_are_those_of_the_run(recording: ViewedRecording) -> None:
     assert [k for _, k, _ in rows] == list(range(61))
     assert all(isinstance(topics["mesh/links"]["links"], list) for topics in page.values())
     assert recording.config is not None
+    assert {"x", "deviation_x"} <= page["r0"]["dwm/pose"].keys()
+    assert "timestamp" not in page["r0"]["dwm/pose"], "what Foxglove reads says our own fields once more"
 
 
 def test_a_torn_file_shows_what_is_whole_and_names_the_rest(run: Path, tmp_path: Path) -> None:

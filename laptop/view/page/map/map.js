@@ -15,7 +15,8 @@ const STEP = 2; // pixels by which something may be off before it is drawn anew:
 const LABELS_MS = 250; // between two looks at names that are about to move
 const MARGIN = 0.3; // m around everything
 const LOOSE = 1.4; // times as large as it might be, and it is fitted anew
-const HEAD = 34; // px of the panel's title above the map
+const [HEAD, HEAD_OF_PHONE] = [34, 52]; // px of the panel's title above the map
+const phone = matchMedia("(max-width: 760px)");
 const FAR = 1e4; // m; what is further away is no place
 
 export class SwarmMap {
@@ -147,7 +148,7 @@ export class SwarmMap {
       [bottom, top] = [Math.min(bottom, y), Math.max(top, y)];
     }
     if (left > right) [left, bottom, right, top] = [-1, -1, 1, 1];
-    const head = HEAD * (window.devicePixelRatio || 1), free = Math.max(height / 2, height - head); // below the switches
+    const head = (phone.matches ? HEAD_OF_PHONE : HEAD) * (window.devicePixelRatio || 1), free = Math.max(height / 2, height - head); // below the switches
     const scale = ([x0, y0, x1, y1]) => Math.min(width / (x1 - x0), free / (y1 - y0));
     const box = this.box, tight = [left - MARGIN, bottom - MARGIN, right + MARGIN, top + MARGIN];
     const inside = box && left > box[0] && bottom > box[1] && right < box[2] && top < box[3];

@@ -40,6 +40,10 @@ CUT = """(() => [...document.querySelectorAll(
   .map((each) => each.textContent))()"""
 """Figures that do not fit where they stand."""
 
+SMALL = """[...document.querySelectorAll("button, select, input")].filter((each) => each.offsetParent
+  && !each.closest("dd") && each.getBoundingClientRect().height < 44).map((each) => each.id || each.textContent)"""
+"""What a finger would miss, but for numbers in a text."""
+
 LAID_OUT = """(() => {
   const boxes = [...document.querySelectorAll("main > .panel")].filter((each) => !each.hidden)
     .map((each) => each.getBoundingClientRect());
@@ -345,6 +349,9 @@ def test_a_phone_has_brackets_film_and_picture(browser: Any, waits: Path, width:
         for selector in ("#track .edge", "#keep button", "#speed select", "#play"):
             assert page.evaluate(INSIDE, selector), selector
         expect(page.get_by_role("button", name="Film")).to_be_visible()
+        page.evaluate(ACTS)
+        expect(page.locator("#parameters input, #apps input").first).to_be_visible(timeout=PATIENCE_MS)
+        assert page.evaluate(SMALL) == []
         first, last = page.evaluate("swarmView.bracket.range")
         page.get_by_role("slider", name="charts show from, s").press("ArrowRight")
         assert page.evaluate("swarmView.bracket.range[0]") == pytest.approx(first + 0.01 * (last - first))
