@@ -17,6 +17,7 @@ from services.balancer.core.slack.wire_time import BITS_PER_BYTE, BITS_PER_TRANS
 from sim.core.atmega import AtmegaDevice
 from sim.core.balboa import BalboaBody
 from sim.core.display import DisplayDevice
+from swarm.core.random_numbers import RandomNumbers
 
 NOBODY = 0x7F
 """An address that no device has."""
@@ -40,16 +41,6 @@ class Device(Protocol):
         """The bytes of a read transaction."""
 
 
-class NoiseSource(Protocol):
-    """A seeded generator, as random.Random."""
-
-    def gauss(self, mu: float, sigma: float) -> float:
-        """Return a normally distributed number."""
-
-    def uniform(self, a: float, b: float) -> float:
-        """Return a number between `a` and `b`."""
-
-
 class ImuErrors(NamedTuple):
     """Standard deviations of one sample, and offsets (datasheet, typical; bandwidth 104 Hz at 208 Hz)."""
 
@@ -65,7 +56,7 @@ class ImuErrors(NamedTuple):
     back_offset: float
 
 
-def draw_errors(noise: NoiseSource) -> ImuErrors:
+def draw_errors(noise: RandomNumbers) -> ImuErrors:
     """Draw one sensor's errors. Its offsets are drawn from the datasheet's typical range (10 dps; 20 of the 40 mg of
     a part soldered without trim, since a robot's `trim` is set with the sensor in it)."""
     offset = 0.020 * imu.STANDARD_GRAVITY
@@ -89,7 +80,7 @@ class ImuDevice:
 
     _HEIGHT = 0.03
 
-    def __init__(self, body: BalboaBody, noise: NoiseSource, errors: ImuErrors, trim: float) -> None:
+    def __init__(self, body: BalboaBody, noise: RandomNumbers, errors: ImuErrors, trim: float) -> None:
         self._body, self._noise, self._errors, self._trim = body, noise, errors, trim
         self.reversed: set[str] = set()
         """In which ways it is mounted wrong: upside-down, backward or mirrored."""
@@ -211,7 +202,7 @@ class SimulatedRobot:
     """One robot's I2C bus: dispatches transfers to the devices and counts the time they would take on the wire."""
 
     def __init__(
-        self, body: BalboaBody, noise: NoiseSource, *, errors: ImuErrors, trim: float = 0.0, battery: float = 7.4
+        self, body: BalboaBody, noise: RandomNumbers, *, errors: ImuErrors, trim: float = 0.0, battery: float = 7.4
     ) -> None:
         """`trim` as in the config's [body]; `battery` in V."""
         self.body = body

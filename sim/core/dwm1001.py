@@ -25,7 +25,7 @@ from services.dwm.core.module.tlv import (
     encode_position,
     encode_refusal,
 )
-from sim.core.uwb import RandomGenerator
+from swarm.core.random_numbers import RandomNumbers
 from swarm.errors import FrameError
 
 REQUEST_GAP = 25 / 32768
@@ -79,7 +79,7 @@ class Dwm1001:
         self,
         identity: int,
         flash: Flash,
-        generator: RandomGenerator,
+        generator: RandomNumbers,
         measure: Callable[[], Location],
         now: float,
         *,

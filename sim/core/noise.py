@@ -9,8 +9,8 @@ place's error so grows with its distance to the corner of the table, where the t
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Protocol
 
+from swarm.core.random_numbers import RandomNumbers
 from swarm.recording.thesis_ranges import ThesisRecording, ThesisRow
 
 ERRORS = {"none": (0.0, 0.0), "bias": (0.05, 0.0), "thesis": (0.05, 0.02)}
@@ -25,14 +25,8 @@ ITERATION = 0.32
 Point = tuple[float, float]
 
 
-class _Generator(Protocol):
-    """The part of `random.Random` that is used here."""
-
-    def uniform(self, a: float, b: float) -> float: ...
-
-
 def scene(
-    model: str, places: Mapping[str, Point], target: Point, rows: int, numbers: _Generator
+    model: str, places: Mapping[str, Point], target: Point, rows: int, numbers: RandomNumbers
 ) -> dict[str, ThesisRecording]:
     """Return by name what robots at `places` measure in `rows` iterations, m. All biases are drawn first, so two
     models have the same."""

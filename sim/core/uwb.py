@@ -6,9 +6,9 @@ the literature on UWB ranging in rooms. Randomness comes in as a generator, so t
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import Protocol
 
 from services.dwm.core.module.tlv import AnchorRange, Location, Position
+from swarm.core.random_numbers import RandomNumbers
 from swarm.frozen import frozen
 
 MAX_RANGES = 4
@@ -24,15 +24,6 @@ _STEPS = 20
 _CONVERGED = 1e-5
 _FAR = 1000.0
 """m: a solution farther away is none."""
-
-
-class RandomGenerator(Protocol):
-    """The part of `random.Random` that is used here."""
-
-    def random(self) -> float: ...
-    def gauss(self, mu: float, sigma: float) -> float: ...
-    def uniform(self, a: float, b: float) -> float: ...
-    def expovariate(self, lambd: float) -> float: ...
 
 
 @frozen
@@ -83,7 +74,7 @@ class Module:
 class Tag:
     """The module of one robot."""
 
-    def __init__(self, generator: RandomGenerator, model: ErrorModel | None = None) -> None:
+    def __init__(self, generator: RandomNumbers, model: ErrorModel | None = None) -> None:
         self._generator = generator
         self._model = model or ErrorModel()
         self._phase = generator.uniform(-math.pi, math.pi)

@@ -7,8 +7,8 @@ that is lost is sent again by the baseband (Bluetooth Core, vol 2 part B, 7.6: A
 
 import math
 from dataclasses import fields
-from typing import Protocol
 
+from swarm.core.random_numbers import RandomNumbers
 from swarm.errors import ConfigError
 from swarm.frozen import frozen
 
@@ -20,16 +20,6 @@ PACKET = 339
 AGAIN = 6 * 625e-6
 """s until a lost packet is there: its five slots, and the one in which the receiver says that it lacks it."""
 MAX_LOSS = 0.9
-
-
-class Numbers(Protocol):
-    """A seeded generator, as `random.Random` is one."""
-
-    def gauss(self, mean: float, deviation: float, /) -> float:
-        """Return a number of a normal distribution."""
-
-    def random(self) -> float:
-        """Return a number from 0 up to 1."""
 
 
 @frozen
@@ -88,7 +78,7 @@ class AirModel:
 class DelayLine:
     """One direction of one link."""
 
-    def __init__(self, model: AirModel, numbers: Numbers | None) -> None:
+    def __init__(self, model: AirModel, numbers: RandomNumbers | None) -> None:
         """`numbers` are seeded for this direction of this link; None where the model draws none."""
         self._model = model
         self._numbers = numbers
@@ -126,7 +116,7 @@ class DelayLine:
             self._last_arrival = arrival
         return self._last_arrival
 
-    def _losses(self, size: int, numbers: Numbers) -> int:
+    def _losses(self, size: int, numbers: RandomNumbers) -> int:
         """Return how many packets are lost until all of `size` bytes have arrived: for each a geometric
         distribution."""
         scale = 1.0 / math.log(self._model.loss)
