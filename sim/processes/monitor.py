@@ -84,7 +84,6 @@ class Monitor:
                     *([key(name, "app", app, topic) for topic in _APP_TOPICS] if app else []),
                     key(name, "balancer", "state", THROTTLED),
                     key(name, "mesh", "links"),
-                    key(name, "dwm", "pose"),
                 ],
                 self._samples[name].__setitem__,
             )
@@ -141,8 +140,6 @@ def _update(seen: Seen, topic: str, payload: bytes) -> None:
             seen.balancer = message
         case Links():
             seen.links = message
-        case Pose():
-            seen.pose = message
         case AppProgress():
             seen.progress = message
         case AppState():

@@ -77,9 +77,6 @@ class VirtualBus:
         """Who gets what this session publishes, by key, as far as it was asked for."""
         router.sessions.append(self)
 
-    def wait_connected(self, timeout_s: float | None) -> bool:
-        return True
-
     def on_change(self, callback: Callable[[bool], None]) -> None:
         self._time.soon(callback, True)
 

@@ -147,7 +147,6 @@ class VirtualWorld:
         self._lying = lying
         self._skew = skew
         self._scene_record = scene_record
-        self._names = frozenset(config.names)
         self._processes_end = processes_end
         self._launched: dict[tuple[str, str], Launch] = {}
         self._begin_with: dict[tuple[str, int, int], RunPlace] = {}

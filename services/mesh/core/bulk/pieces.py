@@ -288,7 +288,6 @@ class Fetch:
         self.count = count_of(total)
         self.have = 0
         """Pieces that are there."""
-        self.began = now
         self.heard = now
         """When the last new piece came."""
         self.source: str | None = None
