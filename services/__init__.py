@@ -1,1 +1,2 @@
-"""One process a concern: they meet on the bus, never by import (docs/explanation/architecture.md)."""
+"""The processes of a robot, one for each concern. They meet on the bus, never by import
+(docs/explanation/architecture.md)."""

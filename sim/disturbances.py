@@ -1,5 +1,4 @@
-"""What happens to robots and links in the course of a run: links are cut, robots switched off, services killed, bodies
-pushed, buttons pressed.
+"""The disturbances of a run: links are cut, robots switched off, services killed, bodies pushed, buttons pressed.
 
 Times count from the first iteration of all robots. A time `2s..8s` is drawn between the two by the seed, a robot `any`
 is one of the swarm, drawn likewise: so a sweep over seeds is one over failures.

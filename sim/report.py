@@ -1,4 +1,4 @@
-"""What a run found: one object for programs, one table for people."""
+"""The results of a run: one object for programs, one table for people."""
 
 import math
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""What the world saw of a run: figures for the report; of every app, how near robots came."""
+"""The figures of the world for a run's report: those of each app, and how near robots came."""
 
 from collections.abc import Mapping
 

@@ -1,1 +1,2 @@
-"""All robots at once from a laptop, over the user's own ssh: one command and one outcome for each."""
+"""Commands for all robots at once from a laptop, over the user's own ssh. Each robot gets the command and has an
+outcome."""

@@ -1,4 +1,4 @@
-"""What robots say, as the messages that Foxglove draws: pure, from the newest samples of a picture.
+"""The messages of robots as messages that Foxglove draws: pure, from the newest samples of a picture.
 
 Topics and fields are those of a recording (docs/reference/recordings.md), so that one layout serves both. What Foxglove
 draws by itself (poses, frames, the scene, the log) has the fields of its own schemas beside ours.

@@ -1,4 +1,4 @@
-"""What happened when: flashes of LEDs, robots that stand up."""
+"""Pictures of events over time: flashes of LEDs, robots that stand up."""
 
 import math
 from bisect import bisect_left

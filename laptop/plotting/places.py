@@ -1,4 +1,4 @@
-"""Where things are: the map of robots, their paths, what they think where the target is, and their uncertainty."""
+"""The map of a run: robots, their paths, their estimates of the target, and the uncertainty of these."""
 
 import math
 from bisect import bisect_left

@@ -1,4 +1,4 @@
-"""What apps computed: states over iterations and over time, iterations over time."""
+"""Pictures of what apps computed: states over iterations and over time, iterations over time."""
 
 import itertools
 import math

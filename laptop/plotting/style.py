@@ -1,6 +1,5 @@
-"""How all pictures look and are written: colours that colour-blind readers tell apart, light grid, legible in a
-column. matplotlib is there where the `lab` extra is, and only imported when it is used.
-"""
+"""The common style of all pictures: colours that colour-blind readers tell apart, light grid, legible in a column.
+matplotlib is there where the `lab` extra is, and only imported when it is used."""
 
 import argparse
 import contextlib

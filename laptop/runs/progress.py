@@ -1,4 +1,4 @@
-"""How far a computation is, for whoever waits for it: a line on a terminal or in a notebook, nothing elsewhere."""
+"""The progress of a computation: a line on a terminal or in a notebook, nothing elsewhere."""
 
 import contextlib
 import sys

@@ -1,4 +1,4 @@
-"""What a run has recorded under a topic, as a table on the run's time axis; tables as CSV, npz, mat or parquet."""
+"""Tables of the messages that a run has recorded under a topic, on the run's time axis; as CSV, npz, mat or parquet."""
 
 import math
 from collections.abc import Iterable, Mapping

@@ -1,4 +1,5 @@
-"""What a page asks of recordings: instants of one, numbers over its whole time, another one beside it."""
+"""The answers to a page's questions about recordings: one instant, numbers over the whole time, another run beside
+it."""
 
 import contextlib
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What a recorded run shows at any instant of it."""
+"""A recorded run as a page shows it, at any instant."""
 
 import math
 from bisect import bisect_right

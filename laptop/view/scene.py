@@ -1,4 +1,4 @@
-"""What of a swarm does not move: names, links that are to be, anchors, the target."""
+"""The part of a swarm that does not move: names, links of the topology, anchors, the target."""
 
 from typing import Any
 

@@ -1,4 +1,5 @@
-"""One app on one robot: `python -m services.apps NAME_OR_FILE [--iterations K] [--run HEX] [--set NAME=VALUE]`.
+"""The process of one app on one robot: `python -m services.apps NAME_OR_FILE [--iterations K] [--run HEX] [--set
+NAME=VALUE]`.
 
 Exit codes: 0 stopped by SIGTERM, 2 a wrong app, parameter, config or command, 3 stopped after a fault of the
 app (it raised, gave a wrong state, or its trajectory would have forked); neither 2 nor 3 is mended by a

@@ -1,4 +1,4 @@
-"""One event-driven or periodic app between packed bytes: a `HandlerCall` of the core calls the author's handler.
+"""An event-driven or periodic app between packed bytes: a `HandlerCall` of the core calls the author's handler.
 
 No IO and no clock. Whatever the author's code raises comes out as one `AppError` that names robot, step, file, line and
 fault.

@@ -1,4 +1,4 @@
-"""One app instance between packed bytes: a `Compute` of the lockstep becomes a call of the author's `step`.
+"""An app instance between packed bytes: a `Compute` of the lockstep becomes a call of the author's `step`.
 
 No IO and no clock. Whatever the author's code raises comes out as one `AppError` that names robot, iteration,
 file, line and fault.

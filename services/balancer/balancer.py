@@ -1,4 +1,4 @@
-"""One robot's balancing, tick by tick: drivers, estimator and controller, and what happens when the bus fails.
+"""The balancing of one robot, tick by tick: drivers, estimator and controller, and the reaction to failures of the bus.
 
 Knows no threads, no real time and no messages: the loop calls `step` a hundred times a second and the other methods in
 the slack. The same object balances on the Pi, in the simulation's processes and in tests under virtual time.

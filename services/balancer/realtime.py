@@ -1,4 +1,5 @@
-"""What keeps the loop on time on a busy machine, each where permitted: priority, locked memory, no collector."""
+"""The settings that keep the loop on time on a busy machine, each where permitted: priority, locked memory, no
+collector."""
 
 import ctypes
 import gc

@@ -1,4 +1,5 @@
-"""What the bus does in the slack of the ticks: battery, buttons, UWB reports, requests to the DWM1001, the IMU's rates.
+"""The use of the bus in the slack of the ticks: battery, buttons, UWB reports, requests to the DWM1001, the IMU's
+rates.
 
 Each task is a core that says which transfer is next. This runs them as far as the rest of the tick allows: by what
 transfers were seen to take on this bus, one that does not fit is made shorter or waits, so that no control step is ever

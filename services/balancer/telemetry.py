@@ -1,4 +1,4 @@
-"""What the loop tells of the balancer, as messages; a little at each tick."""
+"""The reports of the loop on the balancer, as messages; a few at each tick."""
 
 from services.balancer.balancer import Balancer
 from swarm import clock

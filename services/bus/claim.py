@@ -1,4 +1,4 @@
-"""One router for one runtime directory, whoever starts how many at the same moment."""
+"""The claim that lets one router run for one runtime directory, however many are started at the same moment."""
 
 import os
 import socket

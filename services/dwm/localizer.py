@@ -1,4 +1,5 @@
-"""What all live sources do with a module's answers: pipeline, odometry from the balancer, messages on the bus."""
+"""The common part of all live sources of a module's answers: pipeline, odometry from the balancer, messages on the
+bus."""
 
 from collections import Counter, deque
 from logging import INFO, WARNING, Logger

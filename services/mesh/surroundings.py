@@ -1,4 +1,4 @@
-"""What a mesh stands between: the bus, clock and log of its robot, and what carries bytes to other robots."""
+"""The interfaces around a mesh: the bus, clock and log of its robot, and the transport of bytes to other robots."""
 
 from collections.abc import Callable
 from typing import Any, Protocol

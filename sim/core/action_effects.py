@@ -1,4 +1,4 @@
-"""What a person's acts do to the simulated robot."""
+"""The effects of a person's actions on the simulated robot."""
 
 from services.balancer.core.devices import balboa, display, imu
 from sim.core.actions import (

@@ -1,4 +1,4 @@
-"""What is seen of the simulated robots from outside: LEDs as they shine, where they are, who stands when.
+"""The record of the simulated robots as seen from outside: their LEDs, their places, and who stands when.
 
 Fed with true poses and changes of the LEDs' registers; no app and no robot knows of it.
 """

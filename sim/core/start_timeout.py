@@ -1,4 +1,4 @@
-"""How long a swarm that starts is waited for."""
+"""The time that a starting swarm may take."""
 
 START_LIMIT_S = 60.0
 """s in which nothing more becomes ready, after which a swarm that has not done its first iteration is given up. A busy

@@ -1,4 +1,4 @@
-"""Where one robot has been, in memory of bounded size however long the run is."""
+"""The path of one robot, in memory of bounded size however long the run is."""
 
 from array import array
 from bisect import bisect_left

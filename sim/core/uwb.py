@@ -1,4 +1,4 @@
-"""How a DWM1001 tag mismeasures: the error model of UWB ranges, and the position the module makes of them.
+"""The errors of a DWM1001 tag: the error model of UWB ranges, and the position that the module computes from them.
 
 Slope, offset and noise are the thesis' (2.3.4, eq. 2.4, re-analysed recordings); the rest is estimated from
 the literature on UWB ranging in rooms. Randomness comes in as a generator, so that a seed gives a run.

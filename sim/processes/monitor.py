@@ -1,4 +1,4 @@
-"""What the simulation sees of its robots: the same keys anyone can watch, on every robot's bus."""
+"""The simulation's view of its robots: the same keys that anyone can watch, on every robot's bus."""
 
 import contextlib
 from collections import deque

@@ -1,4 +1,4 @@
-"""What people see while a simulation starts and runs: a block that is redrawn on a terminal, plain lines elsewhere."""
+"""The progress of a simulation for people: a block that is redrawn on a terminal, plain lines elsewhere."""
 
 import math
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""One run of a simulated swarm, from the start of its processes to what it found."""
+"""A run of a simulated swarm, from the start of its processes to its results."""
 
 import contextlib
 import math

@@ -1,4 +1,4 @@
-"""What `swarm check` has a process of its own find out about an app: the process may hang, or hash differently.
+"""The examination of an app for `swarm check`, in a process of its own, since the app may hang, or hash differently.
 
     python -m sim.rehearsal.examine FILE --robots 6 --iterations 300
 

@@ -1,4 +1,4 @@
-"""How long an author's code may take while it is examined, and what ends it then."""
+"""The time that an author's code may take while it is examined, and what ends it then."""
 
 import signal
 import time

@@ -1,4 +1,4 @@
-"""What `swarm new` writes: an app of each kind that does something, commented, and its test."""
+"""The files that `swarm new` writes: a commented app of each kind that does something, and its test."""
 
 SYNC = '''"""@NAME@: say here what it does. `swarm check @FILE@`, then `swarm sim @FILE@ --robots 6`."""
 

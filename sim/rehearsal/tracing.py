@@ -1,4 +1,4 @@
-"""Which line of an app's file makes a step go wrong: the step is done again, line by line."""
+"""The search for the line of an app's file that makes a step go wrong: the step is done again, line by line."""
 
 import builtins
 import sys

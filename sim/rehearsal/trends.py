@@ -1,4 +1,4 @@
-"""What becomes of a swarm's results: whether they settle, agree, or grow without end."""
+"""The trend of a swarm's results: whether they settle, agree, or grow without end."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any

@@ -1,1 +1,1 @@
-"""What is asked of a simulation: options, checked before anything starts, and the config that comes of them."""
+"""The scenario of a simulation: options, checked before anything starts, and the config made from them."""

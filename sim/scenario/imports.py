@@ -1,4 +1,4 @@
-"""What an app imports that robots have not: it would be loaded here, and on no robot."""
+"""The imports of an app that robots lack: they would work here, and on no robot."""
 
 import contextlib
 import re

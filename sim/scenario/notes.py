@@ -1,4 +1,5 @@
-"""What a simulated run tells before it starts: step sizes, buttons that are waited for, states that will be lost."""
+"""The notes that a simulated run prints before it starts: step sizes, buttons that it waits for, states that will be
+lost."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any

@@ -1,4 +1,4 @@
-"""What people write on the command line of `swarm sim`: times, rates, probabilities.
+"""The quantities on the command line of `swarm sim`: times, rates, probabilities.
 
 Each reader raises `argparse.ArgumentTypeError`, which says what was expected.
 """

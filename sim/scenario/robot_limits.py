@@ -1,4 +1,4 @@
-"""What real robots would refuse of a simulated run: told before it starts.
+"""The limits of real robots that a simulated run exceeds, printed before it starts.
 
 A state or message too large for a frame is refused by simulations, too, where the app is loaded.
 """

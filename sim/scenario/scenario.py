@@ -1,4 +1,4 @@
-"""From options to the config of a simulated swarm: who is there, where, with which app parameters.
+"""The scenario from the options: the config of a simulated swarm with its robots, their places and app parameters.
 
 The default scene is the thesis' table (figure 4.8): 2 m x 2 m, three anchors, the target at (0.5, 1.0), robots 0-2 at
 its three places. The simulated modules read as its modules did, so the thesis' calibration is what the robots use.

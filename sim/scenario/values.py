@@ -1,4 +1,4 @@
-"""What a program gives as first values and parameters of an app, as settings: for all robots, by list, or by robot.
+"""The first values and parameters that a program gives to an app, as settings: for all robots, by list, or by robot.
 
     {"gain": 0.5}                           for all robots
     {"x": [0.5, 1, 2]}                      one for each robot, in their order

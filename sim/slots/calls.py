@@ -1,4 +1,5 @@
-"""How links of a slot radio are made: pages that are heard in scans, and the exchanges until a socket is connected.
+"""The calls that make links of a slot radio: pages that are heard in scans, and the exchanges until a socket is
+connected.
 
 Paging takes a device's time like one more piconet, with longer stays. The called one hears it in its scans, which take
 time of its own; that its scans always meet the right train of frequencies is fitted to recorded starts. A controller

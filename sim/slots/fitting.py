@@ -1,4 +1,4 @@
-"""Which value of a parameter of the slot radio fits recorded runs best. Pure: runs come as the paces that they had."""
+"""The fit of a slot radio's parameter to recorded runs. Pure: runs come as the durations of their iterations."""
 
 import math
 import statistics

@@ -1,4 +1,4 @@
-"""What a slot radio is like. Each number has its source, or is said to be fitted.
+"""The parameters of a slot radio. Each number has its source, or is marked as fitted.
 
 "Fitted" means: chosen so that the original lockstep over this radio takes the times of recorded runs of the thesis'
 robots (`./run bench radio` shows model and recordings side by side). Figures of robots in several piconets depend on

@@ -1,5 +1,5 @@
-"""Where the runs of a sweep are computed: by processes of this machine, or by a Dask cluster. The same runs, the same
-results: a run knows only its arguments."""
+"""The engines of a sweep's runs: processes of this machine, or a Dask cluster. The same runs give the same results,
+since a run knows only its arguments."""
 
 import contextlib
 import multiprocessing

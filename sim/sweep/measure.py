@@ -1,4 +1,4 @@
-"""What one run of a sweep gives. Runs in a process of its own, on this machine or on another."""
+"""The measurement of one run of a sweep, in a process of its own, on this machine or on another."""
 
 import logging
 import math

@@ -1,4 +1,4 @@
-"""Which runs a sweep is made of: every combination of what was listed, each with every seed."""
+"""The plan of a sweep's runs: every combination of the listed values, each with every seed."""
 
 import argparse
 import itertools

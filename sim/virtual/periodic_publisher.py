@@ -1,4 +1,4 @@
-"""What a robot tells at fixed intervals, under virtual time: as long as somebody hears it.
+"""Publishing at fixed intervals under virtual time, as long as somebody listens.
 
 Mostly nobody does. In a large swarm most events only found that out, at one robot after the other, and each look had
 to fetch a robot's objects from memory.

@@ -1,4 +1,4 @@
-"""What an app sees of the robot it runs on: `self.robot`. It is the same on real robots and in both simulations.
+"""The robot that an app runs on: `self.robot`. It is the same on real robots and in both simulations.
 
 The app host fills it: graph and random numbers always, the rest (`overlays`, `mesh_clock`, `ranging`, `devices`,
 `bus`...) if the app runs on a bus. An app that uses a part that is missing gets an `AppError`.

@@ -1,4 +1,5 @@
-"""What the class of an app declares: state, parameters, how a neighbour looks. Read when the class is made."""
+"""The declarations of an app's class: state, parameters, the form of a neighbour. They are read when the class is
+made."""
 
 import dataclasses
 import inspect

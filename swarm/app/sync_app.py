@@ -1,4 +1,4 @@
-"""What an author of a distributed algorithm writes: a class with a typed state and a step.
+"""The base of distributed algorithms: an author writes a class with a typed state and a step.
 
     from math import fsum
 

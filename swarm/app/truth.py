@@ -1,4 +1,5 @@
-"""What only a simulation knows: where robots and target really are. An app's `error(self, truth)` is measured with it.
+"""The truth that only a simulation knows: the places of robots and target. An app's `error(self, truth)` is measured
+with it.
 
 On real robots nobody knows, and nothing is measured.
 """

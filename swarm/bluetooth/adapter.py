@@ -1,4 +1,4 @@
-"""One Bluetooth adapter of this robot, over a raw HCI socket: what the kernel has no other call for."""
+"""A Bluetooth adapter of this robot, over a raw HCI socket, for requests that the kernel has no other call for."""
 
 import socket
 from collections.abc import Callable

@@ -1,4 +1,5 @@
-"""What the clients of a bus use of it: `swarm.bus.zenoh_bus.Bus` in a process, an in-memory one in virtual time.
+"""The interface of a bus as its clients use it: `swarm.bus.zenoh_bus.Bus` in a process, an in-memory one in virtual
+time.
 
 A client that keeps to this (and takes its clock as an argument) is the same code in both.
 """

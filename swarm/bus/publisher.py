@@ -1,4 +1,4 @@
-"""What a session publishes under one key, and whether anybody listens to it."""
+"""The publisher of one key, which knows whether anybody listens."""
 
 from swarm import clock
 from swarm.bus.zenoh_runtime import direct, zenoh

@@ -1,4 +1,4 @@
-"""How Zenoh is set up on a robot: one router on a Unix socket, every service a client of it.
+"""The configuration of Zenoh on a robot: one router on a Unix socket, every service a client of it.
 
 See docs/explanation/bus.md.
 """

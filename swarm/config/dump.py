@@ -1,5 +1,5 @@
-"""From a `Config` back to the text of a `swarm.toml`: what a simulation writes for the robots it starts, and what a
-recording keeps."""
+"""The text of a `swarm.toml` from a `Config`: a simulation writes it for the robots that it starts, and a recording
+keeps it."""
 
 import dataclasses
 from collections.abc import Mapping

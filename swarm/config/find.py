@@ -1,4 +1,4 @@
-"""Where the swarm's file is: in the working directory, the user's configuration folder or /etc."""
+"""The search for the swarm's file: in the working directory, the user's configuration folder or /etc."""
 
 import os
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""From the text of a `swarm.toml` to a checked `Config`: the robots, their topology and the relay rules.
+"""The reading of a `swarm.toml` into a checked `Config`: the robots, their topology and the relay rules.
 
 The tables of single concerns are in `sections`. Nothing is guessed: an unknown table or entry, a wrong type
 or a topology that cannot work is a `ConfigError` naming file, table, entry and what was expected.

@@ -1,4 +1,4 @@
-"""What one `swarm.toml` says about the whole swarm, as frozen types. The same file is on every robot.
+"""The types of a `Config`: what one `swarm.toml` says about the whole swarm. The same file is on every robot.
 
 Loading and checking is `swarm.config.load`, the commented example `swarm.config.example`.
 """

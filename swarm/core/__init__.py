@@ -1,1 +1,1 @@
-"""What several processes need and that does no IO: lockstep, graphs, packed states."""
+"""The code without IO that several processes need: lockstep, graphs, packed states."""

@@ -1,4 +1,4 @@
-"""Whether a message has values of the right types in the fields of its type, though some are missing or unknown.
+"""The check that a message has values of the right types in its fields, though some may be missing or unknown.
 
 For who shows messages: what other robots send may come from another release, or with some of its fields only
 (`mesh/view`). Who acts on a message decodes it (`swarm.messages.codec`), where each field must be there.

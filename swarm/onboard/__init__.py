@@ -1,1 +1,1 @@
-"""What runs on a robot at its prompt or at the far end of ssh. It imports nothing of the laptop."""
+"""The programs on a robot, at its prompt or at the far end of ssh. They import nothing of the laptop."""

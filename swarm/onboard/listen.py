@@ -1,4 +1,4 @@
-"""What the services of robots say on their buses, within a moment: the newest value of each key.
+"""The newest value of each key on robots' buses, collected within a moment.
 
 `python -m swarm.onboard.listen ROBOT [SECONDS]` on a robot prints it as JSON; for simulated robots it is called here.
 """

@@ -1,4 +1,4 @@
-"""What a robot's bus says, for a page far away: `python -m swarm.onboard.lookout ROBOT` at the other end of ssh.
+"""The reports on a robot's bus for a page far away: `python -m swarm.onboard.lookout ROBOT` at the other end of ssh.
 
 Out go msgpack arrays, of each key the newest value at most `RATE` times a second, so that a slow network makes steps
 and no queue:

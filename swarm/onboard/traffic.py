@@ -1,4 +1,4 @@
-"""How many messages of other robots' apps come to a robot, for whoever wants to see them pass.
+"""The number of messages of other robots' apps that come to a robot.
 
 A swarm at full rate brings hundreds a second, too many to be seen one by one, and to hear them costs the robot's bus
 more than all else that is watched. So one listens, and where they are too many rests, and tries again for a moment.

@@ -1,4 +1,4 @@
-"""What every process of ours does at its edges, whether or not it speaks to the bus: this module does not load Zenoh.
+"""The start and end of every process of ours, whether or not it uses the bus: this module does not load Zenoh.
 
 The balancer's loop is such a process; `swarm.process.service` builds on it for all others.
 """

@@ -1,4 +1,4 @@
-"""Where a robot's processes meet: the runtime directory and the names in it.
+"""The runtime directory of a robot's processes, and the names in it.
 
 On a robot it is /run/swarm (systemd's RuntimeDirectory); a simulation gives each robot one of its own through
 SWARM_RUNTIME. Everything in it may vanish at a reboot; what may not is in the state directory.

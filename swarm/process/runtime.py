@@ -1,4 +1,4 @@
-"""What a shell runs on: a clock, calls at a later time, and workers for what takes long.
+"""The interface on which a shell runs: a clock, calls at a later time, and workers for long jobs.
 
 A shell is the code around a core that does the core's input and output. It is written once, for one thread: at any
 moment at most one of its calls runs. A robot gives it a `ThreadedRuntime` (`swarm.process.threads`), virtual time gives

@@ -1,4 +1,5 @@
-"""One time axis for the recordings of several robots, whose clocks began at different times and run a bit differently.
+"""The common time axis of several robots' recordings, whose clocks began at different times and run at slightly
+different rates.
 
 Recordings of one machine since one start of it share a clock. Others are brought together by the mesh clock, whose
 samples every robot records: C(t') = t' + offset + rate (t' - t), with robots of one root on one time

@@ -1,4 +1,4 @@
-"""What a robot's recordings may take of its disk: when there is more, the oldest finished runs go.
+"""The limit of a robot's recordings on its disk: beyond it the oldest finished runs are deleted.
 
 A run that is being recorded is never touched: its process holds a lock on its file (`RecordingFile`), and one that was
 written to within the last minutes may be that of a process that is being started again.

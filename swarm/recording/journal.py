@@ -1,5 +1,5 @@
-"""What a recording has taken and not yet put into its file, kept where it survives the process: a mapped file in the
-runtime directory, which is memory on a robot. A process killed by -9 loses nothing by it, and nobody waits for a disk.
+"""The messages of a recording that are not yet in its file, kept in a mapped file in the runtime directory, which is
+memory on a robot. A process killed by -9 loses none of them, and nobody waits for a disk.
 
 Two halves take turns: one grows while the other is being written to the recording. Each begins with the offset in the
 recording at which its records are due, and their length; 0 = they are there. Before the halves stands a mark that says

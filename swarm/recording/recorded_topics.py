@@ -1,4 +1,4 @@
-"""What an app's recording holds beside the app's own states: what its robot's services said meanwhile on the bus.
+"""The records of an app beside its own states: what its robot's services published meanwhile on the bus.
 
 Poses, LEDs, buttons, the body, links, clock and topology of the mesh, and the messages of this app that came in: what
 the pictures of a run need, and no more, since each costs the process some 0.1 ms. Fast keys are thinned out.

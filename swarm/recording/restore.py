@@ -1,5 +1,5 @@
-"""From a recorded message back to what its robot had published: what was None and left out is there again, and what was
-added for Foxglove is not."""
+"""The message that a robot had published, from its record: fields that were None are there again, and those added
+for Foxglove are gone."""
 
 import dataclasses
 import types

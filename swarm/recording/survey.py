@@ -1,4 +1,5 @@
-"""What a recording holds already, found without reading its messages, so that a restarted process can go on with it."""
+"""The content of an existing recording, found without reading its messages, so that a restarted process can go on
+with it."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""What one robot's app computed, iteration by iteration: read from a recording, compared to the bit, and timed."""
+"""The iterations that one robot's app computed: read from a recording, compared to the bit, and timed."""
 
 import math
 import statistics

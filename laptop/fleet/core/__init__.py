@@ -1,1 +1,1 @@
-"""What the commands for robots decide, without doing it: no ssh, no files, no clock."""
+"""The decisions of the commands for robots, without IO: no ssh, no files, no clock."""

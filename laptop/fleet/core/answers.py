@@ -1,4 +1,4 @@
-"""What is said of a robot whose answer is not what our programs give."""
+"""The error text about a robot whose answer is not what our programs give."""
 
 from swarm.errors import RemoteError
 from swarm.process.text import printable

@@ -1,4 +1,4 @@
-"""What `swarm doctor` knows of a robot, and what it says of it."""
+"""The data that `swarm doctor` has of a robot, and the findings of its checks."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import field

@@ -1,10 +1,11 @@
-"""What of a robot's recordings is still to be had, and how it comes: lists, plans and the stream, without IO.
+r"""The plan to fetch a robot's recordings: what is missing here, and how it comes. Lists, plans and the stream, without
+IO.
 
 The robot lists its files with their sizes. The laptop asks for each from where its own copy ends; the robot answers
 with one stream, for each file in the order asked:
 
-    "+\\n", the bytes from the offset to the size, the SHA-256 of all bytes up to the size as `sha256sum` prints it
-    "-\\n" where the file has become shorter than that, or is gone
+    "+\n", the bytes from the offset to the size, the SHA-256 of all bytes up to the size as `sha256sum` prints it
+    "-\n" where the file has become shorter than that, or is gone
 
 So what breaks in mid-transfer costs nothing that has arrived, and a copy counts only when its sum is the robot's.
 """

@@ -1,4 +1,4 @@
-"""All checks of `swarm doctor`, on one robot and across the swarm."""
+"""The table of all checks of `swarm doctor`, on one robot and across the swarm."""
 
 from collections.abc import Callable, Sequence
 

@@ -1,4 +1,5 @@
-"""Which robots are to be paired, in what order, and what the config says of their addresses."""
+"""The decisions of `swarm pair`: which robots are paired, in what order, and what the config says of their
+addresses."""
 
 import re
 from collections.abc import Collection, Iterable, Mapping

@@ -1,4 +1,4 @@
-"""What a robot is to be once it is provisioned, and what a step finds on it and would change there."""
+"""The desired state of a provisioned robot, and the result of a step: what it found and what it would change."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import field

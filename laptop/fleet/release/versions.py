@@ -1,4 +1,4 @@
-"""What a robot runs, and where the robots of a run differ: release, configuration and the ATmega's firmware."""
+"""The versions on robots and their differences: release, configuration and the ATmega's firmware."""
 
 import re
 from collections.abc import Mapping

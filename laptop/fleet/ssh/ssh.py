@@ -1,4 +1,4 @@
-"""One command on one robot over the system's `ssh`, with the user's own configuration, keys and known hosts.
+"""A command on one robot over the system's `ssh`, with the user's own configuration, keys and known hosts.
 
 The system's client is what the user has set up and trusts: jump hosts, agents and names work as in the shell. It is
 told never to ask (BatchMode): a question to eight robots at once has nobody to answer it.

@@ -1,1 +1,1 @@
-"""What a page started with `--control` may do: to simulated robots, and to real ones over ssh."""
+"""The actions of a page started with `--control`: on simulated robots, and on real ones over ssh."""

@@ -1,4 +1,4 @@
-"""What a page may do to the swarm where it was started with `--control`. Without that every command is refused."""
+"""The commands of a page to the swarm, where it was started with `--control`. Without that every command is refused."""
 
 import os
 import threading

@@ -1,4 +1,4 @@
-"""How an app is to be started on robots: as the run that they have in common, or as a new one.
+"""The plan to start an app on robots: in the run that they have in common, or in a new one.
 
 All of them are to run the same release, configuration and firmware, as for `swarm run`. Whoever is late is held against
 what was decided before.

@@ -1,4 +1,5 @@
-"""What a page may do to real robots, over ssh, as `swarm run`, `swarm services start` and `swarm services stop` do it.
+"""The actions of a page on real robots, over ssh, as `swarm run`, `swarm services start` and `swarm services stop` do
+them.
 
 A robot far away takes its time: an act begins at once and returns, and what came of it on each robot is told among the
 page's events. None waits for another. Of two orders about one app the newer one holds.

@@ -1,4 +1,4 @@
-"""What lays hands on the robots of a page, beyond what is said on a bus: of a simulation, or far away."""
+"""The interface of actions on a page's robots beyond messages on a bus: in a simulation, or on real robots."""
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence

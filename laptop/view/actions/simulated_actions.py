@@ -1,4 +1,4 @@
-"""What a page may do to the robots of a simulation on this machine: everything."""
+"""The actions of a page on the robots of a simulation on this machine: all of them are allowed."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -1,1 +1,1 @@
-"""Where the page's pictures of a swarm come from: a simulation here, real robots, virtual time."""
+"""The sources of the page's picture of a swarm: a simulation here, real robots, virtual time."""

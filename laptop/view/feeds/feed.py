@@ -1,4 +1,4 @@
-"""Where a picture gets its samples from: the buses of a simulation that runs on this machine."""
+"""The interface of a source of a picture, and the source for a simulation on this machine: its buses."""
 
 import threading
 from collections.abc import Callable, Mapping, Sequence

@@ -1,4 +1,4 @@
-"""What the keys of one robot held in the last two minutes, as it came, for a chart that is opened late.
+"""The samples of one robot's keys in the last two minutes, as they came, for a chart that is opened late.
 
 The bytes are bounded, by key and in all: a robot may say as much as it can, and what is kept of it is decoded at once
 when a page asks for a key.

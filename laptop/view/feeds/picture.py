@@ -1,4 +1,4 @@
-"""What is known of the swarm at this moment: the newest sample of every key, what just happened, and who is there.
+"""The present state of the swarm: the newest sample of every key, the latest events, and which robots are there.
 
 A page asks for everything once and then for what has changed since its last version, so a slow one gets fewer steps and
 never a queue. No IO and no clock: samples come in from whatever watches the robots, a bus or a recording.

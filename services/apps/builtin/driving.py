@@ -1,4 +1,4 @@
-"""What apps have in common that drive: the own pose, the others' places, and a wheel in hand that avoids them."""
+"""The common part of apps that drive: the own pose, the others' places, and commands that avoid the others."""
 
 import math
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""Each robot drives along its waypoints, past the others. docs/reference/apps/goto.md."""
+"""The app `goto`: each robot drives along its waypoints, past the others. docs/reference/apps/goto.md."""
 
 import math
 from collections.abc import Mapping, Sequence

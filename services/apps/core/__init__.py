@@ -1,1 +1,2 @@
-"""What decides in the app host, and what the built-in apps that move and blink compute: no IO, `now` is an argument."""
+"""The decisions of the app host, and the computations of the built-in apps that move and blink: no IO, `now` is an
+argument."""

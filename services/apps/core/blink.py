@@ -1,4 +1,5 @@
-"""When an LED blinks by the swarm's common time: it goes on at k/f of it, and off for the other part of the period.
+"""The times at which an LED blinks by the swarm's common time: it goes on at k/f, and off for the other part of the
+period.
 
 Whoever has the same time and the same frequency blinks alike, whatever the delays of the links. At time t a frequency
 that differs by e shifts the blinks by t e / f; so frequencies that consensus has brought together up to rounding are

@@ -1,4 +1,4 @@
-"""One lockstep of an app on one robot: the author's steps, the lockstep core, its epochs, and when to stop.
+"""A lockstep of an app on one robot: the author's steps, the lockstep core, its epochs, and the rule for its end.
 
 An app has one, or one for each of its channels. It has no IO, no clock and no thread: the driver
 (`services.apps.host.lockstep_driver`) has these. Two things happen to it, perhaps in two threads: messages and timers,

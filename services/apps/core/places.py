@@ -1,4 +1,4 @@
-"""Where all robots are, handed on from neighbour to neighbour with the age of the news.
+"""The places of all robots, passed on from neighbour to neighbour with the age of the news.
 
 Each robot tells its neighbours its own place and velocity and the newest it knows of others; a neighbour's neighbour's
 place is a period and a link's delay older for each hop. Ages travel instead of times: no common clock is needed, and

@@ -1,4 +1,4 @@
-"""What a `LockstepRun` is given: the author's app between packed states, and what holds for the whole run."""
+"""The input of a `LockstepRun`: the author's app between packed states, and the settings of the whole run."""
 
 from collections.abc import Mapping
 from typing import Protocol

@@ -1,4 +1,4 @@
-"""From the velocity a robot should have in the plane to what its wheels can do: speed ahead and turn rate."""
+"""Conversion of a velocity in the plane to the commands of a robot with two wheels: speed ahead and turn rate."""
 
 import math
 from collections.abc import Sequence

@@ -1,1 +1,1 @@
-"""What an app's robot has: clients of its devices, measurements, recorded values, and a voice on the bus."""
+"""The equipment of an app's robot: clients of its devices, measurements, recorded values, and a log on the bus."""

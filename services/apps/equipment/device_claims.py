@@ -1,4 +1,4 @@
-"""What an app has taken of its robot, for as long as it is well: LEDs, display and drive."""
+"""The devices that an app has claimed of its robot, for as long as the app is well: LEDs, display and drive."""
 
 import math
 from collections.abc import Callable

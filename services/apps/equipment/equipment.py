@@ -1,4 +1,4 @@
-"""What an app's robot has where it runs on a bus: clients of the other services."""
+"""The equipment of an app's robot where it runs on a bus: clients of the other services."""
 
 import logging
 

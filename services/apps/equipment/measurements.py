@@ -1,4 +1,4 @@
-"""Where an app's measurement of step k comes from: the live module's newest report, or row k of a recording.
+"""The source of an app's measurement of step k: the live module's newest report, or row k of a recording.
 
 Both come over the bus, and the app cannot tell them apart.
 """

@@ -1,4 +1,4 @@
-"""What an app says by `print` and `self.robot.log` goes onto the robot's bus, into its recording and the robot's log.
+"""The way of an app's `print` and `self.robot.log` onto the robot's bus, into its recording and the robot's log.
 
 `print` knows no robot: who has called it is found on the stack, so that nothing is done for an app that prints nothing.
 """

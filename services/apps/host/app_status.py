@@ -1,4 +1,4 @@
-"""What an app's host tells of it on the bus: `state`, `state/throttled` and `progress`, published and answered."""
+"""The status of an app on the bus: `state`, `state/throttled` and `progress`, published and answered."""
 
 import math
 from collections.abc import Callable

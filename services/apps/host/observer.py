@@ -1,4 +1,4 @@
-"""What is told of an app's iterations, steps and events: to its recording, or to a run under virtual time."""
+"""The interface of listeners to an app's iterations, steps and events: its recording, or a run under virtual time."""
 
 from collections.abc import Mapping
 from typing import NamedTuple, Protocol

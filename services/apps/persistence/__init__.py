@@ -1,1 +1,1 @@
-"""What an app keeps in files: snapshots, votes, its claim on its name, and its recording."""
+"""The files of an app: snapshots, votes, the claim on its name, and its recording."""

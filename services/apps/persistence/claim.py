@@ -1,4 +1,5 @@
-"""One process for each app and robot (rule R6): a lock file, and a number that goes up with every start.
+"""The claim that makes an app run in one process on each robot (rule R6): a lock file, and a number that goes up with
+every start.
 
 The kernel drops the lock when the process ends, however it ends. The number in the file is the incarnation:
 neighbours ignore frames of a lower one, so that what a dead process left on the way does no harm.

@@ -1,4 +1,4 @@
-"""What an app host records of its run: one MCAP file for each robot and app (docs/reference/recordings.md)."""
+"""The records of an app host: one MCAP file for each robot and app (docs/reference/recordings.md)."""
 
 from collections.abc import Mapping
 from typing import Protocol

@@ -1,4 +1,4 @@
-"""Where the host of an app records: the folder of its run, and the file in it."""
+"""The recording of an app's host: the folder of its run, and the file in it."""
 
 import os
 import time

@@ -1,4 +1,4 @@
-"""Where an app keeps what must outlive its process: on a robot in files, under virtual time in memory."""
+"""The storage of data that outlives an app's process: on a robot in files, under virtual time in memory."""
 
 from pathlib import Path
 from typing import Protocol

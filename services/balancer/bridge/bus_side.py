@@ -1,4 +1,4 @@
-"""What a balancer does on the bus: publishes what its loop tells, and hands it the commands that pass.
+"""The balancer's side of the bus: it publishes what its loop reports, and passes on the commands that are allowed.
 
 The same code runs in the bridge, over the socket pairs to the control loop, and under virtual time, where the loop is a
 body without physics (`sim.virtual.robot.balancer`).

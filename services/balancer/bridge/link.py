@@ -1,4 +1,4 @@
-"""What the loop and the bridge tell each other: one datagram a message, a kind byte and the message as msgpack.
+"""The messages between loop and bridge: one datagram each, a kind byte and the message as msgpack.
 
 They share two pairs of connected Unix sockets (SOCK_SEQPACKET: whole messages in order, and the end of one side shows
 at the other). One pair carries telemetry to the bridge and commands to the loop; in front of each command is the time

@@ -1,4 +1,4 @@
-"""How late the loop's ticks were: the 99th percentile and the worst of the last second."""
+"""The lateness of the loop's ticks: the 99th percentile and the maximum of the last second."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Where the anchors are, from the distances between them: multidimensional scaling, then alignment. For the laptop.
+"""The places of anchors from the distances between them: multidimensional scaling, then alignment. For the laptop.
 
 Classical scaling (Torgerson 1952) turns all distances into places at once; pairs that were not measured are filled in
 by the shortest way over others for that. Least squares on the measured pairs then give each its due. Distances say

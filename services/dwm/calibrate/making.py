@@ -1,4 +1,4 @@
-"""From samples to a calibration file, to tables for people, and to a verdict on one that is in use."""
+"""The making of a calibration: from samples to a file, to tables for people, and to a verdict on one that is in use."""
 
 import hashlib
 from collections.abc import Mapping, Sequence

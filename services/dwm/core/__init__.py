@@ -1,1 +1,1 @@
-"""What the dwm service does, without IO."""
+"""The decisions and computations of the dwm service, without IO."""

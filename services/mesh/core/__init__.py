@@ -1,4 +1,4 @@
-"""What the mesh of a robot does, without IO: the clock, randomness and bytes come in as arguments.
+"""The decisions of a robot's mesh, without IO: the clock, randomness and bytes come in as arguments.
 
 `node` is what the shell (`services.mesh`) and virtual time (`sim.virtual`) drive: they feed it bytes, samples of the
 bus and the time, and carry out its `actions`. It joins the `relay` rules, the `connections` and the `overlays`.

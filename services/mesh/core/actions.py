@@ -1,4 +1,4 @@
-"""What the mesh's cores ask for: the first four actions of the node, the others of its shell.
+"""The actions that the mesh's cores ask for: the first four of the node, the others of its shell.
 
 A node also hands `link.Received` on among its actions: a message to be published on the own bus.
 """

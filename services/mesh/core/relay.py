@@ -1,5 +1,4 @@
-"""Which keys leave to whom, and which may come in: by the rules of the config (`KeyRelay`), and those of the overlays
-(`Admission`).
+"""The rules of the relay: which keys leave to whom, by the config (`KeyRelay`), and which may come in (`Admission`).
 
 Only the own robot's keys leave, and only where a rule of the config says so. Another robot's key comes in only
 where the same rules, read from that robot's place, would have let it leave to us: so nothing a neighbour

@@ -1,4 +1,4 @@
-"""What PyBluez adds where it is installed: robots in radio range, and service records that say who has a mesh.
+"""The additions of PyBluez where it is installed: robots in radio range, and service records that say who has a mesh.
 
 The links themselves need none of it (`rfcomm`). On Debian it is the package python3-bluez, seen from a venv made with
 --system-site-packages; service records also need bluetoothd run with -C. PyBluez has one exception, an OSError that may

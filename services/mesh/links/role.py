@@ -1,5 +1,5 @@
-"""Which side of each of this robot's Bluetooth connections is central, as the kernel has it: for what the mesh tells of
-its links. Asking needs no rights; where it cannot be done, roles are not known."""
+"""The Bluetooth role of this robot on each of its connections, central or peripheral, as the kernel has it. Asking
+needs no rights; where it is impossible, roles are unknown."""
 
 import contextlib
 from collections.abc import Callable, Mapping

@@ -1,4 +1,4 @@
-"""What links over connected stream sockets share, whatever their address family: `tcp:` and `rfcomm:`."""
+"""The common part of links over connected stream sockets, whatever their address family: `tcp:` and `rfcomm:`."""
 
 import socket
 from typing import Any

@@ -1,4 +1,4 @@
-"""How long the radio keeps a silent connection.
+"""The time for which the radio keeps a silent connection.
 
 Its own time-out is 20 s, and a controller keeps what it could not deliver until then, in the few buffers that all its
 connections share (8 on the robots'). A robot that goes off thus takes the buffers of each of its neighbours, which fall

@@ -1,1 +1,1 @@
-"""What a run under virtual time keeps and watches of the apps: records, storage, steps that do not return."""
+"""The apps of a run under virtual time: records, storage, and steps that do not return."""

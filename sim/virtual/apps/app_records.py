@@ -1,4 +1,4 @@
-"""What a run under virtual time keeps of one app: its last states or all, and a recording where one is wanted."""
+"""The records of one app under virtual time: its last states or all, and a recording where one is wanted."""
 
 from collections.abc import Collection, Mapping
 from functools import partial

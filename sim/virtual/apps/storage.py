@@ -1,4 +1,4 @@
-"""What the apps of a virtual robot keep: votes through a reboot, snapshots through the end of a process."""
+"""The storage of a virtual robot's apps: votes outlive a reboot, snapshots the end of a process."""
 
 from collections import deque
 

@@ -1,4 +1,4 @@
-"""What a run under virtual time keeps of one robot's app, without a file."""
+"""The trajectory of one robot's app under virtual time, kept without a file."""
 
 from array import array
 from collections.abc import Mapping

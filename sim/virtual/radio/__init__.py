@@ -1,1 +1,1 @@
-"""What lies between robots under virtual time: their mesh services, and the links these speak over."""
+"""The connection of robots under virtual time: their mesh services, and the links between them."""

@@ -1,1 +1,2 @@
-"""What stands in the place of one robot under virtual time: balancer, body, UWB module, and the contacts of bodies."""
+"""The replacements of one robot's hardware under virtual time: balancer, body, UWB module, and the contacts of
+bodies."""

@@ -1,1 +1,1 @@
-"""Who belongs to a run: the agreement on its members and links, its notes, and what a robot knows of the others."""
+"""The membership of a run: the agreement on its members and links, its notes, and what a robot knows of the others."""

@@ -1,4 +1,4 @@
-"""What `swarm.core.epochs` asks of its host (actions), and what an operator may ask of it (requests)."""
+"""The actions that `swarm.core.epochs` asks of its host, and the requests of an operator to it."""
 
 from swarm.core.epochs.notes import Epoch, SavedEpochs
 from swarm.frozen import frozen

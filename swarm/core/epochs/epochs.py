@@ -1,4 +1,4 @@
-"""Who belongs to a run: an agreed change of its members and links, at an agreed iteration, without a leader.
+"""The membership of a run: an agreed change of its members and links, at an agreed iteration, without a leader.
 
 The members of an epoch agree on the next one as in Paxos (Lamport, The Part-Time Parliament, 1998), one decision an
 epoch. A robot that wants a change makes a ballot. Members that hear of it promise to take part in no earlier one,

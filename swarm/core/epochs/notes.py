@@ -1,4 +1,4 @@
-"""What robots tell each other about the membership of a run (`swarm.core.epochs`): records, votes, and their bytes."""
+"""The notes of robots about the membership of a run (`swarm.core.epochs`): records, votes, and their bytes."""
 
 from collections import Counter
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What one robot knows of the others of a run: their newest notes, and when they came."""
+"""The newest notes of a run's other robots, and when they came."""
 
 from swarm.core.epochs.notes import Ballot, EpochNote
 

@@ -1,1 +1,1 @@
-"""One robot's lockstep with its neighbours: the protocol, its frames, what it asks for, and the stop by rule."""
+"""The lockstep of one robot with its neighbours: the protocol, its frames, its actions, and the stop by rule."""

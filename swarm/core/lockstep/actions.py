@@ -1,4 +1,4 @@
-"""What a `Lockstep` asks its host to do or to tell, to be carried out in the order given."""
+"""The actions that a `Lockstep` asks of its host, to be carried out in the order given."""
 
 from functools import lru_cache
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""Which of a robot's neighbours a lockstep talks to around their link, since it carries nothing."""
+"""The neighbours whose link carries nothing: the lockstep reaches them around that link."""
 
 SILENT_AFTER_RTTS = 1.5
 SILENT_AFTER = 0.1

@@ -1,4 +1,5 @@
-"""When a robot in lockstep asks for values that are missing: not for what is only late, and for ever."""
+"""The times at which a robot in lockstep asks for missing values: not for values that are only late, and never
+giving up."""
 
 WANT_AFTER_RTTS = 3.0
 """A missing value is asked for after so many round-trip times without progress ..."""

@@ -1,4 +1,4 @@
-"""From keys to velocities with a dead-man's key: a robot moves only while keys come; no IO.
+"""Velocities from keys, with a dead-man's key: a robot moves only while keys come; no IO.
 
 A terminal tells of presses and repeats, never of a release. So a velocity holds for a short time after each key: after
 the first one as long as keyboards take until they repeat, then for a few repeats.

@@ -1,4 +1,4 @@
-"""What becomes of a mode command that one robot was given, by what its balancer tells; no IO."""
+"""The outcome of a mode command to one robot, from what its balancer publishes; no IO."""
 
 from swarm.frozen import frozen
 from swarm.messages import BalancerFault, BalancerState, Notice

@@ -1,4 +1,4 @@
-"""What `swarm doctor` wants to know of a robot's system, beyond the facts of provisioning: read only, as root."""
+"""The facts about a robot's system for `swarm doctor`, beyond those of provisioning: read only, as root."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What provisioning wants to know of a robot: read only, as root, and nothing that is not there is an error."""
+"""The facts about a robot for provisioning: read only, as root. A missing fact is no error."""
 
 from __future__ import annotations
 

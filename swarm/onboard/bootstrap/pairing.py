@@ -1,4 +1,4 @@
-"""One robot's part in pairing: look, forget, wait for a call, or call.
+"""The part of one robot in pairing: look, forget, wait for a call, or call.
 
 Just Works with agents that have neither input nor output (Core Specification, vol 3 C, 5.2.2.5): nobody stands beside
 the robots. Who may pair is decided by address, for the time of one pairing only.

@@ -1,4 +1,4 @@
-"""Which robots' buses a command speaks to: those of a simulation that runs here, or this robot's own."""
+"""The robots' buses that a command uses: those of a simulation that runs here, or this robot's own."""
 
 import argparse
 import os

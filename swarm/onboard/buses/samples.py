@@ -1,4 +1,4 @@
-"""How a sample of the bus looks on a terminal and as JSON. Whatever the payload is, it can be shown."""
+"""The text and JSON of a sample of the bus. Whatever the payload is, it can be shown."""
 
 import json
 import re

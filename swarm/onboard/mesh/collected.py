@@ -1,4 +1,4 @@
-"""What `swarm mesh` has collected, put together: the links that count, and their round-trip times."""
+"""The swarm as `swarm mesh` has collected it: the links that count, and their round-trip times."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field

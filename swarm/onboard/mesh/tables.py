@@ -1,4 +1,4 @@
-"""What `swarm mesh` prints: a table of the robots, one of the links, one of the overlays' counters, and the graph."""
+"""The tables of `swarm mesh`: of the robots, of the links, of the overlays' counters, and the graph."""
 
 import statistics
 from collections.abc import Sequence

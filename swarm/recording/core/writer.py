@@ -1,4 +1,4 @@
-"""What is recorded, as the bytes of an MCAP file: takes (topic, time, message), gives pieces to be appended.
+"""The bytes of an MCAP file: the writer takes (topic, time, message), and gives pieces to be appended.
 
     writer = Writer("balboa-swarm 0.1.0", epoch_ns=0)
     writer.metadata("run", {"app": "consensus"})

@@ -1,4 +1,4 @@
-"""What the algorithms have in common: the measurement, the origin, and how good the place that was found is."""
+"""The common part of the localization algorithms: the measurement, the origin, and the quality of the place found."""
 
 import math
 from collections.abc import Mapping

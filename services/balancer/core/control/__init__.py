@@ -1,1 +1,1 @@
-"""How the robot balances: the body's model, its estimate, the regulators and the manoeuvres. No IO."""
+"""The control of the robot's balance: the body's model, its estimate, the regulators and the manoeuvres. No IO."""

@@ -1,4 +1,4 @@
-"""What a Balboa weighs and how strong it is: the numbers behind the controller's model and the simulated body.
+"""The masses and motors of a Balboa: the numbers behind the controller's model and the simulated body.
 
 Sources: the public MATLAB model labelled Balboa (masses, inertias, lever), Pololu's motor pages (torque, speed; scaled
 from the 75:1 motor, so estimates), the estimated mass of Pi, DWM1001-DEV and display (docs/explanation/balancing.md).

@@ -1,4 +1,4 @@
-"""What the motors shall do: the modes of the balancer, and what ends them.
+"""The controller of the motors: the modes of the balancer, and what ends them.
 
     idle --stand--> standing_up --upright--> balancing --lie--> lying_down --down--> idle
                         |  gave up               |  fell, full power too long         (or fault: battery)

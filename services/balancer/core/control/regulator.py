@@ -1,4 +1,4 @@
-"""What every balancing controller is given and gives: one duty for both motors, from how far the body is off.
+"""The interface of a balancing regulator: it gets the body's deviation, and gives one duty for both motors.
 
 `lqr` (`feedback.py`), `pololu` and `thesis` (`pololu.py`) are chosen by `controller` in [balancing] of `swarm.toml`.
 Heading is none of theirs: the difference between the motors is added afterwards (`drive.py`).

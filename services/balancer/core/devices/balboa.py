@@ -1,4 +1,4 @@
-"""What the ATmega32U4 offers at I2C slave 20: our layout, version 2. The firmware's header must match this table.
+"""The registers of the ATmega32U4 at I2C slave 20: our layout, version 2. The firmware's header must match this table.
 
 A write is an index byte and data from that index, applied together at STOP; a byte that fits nowhere is not
 acknowledged (error 121) and nothing of that write is applied. A read is a write of the index byte, STOP, a pause of

@@ -1,4 +1,4 @@
-"""How the board fares: battery, and what the firmware counts."""
+"""The health of the board: battery, and the firmware's counters."""
 
 from services.balancer.core.devices import balboa
 from services.balancer.core.slack.transfers import piece

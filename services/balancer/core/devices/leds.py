@@ -1,4 +1,4 @@
-"""What the three LEDs show: the balancer's state, unless an app claimed them for a while; and when they change.
+"""The three LEDs: they show the balancer's state, unless an app has claimed them for a while; and the times of changes.
 
 | lamps                        | meaning                                                    |
 |------------------------------|------------------------------------------------------------|

@@ -1,4 +1,5 @@
-"""How fast the bus really is: reads from and writes to the ATmega, timed one by one (thesis 2.2.5: 21 and 53 kbit/s).
+"""The measurement of the bus' speed: reads from and writes to the ATmega, timed one by one (thesis 2.2.5: 21 and 53
+kbit/s).
 
 Read is the beginning of the buffer, written the mailbox's window, which nothing looks at while no request is under way.
 """

@@ -1,4 +1,4 @@
-"""What commands to the devices must keep to. The bridge refuses what does not; the loop need not check again."""
+"""The limits of commands to the devices. The bridge refuses commands beyond them, so the loop need not check again."""
 
 from services.balancer.core.control.manoeuvres.motor_trial import check_test
 from services.balancer.core.devices.mailbox import check_request

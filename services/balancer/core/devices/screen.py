@@ -1,4 +1,4 @@
-"""What the display says: name, state, battery, and what an app or a person wants shown."""
+"""The text on the display: name, state, battery, and the text of an app or a person."""
 
 import math
 

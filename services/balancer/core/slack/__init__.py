@@ -1,1 +1,1 @@
-"""What is done in the slack of the ticks: transfers, how long they take, and whose turn it is."""
+"""The work in the slack of the ticks: transfers, their durations, and their order."""

@@ -1,4 +1,4 @@
-"""Whose turn it is: slack tasks in the order of their importance, until one has waited for longer than its patience."""
+"""The order of slack tasks: by importance, until one has waited for longer than its patience."""
 
 import math
 from collections.abc import Iterable

@@ -1,4 +1,4 @@
-"""One transfer on the I2C bus: what slack tasks are made of."""
+"""A transfer on the I2C bus, the unit of slack tasks."""
 
 from typing import Protocol
 

@@ -1,4 +1,4 @@
-"""How long transfers take on this bus, learned from those of the control step.
+"""The durations of transfers on this bus, learned from those of the control step.
 
 A Pi's SCL is its core clock over a divider that is set once, so it may be two thirds or less of what was asked for, and
 change while it runs (docs/reference/robot/i2c-bus.md). Each control step writes an index to the ATmega, reads the IMU,

@@ -1,4 +1,5 @@
-"""Which fits may be written: what samples cannot determine or no module does is refused, with what to measure next.
+"""The limits of fits that may be written. A fit that the samples do not determine is refused, with what to measure
+next.
 
 A DWM1001 reports distances about 5 % too long, and places about as much too far out (thesis, equations 2.8 and 2.10).
 The bounds here are several times as wide: beyond them a place was told wrongly, an anchor stands elsewhere, or the

@@ -1,4 +1,4 @@
-"""From what the module reports to what is true: the models of ranges and places.
+"""The models that correct what the module reports: ranges and places.
 
 A range: distance = gain m + offset + log ln(m / 1 m) - robot. The thesis' model (eq. 2.8) is gain and offset;
 the logarithm stands for what physics says: no scale error, but a bias that grows with the distance, for a weaker signal

@@ -1,1 +1,1 @@
-"""From ranges and odometry to a pose: filters, multilateration and the Kalman filter. No IO."""
+"""The estimation of a pose from ranges and odometry: filters, multilateration and the Kalman filter. No IO."""

@@ -1,4 +1,4 @@
-"""Where a tag of known height is, from its distances to anchors at known places, with single wrong ones discounted.
+"""The place of a tag of known height from its distances to anchors at known places, with single wrong ones discounted.
 
 Least squares of the range errors under Huber's loss: Gauss-Newton steps with weights made anew from the residuals
 (iteratively reweighted least squares; Huber, "Robust Statistics", 1981, 7.8), steps damped while they do not pay.

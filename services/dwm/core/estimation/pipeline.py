@@ -1,4 +1,4 @@
-"""From a module's answers to the messages on the bus: repeats, sequence and age, calibration, filter, pose."""
+"""The way from a module's answers to the messages on the bus: repeats, sequence and age, calibration, filter, pose."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence

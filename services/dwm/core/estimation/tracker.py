@@ -1,4 +1,5 @@
-"""From odometry and late ranges to a pose: starts the filter, finds the heading, and starts anew when it is lost.
+"""The tracking of a pose from odometry and late ranges: it starts the filter, finds the heading, and starts anew when
+the pose is lost.
 
 Ranges alone say nothing of the heading. Until the robot has moved a little, one filter holds the place; then eight
 filters begin, each with a heading of its own, and the ranges of the next decimetres tell which of them is right.

@@ -1,4 +1,4 @@
-"""How far poses and ranges are from a truth that another source measures, as motion capture; no IO."""
+"""The errors of poses and ranges against a truth that another source measures, such as motion capture; no IO."""
 
 import math
 from bisect import bisect_left

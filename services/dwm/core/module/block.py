@@ -1,4 +1,4 @@
-"""What the balancer tells of a DWM1001 that is wired to the ATmega32U4 (`balancer/uwb`), as a poller would tell it."""
+"""The balancer's reports of a DWM1001 that is wired to the ATmega32U4 (`balancer/uwb`), in the form of a poller's."""
 
 from services.dwm.core.module.poller import ModuleHealth, ModuleReport
 from services.dwm.core.module.tlv import ERRORS, AnchorRange, Location, Position

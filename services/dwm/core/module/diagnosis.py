@@ -1,4 +1,4 @@
-"""What is wrong with a module, its settings or its anchors, each with a name and what to do about it.
+"""The diagnosis of a module, its settings and its anchors: each problem with a name and what to do about it.
 
 `swarm dwm check` shows all of it; the service logs what its reports tell.
 """

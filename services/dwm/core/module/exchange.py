@@ -1,4 +1,4 @@
-"""One request and what becomes of it: an answer, or a named trouble with what to do about it."""
+"""A request to the module and its result: an answer, or a named trouble with what to do about it."""
 
 from typing import Generic, TypeVar
 

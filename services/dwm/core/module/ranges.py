@@ -1,4 +1,4 @@
-"""Which ranges of a module's answers are new samples, which are repeats, and which cannot be true.
+"""The sorting of a module's ranges: new samples, repeats, and values that cannot be true.
 
 The module answers whenever it is asked, but measures every 100 ms, or every 10 s while it thinks it stands still. And
 it may go on naming an anchor it has lost, with the last distance.

@@ -1,4 +1,4 @@
-"""Who calls whom to make a link, when, who may call this robot, and who may be at the other end of a connection.
+"""The calls that make links: who calls whom and when, who may call this robot, and who may be at the other end.
 
 `Dialler` says when a neighbour is to be dialled, which `dials` gives to one of the two ends. A Bluetooth page keeps the
 caller's radio from its links, so a robot that does not answer is called rarely. When it is back and nobody calls it, it

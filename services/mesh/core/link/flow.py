@@ -1,4 +1,4 @@
-"""How bulk crosses one link: in fragments, and with so many bytes under way as the link needs.
+"""The flow of bulk over one link: in fragments, and with as many bytes under way as the link needs.
 
 **Fragments.** A message that is larger than a fragment is cut into FRAGMENT frames and put together again at the
 other end. The fragments of one channel come in order and one message at a time; those of different channels are

@@ -1,4 +1,4 @@
-"""One neighbour as a node keeps it: the connection in use, what is told of all connections so far, holds and echoes.
+"""A neighbour as a node keeps it: the connection in use, the counters of all connections so far, holds and echoes.
 
 **Holds** are links that are cut on purpose, as an operator wishes. One end suffices: it ends the connection, and
 refuses every new one with a reason that the other end tells. A link is held for a limited time and not through a

@@ -1,4 +1,4 @@
-"""What waits to leave on one connection: three bounded classes.
+"""The queue of one connection: three bounded classes of messages that wait to leave.
 
 Messages wait here rather than in the kernel, where nothing could overtake them any more. Control leaves first. Sync
 leaves before bulk, but for `WEIGHT` bytes of it bulk gets one where both wait, so that no class can silence another

@@ -1,4 +1,4 @@
-"""One connection of two neighbours, from the moment bytes can flow until they cannot.
+"""A connection of two neighbours, from the moment bytes can flow until they cannot.
 
     connecting --HELLO and CONFIRM of the other end--> up <--silence/bytes--> suspect
         any --transport lost, bad frame, BYE, silence--> down (for good: the next connection is a new session)

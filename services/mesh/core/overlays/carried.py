@@ -1,4 +1,4 @@
-"""What neighbours tell each other, where the topology's links are not those of the radio (`routing.physical_links`).
+"""The messages between neighbours of a topology whose links are not those of the radio (`routing.physical_links`).
 
 A value leaves once over each link, in a CARRY packet that names the robots it is for. A robot that receives the packet
 delivers the value if it is named, and hands it on to the other named robots by its own routes, but never back. No robot

@@ -1,4 +1,5 @@
-"""How every robot learns that all have a flood (`announce`): who has it is told over all links, both ways at once.
+"""The way in which every robot learns that all have a flood (`announce`): who has it is told over all links, both ways
+at once.
 
     r0 --SPREAD {r0}--> r1 --SPREAD {r0, r1}--> r2      the last robot knows when the flood is there,
        <--KNOWN {all}--    <----KNOWN {all}----         the others when its word comes back

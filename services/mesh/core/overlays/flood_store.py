@@ -1,4 +1,4 @@
-"""What a robot remembers of every origin's floods: which numbers it has seen, and the latest values to hand on.
+"""The memory of every origin's floods: which numbers a robot has seen, and the latest values to pass on.
 
 A flood is named by (origin, incarnation of the origin, sequence). An incarnation is a time in microseconds, so that a
 robot's next one is higher; should its clock have gone back it hears of its old one from a neighbour and goes above

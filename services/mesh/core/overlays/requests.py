@@ -1,4 +1,4 @@
-"""What apps ask of the overlays, and the answers they get.
+"""The requests of apps to the overlays, and the answers that they get.
 
 A request carries a ticket. One that is repeated is done once and answered again, since the bus may lose both. A large
 payload is not repeated for that: a reminder names the ticket alone, and leads to the answer, to how far it is, or to

@@ -1,4 +1,4 @@
-"""All overlays of one robot: flood, unicast, link state, membership and the stop register, joined.
+"""The overlays of one robot, joined: flood, unicast, link state, membership and the stop register.
 
 The node feeds it links and packets, and carries out `actions()`. It knows no sessions, so the same code runs between
 real links and, by the thousand, in virtual time (tests/services/mesh/overlay_world.py).

@@ -1,4 +1,4 @@
-"""What a robot tells of itself to somebody who watches the swarm through another one, and for how long.
+"""The reports of a robot to somebody who watches the swarm through another one, and how long they last.
 
 Who watches says so on the bus of any robot (`mesh/set/watch`); that robot's mesh floods it, and each other one sends
 it a short message a second until the time is over: nothing is carried that nobody looks at, and a viewer that is

@@ -1,4 +1,4 @@
-"""Who has a link to whom, in the whole swarm: each robot floods its own links (LSA), everybody computes routes.
+"""The links of the whole swarm: each robot floods its own links (LSA), and computes routes from those of all.
 
 An LSA is the latest value of the key `swarm/<robot>/mesh/lsa`: duplicates, restarts and repair are the flood's
 business. A link that is lost is told at once, before the messages that now take another way (so the robots on that

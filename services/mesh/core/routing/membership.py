@@ -1,4 +1,4 @@
-"""Who is in the swarm, as one robot sees it: there is a way to it, or it said that it stops, or it is gone.
+"""The members of the swarm as one robot sees them: one has a route, has said that it stops, or is gone.
 
 Nobody can tell a robot that crashed from one that went out of reach alone, so both are a `crash`; robots that are
 gone at the same time and were linked with each other are a `partition`. Who comes back in the same incarnation was

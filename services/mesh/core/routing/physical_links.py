@@ -1,4 +1,4 @@
-"""Which links carry a topology, those of its own graph or a tree of few hubs, and who calls whom on Bluetooth.
+"""The links that carry a topology: its own graph or a tree of few hubs, and who calls whom on Bluetooth.
 
 On a radio with piconets a link for each edge makes robots wait for one another, since a robot in several piconets
 attends to one at a time. A hub that calls all others forms a single piconet, and hands on what its robots tell each

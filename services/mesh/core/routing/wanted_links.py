@@ -1,4 +1,4 @@
-"""Which links this robot has: those of the topology in force, and for a while those that hold the swarm together.
+"""The links that this robot wants: those of the topology in force, and for a while those that hold the swarm together.
 
 The topology (`routing.topology`) is a register that neighbours merge: the greatest value holds. It goes to each new
 link, and what is new to a robot goes on to its other neighbours at once, so it reaches everybody who can be reached,

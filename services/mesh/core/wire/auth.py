@@ -1,4 +1,4 @@
-"""What makes a connection authentic: keys agreed on in the handshake, and a tag for each frame after it.
+"""The authentication of a connection: keys agreed on in the handshake, and a tag for each frame after it.
 
 From the pre-shared key and both HELLOs, byte by byte as they were sent, HKDF (RFC 5869, SHA-256) derives four keys
 that serve this connection only: one for the CONFIRM and one for the frames of each direction. The HELLOs hold nonces,

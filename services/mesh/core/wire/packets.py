@@ -1,4 +1,5 @@
-"""What the overlays say in DATA frames of their channels, byte by byte (docs/reference/network/overlay-packets.md).
+"""The packets of the overlays in DATA frames of their channels, byte by byte
+(docs/reference/network/overlay-packets.md).
 
 All numbers are little endian; names stand behind their length (u8). Every decoder raises `FrameError` for bytes
 that are none of its packets, and nothing else.

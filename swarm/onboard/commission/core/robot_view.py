@@ -1,4 +1,4 @@
-"""What a robot has said so far, as far as commissioning looks at it."""
+"""The messages of a robot so far, as far as commissioning needs them."""
 
 import math
 from collections import deque

@@ -1,4 +1,4 @@
-"""All steps of commissioning, in their order: nothing turns before signs are known, nothing stands before all else."""
+"""The steps of commissioning in their order: nothing turns before signs are known, and the robot stands last."""
 
 from swarm.onboard.commission.core import device_steps, imu_steps, motor_steps, uwb_steps
 from swarm.onboard.commission.core.procedure import Step

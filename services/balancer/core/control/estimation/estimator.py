@@ -1,4 +1,5 @@
-"""Where the body is: tilt from gyro and gravity, way and speed from the wheels, by the time that really passed."""
+"""The estimator of the body: tilt from gyro and gravity, way and speed from the wheels, with the real duration of
+each tick."""
 
 import math
 from typing import NamedTuple

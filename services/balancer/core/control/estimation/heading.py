@@ -1,4 +1,4 @@
-"""Where the robot points and where it has gone: gyro and wheels together, integrated at every tick.
+"""The estimate of heading and place: gyro and wheels together, integrated at every tick.
 
 The gyro knows quick turns whatever the wheels do (slip, a robot that is lifted and put down), the wheels know that a
 robot that goes straight does not turn: they teach the gyro its zero.

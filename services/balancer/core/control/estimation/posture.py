@@ -1,4 +1,5 @@
-"""How the robot lies or stands, by its tilt alone: a robot on its back is no standing one, whatever else is true."""
+"""The robot's posture, standing or lying, from its tilt alone: a robot on its back does not stand, whatever else is
+true."""
 
 import math
 

@@ -1,1 +1,1 @@
-"""What the body does in place of balancing: it stands up, lies down, or tries its motors. No IO."""
+"""The manoeuvres that take the place of balancing: the body stands up, lies down, or tries its motors. No IO."""
