@@ -32,7 +32,6 @@ const PLAYER_MS = 100;
 const WORTHS = 12; // robots up to which values stand behind all names on the map
 const NEWS_MS = 250; // what happens, and what came of acts
 const NUMBERS = 2; // looks at the news of which one is at numbers, too: nobody reads faster, and each such look paints most of the page
-const TITLES = { periodic: ["Steps", "each robot's own"], event: ["Handled", "changes of state"], lockstep: ["Steps", ""] };
 
 const find = (selector) => document.querySelector(selector);
 const store = new Store();
@@ -173,8 +172,8 @@ function numbers(now) {
   lockstepChart.follow(lockstep ? focus.app : null);
   if (lockstep) lockstepChart.draw(selected);
   else {
-    write(find("#lanes h2"), TITLES[kindOf][0]);
-    write(find("#lanes .unit"), `${TITLES[kindOf][1]}, the last ${lanes.span} s`);
+    write(find("#lanes h2"), kindOf === "periodic" ? "Steps" : "Handled");
+    write(find("#lanes .unit"), lanes.said);
     lanes.draw(now, selected);
   }
   runs.draw(now);

@@ -1,5 +1,5 @@
-// What robots do that do not step together: a lane for each, with a tick for each step of a periodic app, and a mark for
-// each change of an event app.
+// What robots do that do not step together: a lane for each, with a tick for each step of a periodic app. Of an event app a
+// dot for each change of its state, and bars and diamonds for the numbers that it records.
 
 import { write } from "../numbers.js";
 import { plain } from "../series.js";
@@ -10,6 +10,7 @@ const [OFTEN, OFTEN_S] = [40, 5]; // changes of one robot in a minute above whic
 const LATE = 3; // periods
 const RATE_S = 5;
 const REDRAW_MS = 200;
+const KINDS = ["bars", "diamonds"]; // of what an event app records
 const LEFT = 44, RIGHT = 104, BOTTOM = 18;
 
 export class Lanes {
@@ -31,6 +32,19 @@ export class Lanes {
 
   get now() {
     return this.store.t;
+  }
+
+  // Numbers that an event app records: each of them is a kind of mark.
+  get records() {
+    const recorded = ({ sources: [{ topic }] }) => topic.includes("/record/");
+    return this.focus.kind === "event" ? this.focus.values().filter(recorded).slice(0, KINDS.length) : [];
+  }
+
+  // In words: what is in the lanes.
+  get said() {
+    const kind = this.focus.kind, names = this.records.map(({ label }, index) => `${KINDS[index]}: ${label}`);
+    const what = kind === "periodic" ? "each robot's own" : names.length ? ["dots: changes", ...names].join(", ") : "changes of state";
+    return `${what}, the last ${this.span} s`;
   }
 
   // Seconds that are shown.
@@ -79,7 +93,8 @@ export class Lanes {
     if (!known.length) write(this.empty, "No steps yet: no app has told its state");
     const ratio = sharp(this.canvas);
     if (!ratio || !known.length) return;
-    const shape = [entry.version, this.now.toFixed(1), selected, theme.version, this.canvas.width, this.canvas.height].join();
+    this.marks = this.records.map((each) => this.series.want(each));
+    const shape = [entry.version, ...this.marks.map(({ version }) => version), this.now.toFixed(1), selected, theme.version, this.canvas.width, this.canvas.height].join();
     if (shape === this.shape) return;
     this.shape = shape;
     this.paint(names, selected, ratio);
@@ -104,10 +119,17 @@ export class Lanes {
         if (t < this.now - span) continue;
         if (kind === "event") {
           c.beginPath();
-          c.arc(x(t), y, Math.min(4, size / 2), 0, 7);
+          c.arc(x(t), y, Math.min(this.marks.length ? 2 : 4, size / 2), 0, 7);
           c.fill();
         } else c.fillRect(x(t) - 0.75, y - size / 2, 1.5, size);
       }
+      this.marks.forEach((entry, kind) => {
+        for (const [t] of this.series.points(entry, name)) {
+          if (t < this.now - span || t > this.now) continue;
+          if (kind === 0) c.fillRect(x(t) - 1, y - size / 2, 2, size);
+          else diamond(c, x(t), y, Math.min(5, size / 2));
+        }
+      });
       if (lane < 10) return;
       c.fillStyle = theme.colour("--ink");
       c.font = `600 11px ${FONT}`;
@@ -131,6 +153,12 @@ export class Lanes {
     c.fillStyle = theme.colour("--muted");
     for (let back = 0; back <= span + 0.01; back += span / 3) c.fillText(back ? `−${+back.toFixed(1)} s` : this.store.looking || this.store.swarm?.recording ? "then" : "now", x(this.now - back), height - 8);
   }
+}
+
+function diamond(c, x, y, size) {
+  c.beginPath();
+  for (const [across, down] of [[0, -size], [size, 0], [0, size], [-size, 0]]) c.lineTo(x + across, y + down);
+  c.fill();
 }
 
 // Times of steps: a page is told of some, and how many there were between them.

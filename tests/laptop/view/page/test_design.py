@@ -119,6 +119,17 @@ def test_a_periodic_app_has_its_values_and_steps_and_no_columns_of_iterations(br
 
 
 @pytest.mark.slow
+def test_an_event_app_has_a_lane_a_robot_with_a_mark_for_each_kind_of_event(browser: Any, tmp_path: Path) -> None:
+    recorded(tmp_path / "leds", "led_sync", "--robots", "3", "--seconds", "5")
+    with shown(browser, tmp_path / "leds", viewport=DESK) as page:
+        seek(page, 4)
+        expect(page.locator("#lanes h2")).to_have_text("Handled", timeout=PATIENCE_MS)
+        expect(page.locator("#lanes .unit")).to_have_text("dots: changes, bars: on, the last 60 s", timeout=PATIENCE_MS)
+        expect(page.locator("[data-answer=converging] b")).to_contain_text("All at", timeout=PATIENCE_MS)
+        expect(page.locator("#values [data-over=k]")).to_be_hidden()
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("width", "height"), [(320, 640), (390, 844), (1024, 768), (1920, 1080)])
 def test_nothing_is_cut_and_stop_is_on_top_on_any_screen(browser: Any, waits: Path, width: int, height: int) -> None:
     with shown(browser, waits, viewport={"width": width, "height": height}) as page:
