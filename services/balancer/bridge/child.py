@@ -1,4 +1,4 @@
-"""The loop's hold on its bridge process: started, talked to without ever waiting, started again when it ends."""
+"""The loop's hold on its bridge process: started, talked to without ever waiting, replaced when it ends or hangs."""
 
 import contextlib
 import logging
@@ -15,6 +15,9 @@ from swarm.messages import Stop
 MODULE = "services.balancer.bridge.bridge"
 RESTART_S = 1.0
 """Least time between two starts."""
+HANG_S = 5.0
+"""A bridge that has taken no message for longer hangs, and hears no stop: it is ended. What waits for it until then,
+when nothing more fits, is telemetry of some 5 s."""
 _GRACE_S = 2.0
 _STOPS_AT_ONCE = 64
 """Stops that are taken from the socket in a tick; all but the first are not looked at."""
@@ -32,12 +35,16 @@ class Bridge:
 
     def __init__(self, now: float) -> None:
         """Start the process."""
-        self._pid = 0
+        self.pid = 0
+        """Of the process; 0 where there is none."""
         self._socket: socket.socket | None = None
         self._stops: socket.socket | None = None
         self._stop_is_there = select.poll()
         """Asked in each tick: that costs a third of a look into an empty socket."""
         self._started = now
+        self._took = True
+        """Whether it has taken a message since it was last looked at."""
+        self._took_at = now
         self.dropped = 0
         """Messages that did not fit or found no bridge."""
         self._start(now)
@@ -48,6 +55,7 @@ class Bridge:
             # Full, or the bridge is gone; which one shows in keep_up.
             with contextlib.suppress(OSError):
                 self._socket.send(pack(message))
+                self._took = True
                 return True
         self.dropped += 1
         return False
@@ -78,10 +86,16 @@ class Bridge:
         return received
 
     def keep_up(self, now: float) -> None:
-        """Look whether the process lives, and start the next one in time; once a second is often enough."""
-        if self._pid:
-            pid, status = os.waitpid(self._pid, os.WNOHANG)
+        """Look whether the process lives and takes messages, and start the next one in time; once a second is often
+        enough."""
+        if self.pid:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
             if pid == 0:
+                if self._took:
+                    self._took, self._took_at = False, now
+                elif now - self._took_at > HANG_S:
+                    _log.error("the bridge has taken no message for %g s and is killed", HANG_S)
+                    os.kill(self.pid, signal.SIGKILL)
                 return
             _log.warning("the bridge ended code=%d", os.waitstatus_to_exitcode(status))
             self._forget()
@@ -90,15 +104,15 @@ class Bridge:
 
     def close(self) -> None:
         """End the process and wait for it."""
-        if not self._pid:
+        if not self.pid:
             return
-        descriptor = os.pidfd_open(self._pid)
+        descriptor = os.pidfd_open(self.pid)
         try:
-            os.kill(self._pid, signal.SIGTERM)
+            os.kill(self.pid, signal.SIGTERM)
             if not select.select([descriptor], [], [], _GRACE_S)[0]:
                 _log.warning("the bridge did not stop within %g s and was killed", _GRACE_S)
-                os.kill(self._pid, signal.SIGKILL)
-            os.waitpid(self._pid, 0)
+                os.kill(self.pid, signal.SIGKILL)
+            os.waitpid(self.pid, 0)
         finally:
             os.close(descriptor)
             self._forget()
@@ -114,7 +128,7 @@ class Bridge:
             return None
 
     def _forget(self) -> None:
-        self._pid = 0
+        self.pid = 0
         for end in (self._socket, self._stops):
             if end is not None:
                 end.close()
@@ -123,7 +137,7 @@ class Bridge:
     def _start(self, now: float) -> None:
         """Fork and exec: a fork of this one-threaded process returns at once, while posix_spawn and subprocess hold the
         parent until the child, which has no real-time priority, was given a CPU and reached its exec."""
-        self._started = now
+        self._started, self._took = now, True
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         our_stops, their_stops = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         ours.setblocking(False)
@@ -143,6 +157,6 @@ class Bridge:
                 os._exit(127)
         theirs.close()
         their_stops.close()
-        self._pid, self._socket, self._stops = pid, ours, our_stops
+        self.pid, self._socket, self._stops = pid, ours, our_stops
         self._stop_is_there = select.poll()
         self._stop_is_there.register(our_stops, select.POLLIN)

@@ -1,12 +1,28 @@
 """The bridge as a process of the loop."""
 
+import os
+import signal
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from services.balancer.bridge import child
 from services.balancer.bridge.child import Bridge
+from swarm.messages import SetMode
+
+
+@pytest.fixture
+def bridge(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bridge]:
+    """Its process stands still."""
+    monkeypatch.setattr(child, "MODULE", "this")
+    bridge = Bridge(0.0)
+    os.kill(bridge.pid, signal.SIGSTOP)
+    yield bridge
+    if bridge.pid:
+        os.kill(bridge.pid, signal.SIGKILL)
+    bridge.close()
 
 
 def test_the_bridge_is_ended_before_the_loop_where_memory_runs_out_from_its_first_moment(
@@ -29,3 +45,24 @@ def test_the_bridge_is_ended_before_the_loop_where_memory_runs_out_from_its_firs
     finally:
         bridge.close()
     assert (tmp_path / "score").read_text().strip() == child.OOM_SCORE_ADJUST
+
+
+def test_a_bridge_that_takes_no_more_messages_is_ended_and_another_one_started(bridge: Bridge) -> None:
+    """It hears no stop either. Nobody else watches it: systemd watches the loop."""
+    first = bridge.pid
+    while bridge.send(SetMode("rest")):
+        pass
+    for now in (1.0, 1.0 + child.HANG_S):
+        bridge.keep_up(now)
+        assert os.waitid(os.P_PID, first, os.WEXITED | os.WNOWAIT | os.WNOHANG) is None, "it may only be slow"
+    bridge.keep_up(2.0 + child.HANG_S)
+    os.waitid(os.P_PID, first, os.WEXITED | os.WNOWAIT)
+    bridge.keep_up(3.0 + child.HANG_S)
+    assert bridge.pid not in (0, first)
+
+
+def test_a_bridge_that_takes_messages_now_and_then_is_kept(bridge: Bridge) -> None:
+    for second in range(1, 10):
+        assert bridge.send(SetMode("rest"))
+        bridge.keep_up(2 * second * child.HANG_S)
+    assert os.waitid(os.P_PID, bridge.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is None
