@@ -5,12 +5,10 @@ a robot reaches is compared with a model: each epoch a plain synchronous run fro
 """
 
 import struct
-from collections import Counter, deque
-from functools import partial
-from random import Random
+from collections import Counter
 
-from lockstep_world import way_around
-from timed_world import TimedWorld
+import links_world
+from links_world import LinksWorld, way_around
 
 from services.apps.core.lockstep_run import LockstepRun, Renew
 from services.apps.core.terms import Terms
@@ -67,11 +65,11 @@ class Model:
         return self._content(STATE.unpack(self.own)[0])
 
 
-class Process:
+class Process(links_world.Process):
     """One process of the app on one robot."""
 
     def __init__(self, world, robot):
-        self.world, self.robot = world, robot
+        super().__init__(world, robot)
         world.births[robot] += 1
         begin = first(tuple(world.names), world.edges, 0)
         self.program = Model(robot, begin.graph, world.content)
@@ -79,11 +77,11 @@ class Process:
         names, kept = frozenset(world.names), world.kept.get(robot)
         births = world.births[robot]
         lost = world.random.randrange(1, LOST) if robot in world.damaged else 0
-        self.lockstep = LockstepRun(robot, names, world.terms, begin, begin.graph, births, self.program, kept, lost)
+        self.core = self.lockstep = LockstepRun(
+            robot, names, world.terms, begin, begin.graph, births, self.program, kept, lost
+        )
         self.lockstep.epochs.take_links(world.in_force)
-        self.alive = True
         self.deadline = None
-        self.dies_after = None
         self.finished = None
         self.computing = False
         saved = self.lockstep.saved(list(world.pages[robot].values()))
@@ -92,18 +90,13 @@ class Process:
         self.pump()
 
     def pump(self):
-        todo = deque(self.lockstep.actions())
-        while todo and self.alive:
-            if self.dies_after is not None:
-                self.dies_after -= 1
-                if self.dies_after < 0:
-                    self.die()
-                    return
-            self._do(todo.popleft())
-            todo += self.lockstep.actions()
+        super().pump()
         self.deadline = self.lockstep.next_deadline(self.world.now)
 
-    def _do(self, action):
+    def next_deadline(self):
+        return self.deadline
+
+    def do(self, action):
         world, robot, lockstep = self.world, self.robot, self.lockstep
         match action:
             case Save(snapshot):
@@ -126,7 +119,7 @@ class Process:
                 if not around:
                     world.broadcast(robot, deliver, to)
                 elif world.goes_around and (way := way_around(world.in_force, robot, to)) is not None:
-                    world.pass_on(way, deliver)
+                    world.pass_on(way, lambda: world.arrive(to, deliver))
             case Advanced(k, _):
                 state = lockstep._history[-1]
                 assert state.k == k
@@ -164,19 +157,13 @@ class Process:
             del self.world.processes[self.robot]
 
 
-class World(TimedWorld):
+class World(LinksWorld):
     def __init__(self, edges, *, seed=0, last=None, rule=None, drop=True, after=2.0, content=lambda x: False):
-        self.edges = tuple(sorted(tuple(sorted(edge)) for edge in edges))
-        self.names = sorted({name for edge in self.edges for name in edge})
+        super().__init__(edges, seed=seed, latency=0.03, jitter=0.009)
         self.in_force = self.edges
         self.terms = Terms(RUN, SCHEMA, last, rule, drop, after)
         self.content = content
-        self.random = Random(seed)
-        super().__init__()
-        self.loss = 0.0
         self.compute = 0.01
-        self.latency = 0.03
-        self.cut = set()
         self.goes_around = True
         """Whether the mesh finds ways around links that are cut."""
         self.births = Counter()
@@ -191,7 +178,6 @@ class World(TimedWorld):
         self.rebooted = set()
         self.damaged = set()
         """Robots whose file of votes is damaged."""
-        self._arrival = {}
 
     # Events
 
@@ -201,14 +187,8 @@ class World(TimedWorld):
         process.free_at = begin + self.compute * self.random.choice((0.0, 0.5, 1.0))
         self.at(process.free_at, lambda: process.take(lambda _: action()))
 
-    def timers(self):
-        return [(p.deadline, partial(self._handle_timer, p)) for p in self.processes.values() if p.deadline is not None]
-
-    def _handle_timer(self, process):
-        process.lockstep.handle_timer(self.now)
-        process.pump()
-        later = process.deadline if process.alive else None
-        assert later is None or later > self.now, "a timer that fires for ever"
+    def running(self):
+        return self.processes.values()
 
     # Processes
 
@@ -241,35 +221,16 @@ class World(TimedWorld):
     # Network
 
     def broadcast(self, robot, deliver, to=None):
-        if self.loss and self.random.random() < self.loss:
+        if self.lost():
             return
         for edge in sorted(self.edges):
             if robot in edge:
                 other = edge[1] if edge[0] == robot else edge[0]
                 if to in (None, other):
-                    self._carry(robot, other, lambda other=other: self._arrive(other, deliver))
+                    self.carry(robot, other, lambda other=other: self.arrive(other, deliver))
 
-    def pass_on(self, way, deliver):
-        """From robot to robot, to the last one."""
-        robot, other, *rest = way
-        onwards = (lambda: self.pass_on((other, *rest), deliver)) if rest else lambda: self._arrive(other, deliver)
-        self._carry(robot, other, onwards)
-
-    def _carry(self, robot, other, arrive):
-        edge = tuple(sorted((robot, other)))
-        if edge in self.cut:
-            return
-        arrival = max(self.now + self.latency * (1 + 0.3 * self.random.random()), self._arrival.get((robot, other), 0))
-        self._arrival[robot, other] = arrival
-
-        def over():
-            if edge not in self.cut:
-                arrive()
-
-        self.at(arrival, over)
-
-    def _arrive(self, other, deliver):
-        if other in self.processes and not (self.loss and self.random.random() < self.loss):
+    def arrive(self, other, deliver):
+        if other in self.processes and not self.lost():
             self.processes[other].take(deliver)
 
     def heal(self):

@@ -1,17 +1,14 @@
 """Lockstep cores joined in memory under a virtual clock: what the lockstep tests play on.
 
-A frame goes app -> bus -> mesh -> link -> mesh -> bus -> app. Either bus may lose it, links keep the order within a
-connection, a connection that ends takes what is in flight with it, and late copies may turn up from anywhere. Robots
-keep their last `Save` on a disk that survives the process; a process may die between any two actions.
+A frame goes app -> bus -> mesh -> link -> mesh -> bus -> app. Either bus may lose it, and late copies may turn up from
+anywhere. Robots keep their last `Save` on a disk that survives the process.
 """
 
 import struct
 from collections import Counter, deque
-from functools import partial
-from random import Random
 
-import networkx
-from timed_world import TimedWorld
+import links_world
+from links_world import LinksWorld, way_around
 
 from swarm.core.lockstep.actions import Advanced, Compute, Fault, Finished, Save, Send, Waiting
 from swarm.core.lockstep.frames import Channel
@@ -26,18 +23,6 @@ EDGES = {
     "loop": lambda n: [(i, (i + 1) % n) for i in range(n)],
     "full": lambda n: [(i, j) for i in range(n) for j in range(i + 1, n)],
 }
-
-
-def way_around(edges, sender, receiver):
-    """The robots of a shortest way that does not use the link between the two, as a mesh finds it; None: there is none.
-
-    A mesh does not know of cuts yet: `edges` are all links."""
-    graph = networkx.Graph(edges)
-    graph.remove_edges_from([(sender, receiver)])
-    try:
-        return networkx.shortest_path(graph, sender, receiver)
-    except (networkx.NetworkXNoPath, networkx.NodeNotFound):
-        return None
 
 
 def named(edges):
@@ -70,11 +55,12 @@ def undisturbed(neighbours, last):
     return run
 
 
-class Process:
+class Process(links_world.Process):
     """One process of the app on one robot, as the host would run it."""
 
     def __init__(self, world, robot, incarnation):
-        self.world, self.robot, self.incarnation = world, robot, incarnation
+        super().__init__(world, robot)
+        self.incarnation = incarnation
         self.channel = Channel(RUN, 0, incarnation, SCHEMA)
         self.core = Lockstep(
             *(robot, world.neighbours[robot], self.channel, STATE.size),
@@ -82,10 +68,11 @@ class Process:
             rtt=world.rtt,
             linger=world.linger,
         )
-        self.alive, self.stopped = True, False
+        self.stopped = False
         self.inbox = deque(maxlen=64)  # of a bounded queue the oldest go first
         self.answers = []
-        self.dies_after, self.then = None, lambda: None  # so many more actions, and what follows
+        self.then = lambda: None
+        """What follows when it dies after so many actions."""
         self.faults, self.waits, self.finished = [], [], None
         saved = world.disk.get(robot)
         if saved is None:
@@ -96,21 +83,17 @@ class Process:
         self.began_at = self.core.k
 
     def pump(self):
-        """Carry out the actions in order, and perhaps die between two of them."""
-        todo = deque(self.core.actions())
-        while todo and self.alive:
-            if self.dies_after is not None:
-                self.dies_after -= 1
-                if self.dies_after < 0:
-                    self.die()
-                    self.then()
-                    return
-            self._carry_out(todo.popleft())
-            todo += self.core.actions()
-        if self.core.done and self.world.leave_when_done:
+        super().pump()
+        if not self.alive:
+            then, self.then = self.then, lambda: None
+            then()
+        elif self.core.done and self.world.leave_when_done:
             self.die()
 
-    def _carry_out(self, action):
+    def next_deadline(self):
+        return None if self.stopped else self.core.next_deadline()
+
+    def do(self, action):
         world = self.world
         match action:
             case Save(snapshot):
@@ -175,24 +158,16 @@ class Process:
             self.world.processes[self.robot].remove(self)
 
 
-class World(TimedWorld):
+class World(LinksWorld):
     def __init__(self, edges, last, *, seed=0, latency=0.03, jitter=0.0, rtt=0.06, linger=1e9):
-        super().__init__()
-        self.edges = [tuple(sorted(edge)) for edge in edges]
-        names = sorted({name for edge in edges for name in edge})
+        super().__init__(edges, seed=seed, latency=latency, jitter=jitter)
+        names = self.names
         self.neighbours = {name: {b if a == name else a for a, b in self.edges if name in (a, b)} for name in names}
-        self.last, self.latency, self.jitter, self.rtt, self.linger = last, latency, jitter, rtt, linger
+        self.last, self.rtt, self.linger = last, rtt, linger
         self.truth = undisturbed(self.neighbours, last)
-        self.random = Random(seed)
-        self.loss = 0.0
-        """Chance that a bus loses a message, on either side."""
-        self.copies = 0.0
-        """Chance that a message turns up once more, up to 3 s later."""
         self.compute = 0.0
         self.leave_when_done = False
         self.hears_itself = True
-        self.connection = dict.fromkeys(self.edges, 0)
-        self.cut = set()
         self.disk = {}
         self.incarnations = Counter()
         self.processes = {name: [] for name in names}
@@ -201,22 +176,8 @@ class World(TimedWorld):
         """Messages by (from, to, kind)."""
         self.around = 0
         """How many of them went around a link."""
-        self._last_arrival = {}
 
     # Events
-
-    def timers(self):
-        return [
-            (deadline, partial(self._handle_timer, process))
-            for process in self.everyone
-            if not process.stopped and (deadline := process.core.next_deadline()) is not None
-        ]
-
-    def _handle_timer(self, process):
-        process.core.handle_timer(self.now)
-        later = process.core.next_deadline()
-        assert later is None or later > self.now, "a timer that fires for ever"
-        process.pump()
 
     def compute_time(self):
         return self.random.choice((0.0, 0.5, 1.0)) * self.compute
@@ -242,13 +203,12 @@ class World(TimedWorld):
     def one(self, robot):
         return self.processes[robot][-1]
 
-    @property
-    def everyone(self):
+    def running(self):
         return [process for processes in self.processes.values() for process in processes]
 
     @property
     def faults(self):
-        return [reason for process in self.everyone for reason in process.faults]
+        return [reason for process in self.running() for reason in process.faults]
 
     def on_fault(self, process, reason):
         raise AssertionError(f"{process.robot}: {reason}")
@@ -257,9 +217,6 @@ class World(TimedWorld):
         return all(k == self.last for k in self.reached.values())
 
     # Network
-
-    def lost(self):
-        return self.loss > 0 and self.random.random() < self.loss
 
     def send(self, process, data, to, *, around=False):
         robot, text = process.robot, process.channel.text
@@ -280,28 +237,6 @@ class World(TimedWorld):
                     self.pass_on(way, lambda peer=peer: self.arrive(robot, peer, text, data, around=True))
                 continue
             self.carry(robot, peer, lambda peer=peer: self.arrive(robot, peer, text, data))
-
-    def carry(self, sender, receiver, arrive):
-        edge = tuple(sorted((sender, receiver)))
-        if edge in self.cut:
-            return
-        connection = self.connection[edge]
-        arrival = self.now + self.latency + self.jitter * self.random.random()
-        arrival = max(arrival, self._last_arrival.get((sender, receiver), 0.0))
-        self._last_arrival[sender, receiver] = arrival
-
-        def over():
-            if edge not in self.cut and self.connection[edge] == connection:
-                arrive()
-
-        self.at(arrival, over)
-        if self.copies > 0 and self.random.random() < self.copies:
-            self.at(arrival + 3 * self.random.random(), arrive)
-
-    def pass_on(self, way, arrive):
-        """From robot to robot; over the last link `arrive` is called."""
-        sender, receiver, *rest = way
-        self.carry(sender, receiver, (lambda: self.pass_on((receiver, *rest), arrive)) if rest else arrive)
 
     def arrive(self, sender, receiver, text, data, *, around=False):
         for process in list(self.processes[receiver]):
@@ -324,7 +259,7 @@ class World(TimedWorld):
         self.loss = self.copies = 0.0
         for edge in sorted(self.cut):
             self.mend_link(edge)
-        for process in self.everyone:
+        for process in self.running():
             process.dies_after = None
             process.go_on()
         for robot in self.processes:
@@ -335,7 +270,7 @@ class World(TimedWorld):
 
     def check_bounds(self):
         """Memory is bounded: three values a neighbour, one answer remembered."""
-        for process in self.everyone:
+        for process in self.running():
             core = process.core
             for heard in core._peers.values():
                 assert len(heard.slots) == 3

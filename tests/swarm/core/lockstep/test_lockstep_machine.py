@@ -69,7 +69,7 @@ class Swarm(RuleBasedStateMachine):
 
     def some(self, pick):
         """One running process, or none."""
-        return [self.world.everyone[pick % len(self.world.everyone)]] if self.world.everyone else []
+        return [self.world.running()[pick % len(self.world.running())]] if self.world.running() else []
 
     # Network
 
@@ -184,7 +184,7 @@ class Swarm(RuleBasedStateMachine):
             # A robot that lost its file and its incarnation with it, early on, speaks in one that is ignored, and
             # its neighbours are not far enough ahead to tell it. Then who waits names whom it waits for.
             world.run(3.0)
-            waits = [(process.robot, peers) for process in world.everyone for _, _, peers in process.waits[-1:]]
+            waits = [(process.robot, peers) for process in world.running() for _, _, peers in process.waits[-1:]]
             assert any(self.forgot & {robot, *peers} for robot, peers in waits if peers), f"stuck at {world.reached}"
 
 

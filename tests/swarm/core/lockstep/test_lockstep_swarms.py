@@ -29,7 +29,7 @@ def test_without_loss_there_is_one_message_per_neighbour_and_iteration(shape, n,
     assert world.run(30 * (world.latency + jitter) + 1e-6, until=world.finished)
     world.run(1.0)
     assert world.sent == {(a, b, STEP): 31 for a in world.neighbours for b in world.neighbours[a]}
-    assert all(process.core.done for process in world.everyone)
+    assert all(process.core.done for process in world.running())
     assert world.faults == []
 
 
@@ -127,7 +127,7 @@ def test_hole_6_a_robot_at_the_end_does_not_strand_its_neighbour():
     world.mend_link(("r0", "r1"))
     assert world.run(1.0, until=world.finished)
     world.run(0.2)
-    assert world.everyone == []
+    assert world.running() == []
 
 
 def test_hole_7_members_are_fixed_and_other_epochs_are_not_heard():
@@ -137,7 +137,7 @@ def test_hole_7_members_are_fixed_and_other_epochs_are_not_heard():
     world.run(0.3)
     world.kill("r2")
     world.run(600.0)
-    assert {process.core.channel.epoch for process in world.everyone} == {0}
+    assert {process.core.channel.epoch for process in world.running()} == {0}
     assert world.one("r1").waits[-1][2] == ("r2",)
     r1 = world.one("r1")
     wrong = encode_step(r1.core.k, STATE.pack(-1.0), STATE.pack(-1.0))
@@ -172,7 +172,7 @@ def test_no_want_storm_on_the_full_graph():
     world.start_all()
     assert world.run(200.0, until=world.finished)
     needed = 30 * 201
-    counters = sum((process.core.counters for process in world.everyone), Counter())
+    counters = sum((process.core.counters for process in world.running()), Counter())
     asked = counters["want sent"]
     # Each question brings its own frame and at most one answer, and a frame alone never brings one. Where a question
     # or its answer was lost, too, the same goes around the link.
