@@ -272,6 +272,7 @@ def parse(arguments: list[str], *, ends: bool = True) -> Options:
             (options.offs, "--off"),
             (options.kills, "--kill"),
             (options.plot, "--plot"),
+            (options.virtual and options.record, "--record under --virtual"),
         ):
             if given:
                 raise ConfigError(f"{name} needs an APP, e.g. swarm sim consensus")

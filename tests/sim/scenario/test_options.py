@@ -93,6 +93,7 @@ def test_any_text_is_a_value_or_refused(text):
         (["--algorithm", "thesis"], "needs an APP"),
         (["--iterations", "5"], "needs an APP"),
         (["--virtual", "--robots", "2"], "--virtual needs an APP, or --seconds"),
+        (["--virtual", "--seconds", "3", "--record", "x"], "--record under --virtual needs an APP"),
         (["consensus", "--config", "x.toml", "--robots", "3"], "leave out"),
     ],
 )
