@@ -32,8 +32,10 @@ _log = logging.getLogger("bus")
 
 _PUBLISHERS = 256
 """Keys that a session keeps declared; above, the oldest makes room."""
-_OPENING = 0.5
-"""s that opening a session takes at most where there is a router."""
+_OPENING = 2.0
+"""s that opening a session takes at most where there is a router, on a busy machine, too."""
+_LOOK_S = 0.02
+"""s between two looks for the router's socket."""
 
 
 class Router:
@@ -121,6 +123,7 @@ class Bus:
         self._watchers: list[Callable[[bool], None]] = []
         self._closed = False
         self._connected = threading.Event()
+        self._ended = threading.Event()
         self._opener = threading.Thread(target=self._open, name="bus-open", daemon=True)
         self._opener.start()
 
@@ -256,13 +259,13 @@ class Bus:
                 return
             self._closed = True
             session, self._session = self._session, None
+        self._ended.set()
         self._connected.clear()
         if session is not None:
             session.close()  # type: ignore[no-untyped-call]
         if self._opener is not threading.current_thread():
             # A thread that comes back from Zenoh while the interpreter ends aborts the process. With a router it is
-            # back in a moment, even where the session is there and it still declares; without one it stays in Zenoh,
-            # where it harms nobody.
+            # back in a moment, even where the session is there and it still declares; without one it is not in Zenoh.
             self._opener.join(_OPENING)
         self._kept.clear()
         self._subscriptions.clear()
@@ -291,7 +294,12 @@ class Bus:
                 _log.error("the bus refused a declaration: %s", text(error))
 
     def _open(self) -> None:
-        """Runs in its own thread: `zenoh.open` waits without end, and no signal would interrupt it."""
+        """Runs in its own thread: `zenoh.open` waits without end, and no signal would interrupt it. So it is called
+        when there is a socket."""
+        socket = Path(self._endpoint.removeprefix(f"{ENDPOINT_PROTOCOL}/"))
+        while not socket.exists():
+            if self._ended.wait(_LOOK_S):
+                return
         try:
             session = zenoh.open(zenoh.Config.from_json5(self._config))
         except zenoh.ZError as error:

@@ -4,6 +4,7 @@ import gc
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,13 +12,14 @@ from pathlib import Path
 import pytest
 from conftest import Processes, wait_until
 
+from swarm.bus import zenoh_bus
 from swarm.bus.publisher import Publisher
 from swarm.bus.zenoh_bus import Bus, Router
 from swarm.errors import BusError, LocalError
 from swarm.messages import AppOutput, Leds, Stop, read
 from swarm.messages.codec import MAX_BINARY, MAX_PAYLOAD
 from swarm.messages.service import MAX_STOP_TEXT
-from swarm.process.paths import bus_endpoint
+from swarm.process.paths import ENDPOINT_PROTOCOL, bus_endpoint
 
 Open = Callable[[], Bus]
 
@@ -522,3 +524,32 @@ def test_a_direct_session_without_a_router_is_closed_at_once(runtime: Path) -> N
         assert not bus.connected
         bus.close()
     assert time.monotonic() - begin < HELD_UP
+
+
+def test_close_waits_for_a_session_that_is_still_being_opened_at_a_router(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A thread that comes back from Zenoh while the interpreter ends aborts the process."""
+    answered = threading.Event()
+
+    def slow(config: object) -> None:
+        assert answered.wait(20.0)
+        raise zenoh_bus.zenoh.ZError("the router has gone")
+
+    monkeypatch.setattr(zenoh_bus.zenoh, "open", slow)
+    (tmp_path / "bus.sock").touch()
+    bus = Bus(f"{ENDPOINT_PROTOCOL}/{tmp_path / 'bus.sock'}")
+    closing = threading.Thread(target=bus.close)
+    closing.start()
+    closing.join(1.0)
+    assert closing.is_alive()
+    answered.set()
+    closing.join(20.0)
+    assert not closing.is_alive()
+    assert not bus._opener.is_alive()
+
+
+def test_close_ends_at_once_where_no_router_has_come(tmp_path: Path) -> None:
+    bus = Bus(f"{ENDPOINT_PROTOCOL}/{tmp_path / 'bus.sock'}")
+    bus.close()
+    assert not bus._opener.is_alive()
