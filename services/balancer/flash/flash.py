@@ -46,8 +46,8 @@ Say = Callable[[str], None]
 
 
 def add_arguments(parser: argparse.ArgumentParser, *, optional: bool = False) -> None:
-    """Declare the firmware, and which Balboa gets it; `optional`: the caller makes it where none is named."""
-    made = "; default: made now" if optional else ""
+    """Declare the firmware, and which Balboa gets it; `optional`: the caller has one where none is named."""
+    made = "; default: that of this release" if optional else ""
     text = f"of `make -C firmware`; - is the input{made}"
     parser.add_argument("firmware", nargs="?" if optional else None, metavar="FIRMWARE.hex", help=text)
     where = parser.add_mutually_exclusive_group()

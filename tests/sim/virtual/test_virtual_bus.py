@@ -7,6 +7,7 @@ import pytest
 from sim.virtual.bus import VirtualBus, VirtualRouter
 from sim.virtual.events import EventQueue
 from swarm.app.mesh_clock import MeshClock
+from swarm.bus.protocol import BusLike
 from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError
 from swarm.messages import Clock, Stop
@@ -19,8 +20,8 @@ def router():
 
 
 def test_it_has_the_methods_of_the_real_one():
-    for name, method in inspect.getmembers(Bus, inspect.isfunction):
-        if not name.startswith("_"):
+    for name in dir(BusLike):
+        if not name.startswith("_") and inspect.isfunction(method := getattr(Bus, name)):
             ours, real = inspect.signature(getattr(VirtualBus, name)), inspect.signature(method)
             assert ours.parameters == real.parameters, name
             assert (ours.return_annotation is None) == (real.return_annotation is None), name
