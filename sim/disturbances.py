@@ -51,7 +51,7 @@ class Cut:
     a: str
     b: str
     at: float
-    """s after the first iteration of all robots (without an app: after all are ready)."""
+    """Seconds after the first iteration of all robots (without an app: after all are ready)."""
     seconds: float
     span: Span | None = None
     """Where `at` is still to be drawn."""

@@ -32,7 +32,7 @@ class RunOutcome:
     scenario: Scenario
     seed: int
     started_s: float | None
-    """s from the command to the first iteration of all robots; None where there was none."""
+    """Seconds from the command to the first iteration of all robots; None where there was none."""
     seconds: float
     """How long it ran after that."""
     trajectories: Mapping[str, Trajectory]
@@ -47,7 +47,7 @@ class RunOutcome:
     missing: tuple[str, ...] = ()
     """Robots that the others have gone on without, and that are not back at the end."""
     computed_s: float | None = None
-    """s that a run under virtual time took to compute; None of one in real time."""
+    """Seconds that a run under virtual time took to compute; None of one in real time."""
     scene: Mapping[str, object] = field(default_factory=dict)
     """What the world saw of it (sim/scene.py)."""
     scene_record: SceneRecord | None = None

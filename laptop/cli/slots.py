@@ -47,7 +47,7 @@ class Radio:
     """The behaviour of a radio in a run, recorded or simulated."""
 
     pace: float
-    """s an iteration, median"""
+    """Seconds an iteration, median"""
     rtt_median: float | None
     """s, of the link whose median is the middle one"""
     rtt_p99: float | None

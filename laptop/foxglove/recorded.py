@@ -13,7 +13,7 @@ from swarm.messages.keys import parse
 from swarm.recording.reader import RecordedSample
 
 PERIOD = 0.1
-"""s between two scenes."""
+"""Seconds between two scenes."""
 
 
 class RecordedScenes:

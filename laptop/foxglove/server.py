@@ -22,7 +22,7 @@ except ModuleNotFoundError:
     raise LocalError("swarm foxglove needs foxglove-sdk: pip install 'balboa-swarm[foxglove]'") from None
 
 PERIOD = 0.05
-"""s between two looks at what is new."""
+"""Seconds between two looks at what is new."""
 HOST = "127.0.0.1"
 
 _log = logging.getLogger("foxglove")

@@ -12,7 +12,7 @@ PANELS = 6
 """Floods or messages shown, the last ones."""
 
 CLOCKS = 0.01
-"""s by which clocks of two robots may differ: a message may seem to come so long before it has left."""
+"""Seconds by which clocks of two robots may differ: a message may seem to come so long before it has left."""
 
 OUT, BACK = style.COLOURS[0], style.COLOURS[1]
 

@@ -18,7 +18,7 @@ _Panel = tuple[str, str, dict[str, Trajectory]]
 DOTS = 120
 """Iterations up to which each has a dot."""
 AWAY_S = 0.5
-"""s without an iteration that are a gap in a line, at least."""
+"""Seconds without an iteration that are a gap in a line, at least."""
 PANELS = 6
 """Columns shown at most, where none are asked for."""
 

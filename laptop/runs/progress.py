@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from swarm.process.terminal import BAR, steer
 
 PATIENCE_S, EVERY_S = 0.5, 0.1
-"""s after which the line is first drawn, and between two times: what ends sooner needs none."""
+"""Seconds after which the line is first drawn, and between two times: what ends sooner needs none."""
 
 
 @contextlib.contextmanager

@@ -33,7 +33,7 @@ class Film:
     """The content of a film, and how it is shown."""
 
     begin: float
-    """s of the recording."""
+    """Seconds of the recording."""
     end: float
     """s"""
     size: tuple[int, int] = (1280, 720)
@@ -123,10 +123,10 @@ SIZE = (1400, 1000)
 """Pixels."""
 
 SETTLE_S = 4.0
-"""s that a live page has to connect, and for trails and charts to grow."""
+"""Seconds that a live page has to connect, and for trails and charts to grow."""
 
 DRAWN_S = 1.0
-"""s within which all parts of the page have drawn what they know."""
+"""Seconds within which all parts of the page have drawn what they know."""
 
 
 async def take(address: str, path: Path, at: float | None, charts: Sequence[str]) -> None:

@@ -43,10 +43,10 @@ CROWD = 50
 """Robots from which on a page gets the full steps only."""
 
 HEARTBEAT_S = 10.0
-"""s between two pings; a page that takes half of it to answer is let go of, and connects again when it can."""
+"""Seconds between two pings; a page that takes half of it to answer is let go of, and connects again when it can."""
 
 REPEAT_S = 0.2
-"""s between two looks whether robots have confirmed a stop."""
+"""Seconds between two looks whether robots have confirmed a stop."""
 
 PAGE = Path(__file__).with_name("page")
 _MAX_REQUEST = 4096

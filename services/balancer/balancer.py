@@ -68,7 +68,7 @@ class Balancer:
         self.bus = bus
         self.imu = Imu(bus)
         self.wire = WireTime()
-        """How long transfers take."""
+        """The durations of transfers."""
         self.passenger: Passenger | None = None
         self._clock = clock
         self._body = body
@@ -87,11 +87,11 @@ class Balancer:
         self._leds: Shown | None = None
         self._leds_again_at = 0.0
         self.notices: deque[tuple[str, str]] = deque(maxlen=8)
-        """What happened and is no fault, as (about what, text), for who asks next."""
+        """Events that are no fault, as (about what, text), until somebody asks."""
         self.estimate: BodyEstimate | None = None
         self.duty = (0.0, 0.0)
         self.battery: float | None = None
-        """V."""
+        """The battery's voltage, V."""
         self.firmware: tuple[int, int] | None = None
         """Layout and revision of the ATmega's; None before it was found."""
         self.motion = balboa.MotionBlock(0, 0, 0, False)

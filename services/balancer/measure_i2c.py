@@ -31,7 +31,7 @@ THESIS_KBIT_S = {"read": 21.0, "write": 53.0}
 """At 100 kHz (thesis 2.2.5); Pololu measured the same with transfers of 8 bytes."""
 
 PATIENCE = 5.0
-"""s for an answer beyond the time that the balancer gives the transfers."""
+"""Seconds for an answer beyond the time that the balancer gives the transfers."""
 
 Measure = Callable[[MeasureI2C], I2CRates]
 

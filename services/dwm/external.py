@@ -15,11 +15,11 @@ from swarm.messages.keys import key
 from swarm.process.service import Service
 
 SILENT_S = 2.0
-"""s without a report after which the service says that it lacks them."""
+"""Seconds without a report after which the service says that it lacks them."""
 MAX_AGE_S = 10.0
 """A report that claims to be older is refused."""
 _POLL = 0.25
-"""s between looks at whether to stop: a signal does not wake a queue."""
+"""Seconds between looks at whether to stop: a signal does not wake a queue."""
 _MAX_WAITING = 100
 _NO_FIX = Position(0.0, 0.0, 0.0, 0)
 

@@ -31,10 +31,10 @@ _ATTEMPTS = 3
 """On the wire: a byte may get lost."""
 
 _REPEAT = 1.0
-"""s after which a request over the bus is published again; longer than any answer takes."""
+"""Seconds after which a request over the bus is published again; longer than any answer takes."""
 
 _PATIENCE = 4.0
-"""s to wait for an answer over the bus."""
+"""Seconds to wait for an answer over the bus."""
 
 
 class NoAnswerError(RemoteError):

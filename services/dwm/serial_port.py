@@ -24,7 +24,7 @@ _FIRST_PAUSE = 0.1
 _MAX_PAUSE = 2.0
 _WRITE_TIMEOUT = 0.1
 _MAX_WAIT = 0.2
-"""s between looks at whether to stop: a signal does not wake `select`."""
+"""Seconds between looks at whether to stop: a signal does not wake `select`."""
 
 
 def serve(service: Service, path: Path) -> None:

@@ -31,7 +31,7 @@ from swarm.onboard.buses import buses
 from swarm.process.simulations import CONFIG
 
 SECONDS = 3.0
-"""s that `check` and `anchors` listen to ranges."""
+"""Seconds that `check` and `anchors` listen to ranges."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -24,7 +24,7 @@ from swarm.process.paths import state_dir
 from swarm.process.service import Service
 
 _LOOK_S = 1.0
-"""s between two looks whether the reading thread still goes round, and who watches through this robot."""
+"""Seconds between two looks whether the reading thread still goes round, and who watches through this robot."""
 
 CHANCE = Chance(random.random, partial(os.urandom, NONCE_SIZE))
 

@@ -130,7 +130,7 @@ class Mesh:
         self._keep = keep
         self._heard = heard
         self._deadline: float | None = None
-        """What the transport was told last; None after that time has come."""
+        """The deadline that the transport was told last; None after that time has come."""
         self._changed = False
         """Whether a report is planned."""
         self._reporting, self._keeping = threading.Lock(), threading.Lock()

@@ -25,13 +25,13 @@ _CHUNK = 4096
 _NEVER = float("inf")
 
 _JOIN_TIMEOUT = 2.0
-"""s to wait for each thread at the end; one may hang in a dial."""
+"""Seconds to wait for each thread at the end; one may hang in a dial."""
 
 _EXHAUSTED = frozenset((errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM))
 """Errors of accept() after which the caller still stands in the queue, so that the listener stays readable."""
 
 _PAUSE_EXHAUSTED = 0.5
-"""s without listening after such an error: waiting for the listener would return at once and use all CPU time."""
+"""Seconds without listening after such an error: waiting for the listener would return at once and use all CPU time."""
 
 
 class Listener(Protocol):

@@ -18,7 +18,7 @@ from swarm.messages.codec import decode
 from swarm.messages.keys import key, parse
 
 _ASK_S = 2.0
-"""s that services may take to say how they are."""
+"""Seconds that services may take to say how they are."""
 
 
 class ViewSender:

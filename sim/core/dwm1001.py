@@ -29,25 +29,25 @@ from swarm.core.random_numbers import RandomNumbers
 from swarm.errors import FrameError
 
 REQUEST_GAP = 25 / 32768
-"""s of silence that end a request, whole or not (API guide 4.3)."""
+"""Seconds of silence that end a request, whole or not (API guide 4.3)."""
 
 LATENCY = (0.010, 0.030)
-"""s from request to answer, uniform between these."""
+"""Seconds from request to answer, uniform between these."""
 
 BYTE = 10 / 115200
-"""s that a byte takes on the line."""
+"""Seconds that a byte takes on the line."""
 
 RESTART = 1.0
-"""s that `reset` takes."""
+"""Seconds that `reset` takes."""
 
 JOINING = 0.5
-"""s from there until it belongs to its network."""
+"""Seconds from there until it belongs to its network."""
 
 STILL_AFTER = 2.0
-"""s without motion until the accelerometer says that it stands still [estimated]."""
+"""Seconds without motion until the accelerometer says that it stands still [estimated]."""
 
 ENTER_WITHIN = 1.0
-"""s between the two carriage returns that enter the shell."""
+"""Seconds between the two carriage returns that enter the shell."""
 
 MAX_LINE = 1024
 """Bytes that its shell takes without an end of line."""

@@ -20,7 +20,7 @@ TTY = "dwm.tty"
 PERIOD = 0.100
 PATIENCE = 0.090
 SILENCE = 0.005
-"""s after which what was begun will not go on."""
+"""Seconds after which what was begun will not go on."""
 MAILBOX_PATIENCE = 0.5
 PAGES = 10
 MAILBOX_SIZE = PAGES * balboa.WINDOW_SIZE

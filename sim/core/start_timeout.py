@@ -1,8 +1,9 @@
 """The time that a starting swarm may take."""
 
 START_LIMIT_S = 60.0
-"""s in which nothing more becomes ready, after which a swarm that has not done its first iteration is given up. A busy
-machine may take longer for the whole start; as long as more and more is ready, that is no fault of the swarm."""
+"""Seconds in which nothing more becomes ready, after which a swarm that has not done its first iteration is given
+up. A busy machine may take longer for the whole start; as long as more and more is ready, that is no fault of the
+swarm."""
 
 
 class StartTimeout:

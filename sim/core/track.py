@@ -7,7 +7,7 @@ from collections.abc import Iterator
 Point = tuple[float, float]
 
 TRACK_S = 0.1
-"""s between two places that are kept."""
+"""Seconds between two places that are kept."""
 MOST_PLACES = 4_000
 """Places that are kept, 24 bytes each: seven minutes at `TRACK_S`."""
 

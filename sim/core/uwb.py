@@ -15,7 +15,7 @@ MAX_RANGES = 4
 """A tag ranges to at most four modules at a time (PANS)."""
 
 PERIOD = 0.1
-"""s between measurements, the module's fastest; an answer in between repeats the last one."""
+"""Seconds between measurements, the module's fastest; an answer in between repeats the last one."""
 
 QUALITY = {3: 60, 4: 90}
 """Quality factor of a position by the number of ranges it comes from [estimated]."""

@@ -43,7 +43,7 @@ SERVICE_MODULES = {
 APP_SERVICE = "services.apps"
 
 ASK_S, ASK_AGAIN_S = 1.0, 5.0
-"""s between two questions to all services for how they are, until the swarm has started, and then. They say so
+"""Seconds between two questions to all services for how they are, until the swarm has started, and then. They say so
 themselves when it changes."""
 
 TICK_S = 0.05

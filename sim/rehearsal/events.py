@@ -16,7 +16,7 @@ from swarm.errors import AppError
 from swarm.messages.codec import Value
 
 LATENCY = 0.03
-"""s that a message takes to a neighbour."""
+"""Seconds that a message takes to a neighbour."""
 
 
 class RehearsedRobot:

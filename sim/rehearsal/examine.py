@@ -43,7 +43,7 @@ SECONDS = 20.0
 """Virtual time of an event-driven or periodic app, from when all robots have begun."""
 
 START_LIMIT = 10.0
-"""s of virtual time within which all robots must have begun."""
+"""Seconds of virtual time within which all robots must have begun."""
 
 YES, NO, UNASKED = "yes", "no", "not asked for"
 """Whether the app has had poses, or ranges, in the rehearsal."""
@@ -92,7 +92,7 @@ class _Finding:
     poses: str = UNASKED
     ranges: str = UNASKED
     step_mean: float = 0.0
-    """s of CPU time on this machine."""
+    """Seconds of CPU time on this machine."""
     step_worst: float = 0.0
     trend: dict[str, object] = field(default_factory=dict)
     """See `trends.judge`."""

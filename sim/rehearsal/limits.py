@@ -9,14 +9,14 @@ from typing import TypeVar
 T = TypeVar("T")
 
 STEP_LIMIT = 2.0
-"""s of computing after which a step hangs. The longest of ours takes some ms. Of CPU time, since what else the machine
-does is no fault of the app."""
+"""Seconds of computing after which a step hangs. The longest of ours takes some ms. Of CPU time, since what else the
+machine does is no fault of the app."""
 
 TIME_LIMIT = 8.0
-"""s of CPU time that one graph may take; what has been done by then is judged."""
+"""Seconds of CPU time that one graph may take; what has been done by then is judged."""
 
 WAIT_LIMIT = 20.0
-"""s by the clock after which a step hangs, and a graph ends, that waits for something instead of computing."""
+"""Seconds by the clock after which a step hangs, and a graph ends, that waits for something instead of computing."""
 
 ALARMS = (signal.SIGPROF, signal.SIGALRM)
 """What ends a step: it has computed, or waited, for too long."""

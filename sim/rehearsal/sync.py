@@ -26,7 +26,7 @@ from swarm.messages.codec import Value
 Measure = Callable[[str, int], Measurement]
 
 ITERATION_S = 0.1
-"""s of virtual time that an iteration takes."""
+"""Seconds of virtual time that an iteration takes."""
 
 _SILENT = logging.getLogger("rehearsal")
 """What an app logs is for its robot."""

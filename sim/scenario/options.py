@@ -108,7 +108,7 @@ class Options:
     view: bool
     """Show it in the browser while it runs."""
     speed: float | None
-    """s of virtual time a second then; infinity: as fast as it computes; None: as the real time."""
+    """Seconds of virtual time a second then; infinity: as fast as it computes; None: as the real time."""
     no_open: bool
     """Only print the page's address."""
 

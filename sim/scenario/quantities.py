@@ -21,7 +21,7 @@ _SIZE = {"B": 1.0, "kB": 1e3, "MB": 1e6, "": 1.0}
 _NUMBER = re.compile(r"([0-9.]+(?:e[+-]?[0-9]+)?) *([a-zA-Z%]*)")
 
 SLOWEST, FASTEST = 0.01, 1000.0
-"""s of virtual time a second that a page may wish for."""
+"""Seconds of virtual time a second that a page may wish for."""
 
 MAX_VELOCITY = 10.0
 """m/s of a target."""

@@ -18,7 +18,7 @@ class Curve:
     """One recorded run beside the model's."""
 
     recorded: float
-    """s an iteration."""
+    """Seconds an iteration."""
     model: Mapping[float, Sequence[float]]
     """The same by value of the parameter, of several seeds; the same values in all curves."""
 

@@ -29,7 +29,7 @@ RAREST = 16
 """In pairs of slots."""
 
 ABOUT = 1e-9
-"""s by which sums of slots may be off."""
+"""Seconds by which sums of slots may be off."""
 
 _NEVER = float("inf")
 

@@ -17,7 +17,7 @@ class EventQueue:
 
     def __init__(self) -> None:
         self.now = 0.0
-        """s since the start of the run."""
+        """Seconds since the start of the run."""
         self.done = 0
         """Calls made so far."""
         self._stop = False

@@ -37,11 +37,12 @@ from swarm.recording import folder
 from swarm.recording.recorded_topics import TOPICS
 
 STALLED = 60.0
-"""s of virtual time without any iteration after which a run is given up: it costs no patience to wait so long."""
+"""Seconds of virtual time without any iteration after which a run is given up: it costs no patience to wait so long."""
 ENDLESS = 120.0
-"""s of virtual time after the start, and the last button, at which an app without iterations ends that never rests."""
+"""Seconds of virtual time after the start, and the last button, at which an app without iterations ends that never
+rests."""
 LOOK_EVERY = 1.0
-"""s of virtual time between two looks whether it is to end."""
+"""Seconds of virtual time between two looks whether it is to end."""
 
 PLACE = Path("/virtual")
 """Stands for the run directory in the configuration of a run, which has none."""
@@ -128,7 +129,7 @@ class VirtualRun:
         """The iteration that a robot did last."""
         self._problems: list[str] = []
         self.computed = 0.0
-        """s of real time that it took."""
+        """Seconds of real time that it took."""
 
     @_without_looking_for_garbage()
     def go(self) -> RunOutcome:

@@ -51,10 +51,10 @@ from swarm.messages.keys import key
 from swarm.recording.thesis_ranges import ThesisRecording
 
 TARGET_PERIOD_S = 0.1
-"""s between two messages of where a target that moves is, as the real simulation has it."""
+"""Seconds between two messages of where a target that moves is, as the real simulation has it."""
 
 RESTART_DELAY_S = 0.2
-"""s after which a process that has ended is started again, as RestartSec in the units of deploy/systemd."""
+"""Seconds after which a process that has ended is started again, as RestartSec in the units of deploy/systemd."""
 
 LONGEST_UP = 3600.0
 """How long ago, s, a robot may have been switched on where each has a clock of its own: the clocks' zeros differ by so

@@ -29,13 +29,13 @@ from swarm.messages.codec import decode
 from swarm.messages.keys import key
 
 LED_CLAIM, LED_REPEAT = 3.0, 1.0
-"""s for which LEDs and display are claimed, and after which they are claimed again."""
+"""Seconds for which LEDs and display are claimed, and after which they are claimed again."""
 DRIVE_CLAIM, DRIVE_REPEAT = 0.5, 0.2
 """Likewise the drive: a robot whose app died stops within half a second."""
 SILENT = 2.0
-"""s without a word of the balancer after which nobody knows the robot's posture."""
+"""Seconds without a word of the balancer after which nobody knows the robot's posture."""
 POSE_LOST = 5.0
-"""s after which a pose is none any more."""
+"""Seconds after which a pose is none any more."""
 
 MAX_TEXT = 200
 """Letters for the display that the balancer takes; it shows fewer."""
@@ -53,7 +53,7 @@ class PoseView:
     """The pose of a robot by its UWB module (docs/reference/robot/uwb-module.md), in the frame of the anchors."""
 
     x: float
-    """m."""
+    """Place in the anchors' frame, m."""
     y: float
     heading: float | None
     """rad, counter-clockwise from x; None where the filter does not estimate it."""
@@ -61,9 +61,9 @@ class PoseView:
     """Standard deviation, m; None where the filter does not estimate it."""
     sigma_y: float | None
     sigma_heading: float | None
-    """rad."""
+    """Standard deviation, rad."""
     age: float
-    """s since the time that it is for."""
+    """Age of the pose, s."""
 
 
 class Devices:

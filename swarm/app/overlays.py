@@ -25,7 +25,7 @@ from swarm.messages.codec import MAX_BINARY, decode, encode
 from swarm.messages.keys import key, parse
 
 REPEAT = 0.5
-"""s after which a request without an answer is published again."""
+"""Seconds after which a request without an answer is published again."""
 
 MAX_OPEN = 1024
 """Requests that are remembered, answered or not; the oldest ones are forgotten."""

@@ -21,7 +21,7 @@ PLATFORM = ("spec", "robot", "k", "name", "age", "neighbours", "finished")
 
 
 PLATFORM_MODULES = ("swarm.app.sync_app", "swarm.app.event_app")
-"""Where the classes are that apps are derived from."""
+"""The modules with the classes from which apps are derived."""
 
 
 @frozen

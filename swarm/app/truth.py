@@ -24,14 +24,14 @@ class RobotTruth:
     """The truth for one robot at one moment."""
 
     x: float
-    """Where the robot is, m."""
+    """The robot's place, m."""
     y: float
     heading: float
     """rad, counter-clockwise from x."""
     target: tuple[float, float]
-    """Where the target is, m."""
+    """The target's place, m."""
     told: Mapping[str, Mapping[str, Value]]
-    """By robot: the parameters and first values that the configuration and `--set` give the app."""
+    """The parameters and first values that the configuration and `--set` give the app, by robot."""
 
 
 class TruthWatch:

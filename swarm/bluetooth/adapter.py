@@ -9,7 +9,7 @@ from swarm.bluetooth import hci
 from swarm.errors import FrameError, LocalError
 
 TIMEOUT = 1.0
-"""s for an answer of the adapter."""
+"""Seconds for an answer of the adapter."""
 
 Open = Callable[[], socket.socket]
 Ioctl = Callable[[Any, int, bytearray], object]

@@ -5,7 +5,7 @@ from swarm.bus.zenoh_runtime import direct, zenoh
 from swarm.messages.keys import STOP
 
 _CERTAIN_S = 1.0
-"""s after which a router has told who listens."""
+"""Seconds after which a router has told who listens."""
 
 
 class Audience:

@@ -33,9 +33,9 @@ _log = logging.getLogger("bus")
 _PUBLISHERS = 256
 """Keys that a session keeps declared; above, the oldest makes room."""
 _OPENING = 2.0
-"""s that opening a session takes at most where there is a router, on a busy machine, too."""
+"""Seconds that opening a session takes at most where there is a router, on a busy machine, too."""
 _LOOK_S = 0.02
-"""s between two looks for the router's socket."""
+"""Seconds between two looks for the router's socket."""
 
 
 class Router:

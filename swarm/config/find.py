@@ -7,7 +7,7 @@ NAME = "swarm.toml"
 SYSTEM = Path("/etc/swarm")
 
 LOOKED_IN = "SWARM_CONFIG, else swarm.toml in the working directory, in ~/.config/swarm, in /etc/swarm"
-"""For help texts."""
+"""The search order in words, for help texts."""
 
 
 def user_folder() -> Path | None:

@@ -29,7 +29,7 @@ HOST_PORT = re.compile(r"(?:[A-Za-z0-9._-]+|\[[0-9A-Fa-f:.]+\]):[0-9]{1,5}")
 """A host name, an IPv4 address or an IPv6 address in brackets, then a port."""
 
 FILTERS = ("auto", "ekf", "multilateration", "average")
-"""What may make a robot's pose."""
+"""The filters that may estimate a robot's pose."""
 
 _PATH = re.compile(r"/.*")
 MAX_CHANNEL = 30
@@ -40,7 +40,7 @@ MAX_SPEED = 0.6
 MAX_TURN_RATE = 6.0
 MAX_ACCELERATION = 1.0
 MAX_TURN_ACCELERATION = 20.0
-"""What the tests of driving reach: beyond, a robot may fall (m/s, rad/s, and these a second)."""
+"""The limits that the tests of driving reach: beyond them a robot may fall (m/s, rad/s, and these a second)."""
 
 _UWB_ADDRESS = re.compile(r"[0-9A-Fa-f]{4}")
 _PACKAGE = re.compile(r"[A-Za-z0-9](?:[A-Za-z0-9._-]*[A-Za-z0-9])?(?:(?:==|>=|<=|~=|<|>|!=)[A-Za-z0-9.*+!]+,?)*")

@@ -16,7 +16,7 @@ DEFAULT_KEY_FILE = "/etc/swarm/key"
 
 GRAPH, STAR, TREE, AUTO_LINKS = "graph", "star", "tree", "auto"
 LINKS = (GRAPH, STAR, TREE, AUTO_LINKS)
-"""Which links carry the topology: its own, one hub's, those of several hubs, or what suits the radio."""
+"""The choices of links that carry the topology: its own, one hub's, those of several hubs, or what suits the radio."""
 
 MAX_RFCOMM_LINKS = 7
 """A Bluetooth Classic master has at most seven active slaves (Core specification, vol 2 B, 8.6: LT_ADDR)."""
@@ -32,9 +32,9 @@ class RobotConfig:
     bluetooth: str | None = None
     """Address of the Bluetooth adapter, B8:27:EB:12:34:56."""
     link: str | None = None
-    """How others reach it where that is not Bluetooth: `tcp:HOST:PORT`, or `sim:SOCKET` in a simulation."""
+    """The address for other robots where it is not Bluetooth: `tcp:HOST:PORT`, or `sim:SOCKET` in a simulation."""
     host: str | None = None
-    """What ssh calls it (a name of ~/.ssh/config, user@address); None = its name."""
+    """The robot's name for ssh (a name of ~/.ssh/config, user@address); None = its own name."""
     uwb: str | None = None
     """Short address of its DWM1001, C933; `dwm/ranges` of the others name the robot by it."""
     uwb_role: str = "tag"
@@ -90,22 +90,22 @@ class MeshConfig:
     key: str | None = None
     """Path of the file with the pre-shared key; None = the usual place. Only where not insecure."""
     listen: str | None = None
-    """Where to listen for `tcp:` neighbours, HOST:PORT; nothing listens on the network without it."""
+    """The address HOST:PORT for `tcp:` neighbours; without it nothing listens on the network."""
     heartbeat: float = 0.5
-    """s between heartbeats."""
+    """Seconds between heartbeats."""
     suspect: float = 1.5
-    """s of silence until a link is suspect; on a link whose round trips are long, what follows from them."""
+    """Seconds of silence until a link is suspect; on a link whose round trips are long, what follows from them."""
     dead: float = 3.0
-    """s of silence until it is closed and dialled anew, likewise."""
+    """Seconds of silence until a link is closed and dialled anew, likewise."""
     handshake: float = 8.0
-    """s that each half of a handshake may take; twice that after each one that was not answered."""
+    """Seconds that each half of a handshake may take; twice that after each one that was not answered."""
     patience: float = 60.0
-    """s that none of these times exceeds, however slow a link is."""
+    """Seconds that none of these times exceeds, however slow a link is."""
     metric: str = "hops"
-    """What makes a way short: hops, or time (measured)."""
+    """The length of a route: hops, or time (measured)."""
     links: str = AUTO_LINKS
-    """Which links carry the topology: graph (its own), star (the first robot of the file calls all others), tree (the
-    same with several hubs) or auto (star or tree on Bluetooth, graph elsewhere)."""
+    """The links that carry the topology: graph (its own), star (the first robot of the file calls all others), tree
+    (the same with several hubs) or auto (star or tree on Bluetooth, graph elsewhere)."""
     rfcomm_channel: int = 1
     """RFCOMM channel the mesh listens at on every robot, 1 to 30 (bluetoothd -C holds 8)."""
     rfcomm_encrypt: bool = False
@@ -141,19 +141,19 @@ class Balancing:
     controller: str = "lqr"
     """lqr, or pololu (its algorithm and constants), or thesis (the same with the thesis' constants)."""
     max_speed: float = 0.5
-    """m/s."""
+    """Highest speed, m/s."""
     max_turn_rate: float = 3.0
-    """rad/s."""
+    """Highest turn rate, rad/s."""
     acceleration: float = 0.5
     """m/s^2, of driving."""
     turn_acceleration: float = 6.0
-    """rad/s^2."""
+    """Turn acceleration, rad/s^2."""
     battery_warning: float = 6.6
     """V: 1.1 a cell of six."""
     battery_limit: float = 6.0
     """V: below it lies down; NiMH cells below 1 V suffer."""
     flip_left_motor: bool = False
-    """Its wires are the other way round: a command to go forward is written as one to go backward."""
+    """Whether the left motor's wires are reversed: a command to go forward is written as one to go backward."""
     flip_right_motor: bool = False
 
 
@@ -163,7 +163,7 @@ class Linear:
 
     gain: float = 1.0
     offset: float = 0.0
-    """m."""
+    """Offset of a range, m."""
 
 
 @frozen
@@ -172,7 +172,7 @@ class Affine:
 
     matrix: tuple[tuple[float, float], tuple[float, float]] = ((1.0, 0.0), (0.0, 1.0))
     offset: tuple[float, float] = (0.0, 0.0)
-    """m."""
+    """Offset of a place, m."""
 
 
 @frozen
@@ -187,7 +187,8 @@ class Dwm:
     rate: float = 10.0
     """Hz; the module's maximum is 10."""
     filter: str = "auto"
-    """What makes the pose: ekf, multilateration or average; auto = ekf while there is odometry, else average."""
+    """The filter that estimates the pose: ekf, multilateration or average; auto = ekf while there is odometry, else
+    average."""
     filters: Mapping[str, str] = field(default_factory=dict)
     """The same for single robots, by name."""
     window: int = 5
@@ -195,11 +196,11 @@ class Dwm:
     position_window: int | None = None
     """The same for places; None = as `window`."""
     latency: float = 0.06
-    """s from a measurement until its report is read."""
+    """Seconds from a measurement until its report is read."""
     height: float = 0.0
-    """Of the robots' antennas in the frame of the anchors, m."""
+    """Height of the robots' antennas in the frame of the anchors, m."""
     lever: float = 0.0
-    """From a robot's axle up to its antenna, m: so far it swings as the body leans."""
+    """Height of the antenna above a robot's axle, m: it swings on this lever as the body leans."""
     calibration: str | None = None
     """File made by `swarm calibrate`, `{robot}` = the own name; its models go before `distance` and `position`."""
     distance: Linear = field(default_factory=Linear)
@@ -235,7 +236,7 @@ class SimulationConfig:
     """The places at which simulated robots and the target start; only `swarm sim` reads them."""
 
     target: tuple[float, float] = (0.5, 1.0)
-    """m."""
+    """The target's place, m."""
     target_velocity: tuple[float, float] = (0.0, 0.0)
     """m/s, from the first iteration of all robots on."""
     places: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
@@ -243,11 +244,11 @@ class SimulationConfig:
     scl: float | None = None
     """Hz: the clock of the simulated I2C bus; None here and below: as the parts' data sheets say."""
     battery: float | None = None
-    """V."""
+    """The battery's voltage, V."""
     gyro_noise: float | None = None
     """Standard deviation of a sample, rad/s."""
     acceleration_noise: float | None = None
-    """m/s^2."""
+    """Standard deviation of a sample, m/s^2."""
     range_noise: float | None = None
     """Standard deviation of a UWB range in line of sight, m."""
 
@@ -278,10 +279,10 @@ class Config:
     mesh: MeshConfig = field(default_factory=MeshConfig)
     body: Body = field(default_factory=Body)
     bodies: Mapping[str, Body] = field(default_factory=dict)
-    """Of the robots that differ from `body`."""
+    """The bodies of robots that differ from `body`."""
     balancing: Balancing = field(default_factory=Balancing)
     balancings: Mapping[str, Balancing] = field(default_factory=dict)
-    """Of the robots that differ from `balancing`."""
+    """The balancers' settings of robots that differ from `balancing`."""
     dwm: Dwm = field(default_factory=Dwm)
     apps: Mapping[str, AppConfig] = field(default_factory=dict)
     recordings: Recordings = field(default_factory=Recordings)

@@ -27,11 +27,11 @@ from swarm.core.lockstep.frames import Channel
 from swarm.errors import FrameError
 
 REPEAT = 1.0
-"""s after which an unchanged state is told again: it mends losses, and shows that the app is alive."""
+"""Seconds after which an unchanged state is told again: it mends losses, and shows that the app is alive."""
 REPEAT_WAITING = 0.5
 """Likewise before the barrier."""
 MIN_GAP = 0.01
-"""s between two frames at least: an app that changes its state more often sends every other one, and the last."""
+"""Seconds between two frames at least: an app that changes its state more often sends every other one, and the last."""
 HANG = 10.0
 """Seconds after which a step or handler that still runs counts as hanging, in apps of all kinds."""
 MAX_QUEUE = 256
@@ -48,7 +48,7 @@ class HandlerCall(NamedTuple):
     handler: str
     """start, step, on_button, on_message, on_answer, on_announced, on_neighbour, on_parameter or on_timer."""
     arguments: tuple[object, ...] = ()
-    """As the handler has them; a neighbour is given by name."""
+    """The arguments of the handler; a neighbour is given by name."""
 
 
 class Publish(NamedTuple):
@@ -66,7 +66,7 @@ class NeighbourState(NamedTuple):
     name: str
     data: bytes
     age: float
-    """s since it was told."""
+    """Seconds since it was told."""
 
 
 @dataclass(slots=True)
@@ -92,7 +92,7 @@ class Asynchronous:
     robots: Sequence[str]
     """All of the swarm, in the order of swarm.toml."""
     period: float | None = None
-    """s between two steps; None = the app has none."""
+    """Seconds between two steps; None = the app has none."""
     barrier: bool = False
     """Whether steps wait until all robots have been there."""
     handled: Collection[str] | None = None

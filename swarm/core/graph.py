@@ -16,7 +16,7 @@ MAX_RANDOM_DEGREE = 7
 """Links of one robot in a `random:` graph at most: what a Bluetooth Classic radio can hold."""
 
 SHAPES = ("line", "loop", "full", "thesis-d", "random:SEED")
-"""What `Graph.of_shape` takes."""
+"""The shapes that `Graph.of_shape` takes."""
 
 _THESIS_D = ((0, 1), (0, 3), (0, 4), (0, 5), (1, 2), (2, 3), (2, 5), (3, 4), (4, 5))
 """The irregular six-robot topology (d) of the thesis."""

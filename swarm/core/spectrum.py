@@ -22,7 +22,7 @@ _INVARIANT = 1e-12
 """A next vector shorter than this is none: the space found already holds all the eigenvectors that matter."""
 
 _BISECTIONS = 60
-"""From an interval of length 2 down to the last bit of a float."""
+"""Steps that halve an interval of length 2 down to the last bit of a float."""
 
 
 @lru_cache(maxsize=64)

@@ -37,8 +37,7 @@ MAX_MEMBERS = 256
 WIRE_TYPES = "float, float32, int, bool, an enum.Enum, Array[n], Annotated[Vector, n] or Annotated[Matrix, n, m]"
 
 MessageValue = float | int | bool | str | tuple[float, ...]
-"""What a field's value is on the bus and in recordings: enums by name, matrices and arrays as one row after the
-other."""
+"""A field's value on the bus and in recordings: enums by name, matrices and arrays row by row."""
 
 Item = float | int | bool | enum.Enum | Vector | Matrix | Any
 """The value of one shared field; `Any` stands for a numpy array."""
@@ -59,11 +58,11 @@ class Field:
     width: int = 0
     """Columns of a matrix."""
     members: tuple[enum.Enum, ...] = ()
-    """Of an enum, in declared order."""
+    """The members of an enum, in declared order."""
     sizes: tuple[int, ...] = ()
     """Shape of an array."""
     single: bool = False
-    """Of an array: whether its numbers are float32."""
+    """Whether an array's numbers are float32."""
 
     @property
     def format(self) -> str:

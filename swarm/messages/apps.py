@@ -14,7 +14,7 @@ class AppState:
 
     t: float
     k: int
-    """Iteration."""
+    """The app's iteration."""
     state: dict[str, Value]
     result: dict[str, Value]
     """What the app reports as its result so far (units in docs of the app)."""
@@ -41,7 +41,7 @@ class AppEpoch:
 
     t: float
     epoch: int
-    """How many there were before it in this run."""
+    """The number of epochs before it in this run."""
     k: int
     """The iteration at which it began."""
     members: tuple[str, ...]
@@ -52,7 +52,7 @@ class AppEpoch:
     forced: bool
     """Whether an operator has ordered it without a majority."""
     frames: int
-    """Its number in the frames' keys."""
+    """The epoch's number in the frames' keys."""
 
 
 @frozen
@@ -76,7 +76,7 @@ class AppOutput:
 
     t: float
     values: dict[str, Value]
-    """By name; a single one is called `value`."""
+    """The values by name; a single one is called `value`."""
 
 
 @frozen
@@ -96,7 +96,7 @@ class AppParameter:
     value: Value
     unit: str
     expected: str
-    """What it must be, in words."""
+    """The allowed values, in words."""
     live: bool
     """Whether it may be changed while the app runs."""
     kind: str = ""
@@ -116,8 +116,8 @@ class AppParameters:
     t: float
     parameters: dict[str, AppParameter]
     states: dict[str, str] = field(default_factory=dict)
-    """How shared states lie in the frames between robots, the app's own by an empty name, those of its channels by
-    theirs: `value=d x=2d`, little endian, in the letters of Python's struct."""
+    """The layout of shared states in the frames between robots, the app's own by an empty name, those of its
+    channels by theirs: `value=d x=2d`, little endian, in the letters of Python's struct."""
 
 
 @frozen

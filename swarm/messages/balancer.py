@@ -12,9 +12,9 @@ class BalancerState:
     mode: str
     """starting, calibrating, idle, standing_up, balancing, lying_down, testing or fault."""
     tilt: float
-    """From upright, rad; positive = falling forward."""
+    """Tilt from upright, rad; positive = falling forward."""
     tilt_rate: float
-    """rad/s."""
+    """Rate of the tilt, rad/s."""
     speed: float
     """Forward speed of the axle, m/s."""
     duty_left: float
@@ -42,7 +42,7 @@ class BalancerState:
     battery_level: str = "ok"
     """ok, low (a warning) or empty (it lies down, and does not stand up)."""
     battery_left: float | None = None
-    """s until it lies down, a rough estimate; None before the battery was read."""
+    """Seconds until it lies down, a rough estimate; None before the battery was read."""
     scl: float = 0.0
     """Hz: the clock of the I2C bus as its transfers show it, the kernel's time for them included; 0 where unknown."""
     behind: str = ""
@@ -58,7 +58,7 @@ class Odometry:
     """
 
     t: float
-    """Of the control step."""
+    """The time of the control step."""
     sequence: int
     left: float
     """Distance rolled by the left wheel, corrected by body pitch, m."""
@@ -66,15 +66,17 @@ class Odometry:
     x: float
     """Way of the axle's middle by wheels and `heading`, in the frame of the start: x ahead, m."""
     y: float
-    """To the left, m."""
+    """Distance to the left, m."""
     heading: float
-    """By gyro and wheels, rad, counter-clockwise positive, not wrapped: the gyro's zero is learned from the wheels."""
+    """Heading by gyro and wheels, rad, counter-clockwise positive, not wrapped: the gyro's zero is learned from the
+    wheels."""
     gyro_heading: float
-    """By the gyro alone (its zero measured at rest, nothing learned), rad: for a filter with a bias of its own."""
+    """Heading by the gyro alone (its zero measured at rest, nothing learned), rad: for a filter with a bias of its
+    own."""
     wheel_heading: float
-    """By the wheels alone: (right - left) / track, rad."""
+    """Heading by the wheels alone: (right - left) / track, rad."""
     tilt: float
-    """From upright, rad, at `t`."""
+    """Tilt from upright, rad, at `t`."""
 
 
 @frozen
@@ -85,9 +87,9 @@ class BalancerFault:
     name: str
     """fell, lifted, cannot_stand, bus, device, estimate, clock, battery or stopped; empty: there is none (any more)."""
     reason: str
-    """In words."""
+    """The reason in words."""
     recovery: str
-    """What to do about it: no fault goes by itself."""
+    """What a person must do about it: no fault goes by itself."""
 
 
 @frozen
@@ -115,7 +117,7 @@ class Leds:
     """LEDs as they are, on `balancer/leds`."""
 
     t: float
-    """When they were written last."""
+    """The time at which they were written last."""
     red: bool
     yellow: bool
     green: bool
@@ -129,10 +131,10 @@ class SetLeds:
     yellow: bool
     green: bool
     seconds: float = 3.0
-    """After which they show the balancer's own state again; at most 60."""
+    """Seconds after which they show the balancer's own state again; at most 60."""
     at: float | None = None
-    """From when on, by the robot's monotonic clock, at most 10 s ahead; at once without it. What was ordered for that
-    time and later is void."""
+    """The time from which they hold, by the robot's monotonic clock, at most 10 s ahead; at once without it. An
+    earlier order for that time or later is void."""
 
 
 @frozen
@@ -148,11 +150,11 @@ class SetVelocity:
     """Command on `balancer/set/velocity`: drive for a while. Without another one the robot stops and stands."""
 
     speed: float
-    """Forward, m/s."""
+    """Speed forward, m/s."""
     turn_rate: float
-    """To the left, rad/s."""
+    """Turn rate to the left, rad/s."""
     seconds: float
-    """How long it holds, at most 10."""
+    """Seconds for which it holds, at most 10."""
 
 
 @frozen
@@ -163,7 +165,7 @@ class TryMotors:
     """Duty, at most 0.2 either way; positive = forward."""
     right: float
     seconds: float
-    """How long, at most 10."""
+    """Seconds for which it runs, at most 10."""
     kind: str = "turn"
     """turn (these duties), watchdog (they are commanded once, so that the ATmega has to stop the motors), or tilt (the
     balancing controller's duty by the body's tilt alone, cut to 0.2)."""

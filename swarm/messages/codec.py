@@ -29,7 +29,7 @@ MAX_REQUEST = MAX_BINARY + 4096
 """Largest request that carries such a payload: ticket, names and numbers come on top."""
 
 Value = float | int | bool | str | tuple[float, ...]
-"""What a free-form map on the bus (an app's state, say) may hold."""
+"""A value of a free-form map on the bus (an app's state, say)."""
 
 MAX_COUNT = (1 << 63) - 1
 """The greatest number of what is counted up by one, such as starts of a process, and said to others."""

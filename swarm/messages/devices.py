@@ -13,9 +13,9 @@ class UwbRange:
     distance: float
     """m, raw; whole millimetres."""
     quality: int
-    """0-100."""
+    """Quality of the range, 0-100."""
     x: float
-    """Where that module was set up to be, m."""
+    """The place at which that module was set up, m."""
     y: float
     z: float
     place_quality: int
@@ -27,7 +27,7 @@ class Uwb:
     """The ATmega's UWB block, on `swarm/<robot>/balancer/uwb`: on each new report, and once a second without any."""
 
     t: float
-    """When the block was read, s."""
+    """The time at which the block was read, s."""
     state: str
     """The ATmega's last poll of the module: ok, silent, refused, broken or paused (for the mailbox)."""
     error: int
@@ -39,7 +39,7 @@ class Uwb:
     lost: int
     """Reports that came to the ATmega and were not read in time, since the balancer started."""
     age: float
-    """s since the ATmega got the report, at `t`; 65.535 = that or more."""
+    """Seconds since the ATmega got the report, at `t`; 65.535 = that or more."""
     x: float
     """Own position as the module reckons it, m."""
     y: float
@@ -79,7 +79,7 @@ class Battery:
 
     t: float
     voltage: float
-    """V."""
+    """The battery's voltage, V."""
 
 
 @frozen
@@ -99,7 +99,7 @@ class Buttons:
 
     t: float
     a: bool
-    """Pressed."""
+    """Whether the button is pressed."""
     b: bool
     c: bool
     presses_a: int
@@ -124,7 +124,7 @@ class ImuSample:
     Z backward."""
 
     t: float
-    """Of the control step that read it, s."""
+    """The time of the control step that read it, s."""
     sequence: int
     """Counts these messages."""
     gyro: tuple[float, ...]
@@ -160,7 +160,7 @@ class SetDisplay:
     text: str
     """Four lines of 21 letters (ASCII) are shown, longer ones are wrapped; empty = the app's values again."""
     seconds: float | None = None
-    """After which those are shown again; None = as long as nobody says otherwise."""
+    """Seconds after which those are shown again; None = as long as no other text comes."""
 
 
 @frozen

@@ -20,11 +20,11 @@ class Range:
     quality: int
     """0-100 as the module reported it."""
     age: float
-    """s since it was measured, at `t` of the message."""
+    """Seconds since it was measured, at `t` of the message."""
     sequence: int
     """Counts new measurements of this anchor; a repeat keeps its number."""
     stale: bool = False
-    """Not measured for longer than the module needs: the numbers are of then."""
+    """Whether it was not measured for longer than the module needs: the numbers are of then."""
     robot: str | None = None
     """The robot that carries this module; None for one that stands by itself."""
 
@@ -43,7 +43,8 @@ class Pose:
     """The robot's pose, on `swarm/<robot>/dwm/pose` at 10 Hz."""
 
     t: float
-    """What time it is for. Of an average, when it was measured: a repeat of the module keeps time and sequence."""
+    """The time of the pose. Of an average, the time of its measurement: a repeat of the module keeps time and
+    sequence."""
     sequence: int
     """The number of the module report it comes from, as in `Ranges`."""
     x: float
@@ -54,12 +55,12 @@ class Pose:
     quality: int
     """0-100; 0 = no fix, the numbers are not to be used."""
     source: str
-    """Which filter made it: ekf, multilateration, average, module, external or recording."""
+    """The filter that made it: ekf, multilateration, average, module, external or recording."""
     deviation_x: float | None = None
     """Standard deviation, m; None where the filter does not estimate it."""
     deviation_y: float | None = None
     correlation: float | None = None
-    """Of the errors in x and y, -1 to 1."""
+    """Correlation of the errors in x and y, -1 to 1."""
     deviation_heading: float | None = None
     """Standard deviation, rad; None where the heading is."""
     raw_x: float | None = None
@@ -84,7 +85,7 @@ class ExternalReport:
     ranges: dict[str, float] = field(default_factory=dict)
     """Distances, m, by the addresses of anchors."""
     age: float = 0.0
-    """s since it was measured, 0 to 10."""
+    """Seconds since it was measured, 0 to 10."""
 
 
 @frozen

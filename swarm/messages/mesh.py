@@ -55,10 +55,8 @@ class Links:
     t: float
     links: tuple[LinkState, ...]
     clashes: dict[str, str] = field(default_factory=dict)
-    """How it was noticed, in words, by name that two robots have. Empty in a well swarm.
-
-    See docs/explanation/two-robots-with-one-name.md.
-    """
+    """The signs that two robots have one name, in words, by that name. Empty in a well swarm. See
+    docs/explanation/two-robots-with-one-name.md."""
 
 
 @frozen
@@ -103,7 +101,7 @@ class Arm:
 
     t: float
     origin: str
-    """Who takes them back."""
+    """The robot that takes them back."""
 
 
 @frozen
@@ -124,7 +122,7 @@ class Watch:
 
     t: float
     seconds: float
-    """For how long, at most 60."""
+    """Seconds for which it holds, at most 60."""
 
 
 @frozen
@@ -137,7 +135,7 @@ class View:
     """Services that have changed: `gone`, or their state (`degraded: no anchors`), or `here` where they have not told
     it."""
     values: dict[str, bytes]
-    """By topic (`dwm/pose`) what has changed: the newest message of that key as msgpack, with a few of its fields."""
+    """The changes by topic (`dwm/pose`): the newest message of that key as msgpack, with a few of its fields."""
 
 
 @frozen
@@ -165,7 +163,7 @@ class MeshGraph:
 
     t: float
     robots: tuple[GraphRobot, ...]
-    """By name, 100 at most; `?after=NAME` asks for those behind NAME."""
+    """The robots by name, at most 100; `?after=NAME` asks for those behind NAME."""
     more: bool
     """Whether there are robots behind the last one."""
 
@@ -215,10 +213,10 @@ class Echo:
     peer: str
     sequence: int
     index: int
-    """Which of the request's pings, from 0."""
+    """The number of the request's ping, from 0."""
     size: int
     rtt: float | None
-    """From handing the ping to the link's queue until its answer was there, s; None where it could not be sent."""
+    """Seconds from handing the ping to the link's queue until its answer was there; None where it could not be sent."""
     reason: str
     """Why it could not be sent; empty otherwise."""
 
@@ -230,7 +228,7 @@ class HoldLink:
 
     peer: str
     seconds: float
-    """At most 600; 0 = the link may come back now. A mesh that starts holds none."""
+    """Seconds, at most 600; 0 = the link may come back now. A mesh that starts holds none."""
 
 
 @frozen
@@ -244,7 +242,7 @@ class TopologyRequest:
     edges: tuple[tuple[str, ...], ...]
     """Pairs of robots."""
     after: int | None
-    """Only if this version is in force; None = whatever is."""
+    """The version that must be in force for the change; None = any."""
 
 
 @frozen
@@ -254,7 +252,7 @@ class TopologySet:
     t: float
     ticket: str
     version: int
-    """In force on this robot."""
+    """The version in force on this robot."""
     problem: str
     """Why nothing was changed; empty otherwise."""
 
@@ -269,17 +267,17 @@ class Topology:
     step: int
     """Counts the changes of the automatic rule within a version."""
     issuer: str
-    """Where it was set; empty for the configuration's own."""
+    """The robot at which it was set; empty for the configuration's own."""
     auto: bool
     """Whether the automatic rule changes it."""
     since: float
-    """When this robot took it over."""
+    """The time at which this robot took it over."""
     edges: tuple[tuple[str, ...], ...]
     """All neighbours of the swarm, each pair once."""
     wanted: tuple[str, ...]
     """Neighbours of this robot in it."""
     up: tuple[str, ...]
-    """Those of them whose links are up, or whom other links lead to."""
+    """The neighbours whose links are up, or to which other links lead."""
     kept: tuple[str, ...]
     """Links that are up and not in it: they alone hold the swarm together, or are about to go."""
     missing: dict[str, str]

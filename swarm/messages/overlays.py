@@ -27,12 +27,12 @@ class Flooded:
     """End of a flood, on `swarm/<origin>/mesh/flooded` at its origin, and elsewhere where all are to know it."""
 
     t: float
-    """When this robot learned it."""
+    """The time at which this robot learned it."""
     ticket: str
-    """Of the request; empty elsewhere than at the origin."""
+    """The ticket of the request; empty elsewhere than at the origin."""
     app: str
     robots: tuple[str, ...]
-    """Whom it reached, besides the origin."""
+    """The robots that it reached, besides the origin."""
     complete: bool
     """Whether these are all that could be reached."""
     problem: str
@@ -53,7 +53,7 @@ class SendRequest:
     payload: bytes
     priority: str
     timeout: float
-    """s after which it is given up."""
+    """Seconds after which it is given up."""
 
 
 @frozen
@@ -100,16 +100,16 @@ class Passed:
     app: str
     """Empty for an answer on its way: it does not say to what."""
     sender: str
-    """Whose message it is, also where this is the answer."""
+    """The robot that has sent the message, also where this is the answer."""
     to: str
     number: int
     """Counts what the sender's mesh has sent to that robot since its start."""
     back: bool
     """Whether it is the answer."""
     next: str
-    """The neighbour."""
+    """The neighbour to which it went."""
     ticket: str
-    """At the sender; empty elsewhere."""
+    """The ticket at the sender; empty elsewhere."""
 
 
 TOPICS = with_telemetry(

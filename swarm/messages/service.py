@@ -27,7 +27,7 @@ class Status:
     since: float
     """Time of the last change of state."""
     counters: dict[str, int]
-    """What was dropped, refused or retried since the start, by name."""
+    """What was dropped, refused or retried since the start: counters by name."""
 
 
 @frozen

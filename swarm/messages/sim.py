@@ -29,7 +29,7 @@ class LedChange:
     """The LEDs of a simulated robot as its ATmega's registers have them, on `swarm/<robot>/sim/leds` on change."""
 
     t: float
-    """When the registers were written."""
+    """The time at which the registers were written."""
     red: bool
     yellow: bool
     green: bool

@@ -24,10 +24,10 @@ from swarm.onboard.buses.ask import AWAY, Views, opened
 from swarm.process.terminal import columns
 
 ROUND = 0.2
-"""s between two looks; the command is repeated where it is not confirmed by then."""
+"""Seconds between two looks; the command is repeated where it is not confirmed by then."""
 
 ANSWER = 2.0
-"""s that a mesh has for its answer; questions overlap."""
+"""Seconds that a mesh has for its answer; questions overlap."""
 
 MOVING = ("standing_up", "balancing", "testing")
 """Modes of a balancer whose motors are on."""

@@ -56,7 +56,7 @@ more than the rest together (`swarm.onboard.traffic`)."""
 
 _ANSWER_S = 2.0
 _END_S = 1.0
-"""s for which the end waits for the thread that writes."""
+"""Seconds for which the end waits for the thread that writes."""
 
 
 class Lookout:

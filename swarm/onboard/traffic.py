@@ -18,7 +18,7 @@ key."""
 MANY = 10.0
 """a second from each robot, above which nobody listens: the page does not show them either."""
 LISTEN_S = 0.5
-"""s after which one decides whether they are too many."""
+"""Seconds after which one decides whether they are too many."""
 REST_S = 5.0
 MAX_SENDERS = 4096
 

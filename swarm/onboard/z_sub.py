@@ -29,7 +29,7 @@ from swarm.process.paths import DEFAULT_RUNTIME, bus_endpoint, runtime_dir
 from swarm.process.simulations import default_run_dir, is_live, robots
 
 _ANSWER_S = 0.5
-"""s that an app has to say how its states lie in frames; without an answer they are shown in hexadecimal."""
+"""Seconds that an app has to say how its states lie in frames; without an answer they are shown in hexadecimal."""
 
 _MOST_APPS = 256
 """Apps whose answers are kept."""

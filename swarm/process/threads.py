@@ -19,11 +19,11 @@ from swarm.process.service import Service
 T = TypeVar("T")
 
 SELDOM = 0.5
-"""s between two calls of `every` while nobody hears what they publish."""
+"""Seconds between two calls of `every` while nobody hears what they publish."""
 _FEED = 1.0
-"""s between two feedings of systemd's watchdog."""
+"""Seconds between two feedings of systemd's watchdog."""
 _JOIN = 2.0
-"""s that the thread of the planned calls has to end."""
+"""Seconds that the thread of the planned calls has to end."""
 
 
 class ThreadedRuntime(LockedRuntime):

@@ -15,8 +15,8 @@ from swarm.process.locks import is_held, take_lock
 from swarm.recording.reader import SUFFIX
 
 RESTING_S = 120.0
-"""s without a change after which a run that no process holds is over: a service that is killed is started again
-sooner."""
+"""Seconds without a change after which a run that no process holds is over: a service that is killed is started
+again sooner."""
 
 _BLOCK = 512
 """Bytes of `st_blocks` (stat(2))."""

@@ -23,9 +23,9 @@ from swarm.recording.journal import Journal
 from swarm.recording.survey import survey
 
 FLUSH_S = 1.0
-"""s between two writes to the file."""
+"""Seconds between two writes to the file."""
 SYNC_S = 10.0
-"""s between two waits for the disk itself: what a robot loses at most when its battery falls out."""
+"""Seconds between two waits for the disk itself: what a robot loses at most when its battery falls out."""
 
 MIN_FREE = 64 * 1024 * 1024
 """Bytes that stay free on the disk: the robot needs them more than we do."""

@@ -17,7 +17,7 @@ from swarm.recording.trajectory import Builder, Trajectory, beside, is_state
 _NO_SCHEMA = McapSchema(0, "", "", b"{}")
 
 DISORDER_S = 5.0
-"""s by which a message may stand in a file behind later ones: what came over the bus is written once a second."""
+"""Seconds by which a message may stand in a file behind later ones: what came over the bus is written once a second."""
 
 
 class Run:

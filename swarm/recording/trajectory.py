@@ -37,7 +37,7 @@ class Trajectory:
     columns: tuple[str, ...] = ()
     """Names of the state and result columns: `name`, `vector[0]`..., results as `result.name`."""
     times: dict[int, float] = field(default_factory=dict)
-    """s of the robot's clock at which state k was there."""
+    """Seconds of the robot's clock at which state k was there."""
     rows: dict[int, tuple[str, ...]] = field(default_factory=dict)
     """State and result of iteration k, as text (repr of the floats, so that equal text means equal bits)."""
     breaks: tuple[int, ...] = ()

@@ -23,9 +23,9 @@ HELP = "publish a recorded run on a bus again, for z_sub and other viewers"
 NAME = "replay"
 """What its bus is called: all robots' keys are on it."""
 OPENING_S = 5.0
-"""s that the bus may take to open."""
+"""Seconds that the bus may take to open."""
 SETTLE_S = 0.3
-"""s before the first message and after the last one: watchers come and messages go meanwhile."""
+"""Seconds before the first message and after the last one: watchers come and messages go meanwhile."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -25,7 +25,7 @@ class ExaminedRobot:
     digest: str = ""
     """SHA-256 of our swarm.toml."""
     now: float = 0.0
-    """s since 1970, here, when it was asked."""
+    """Seconds since 1970, here, when it was asked."""
     disk: int | None = None
     """Bytes left where a simulated robot keeps its files."""
     addresses: Mapping[str, str] = field(default_factory=dict)

@@ -49,7 +49,7 @@ class DesiredRobot:
     address: str
     """How ssh reaches it."""
     now: float
-    """s since 1970."""
+    """Seconds since 1970."""
     uart: str | None = None
     """A port of the Pi's own UART that the DWM1001 is wired to; None = it hangs elsewhere."""
     bluetooth: bool = True

@@ -47,7 +47,7 @@ _PLATFORMS = ("manylinux_2_28", "manylinux_2_27", "manylinux2014", "manylinux_2_
 """Wheels' names for glibc 2.28 and older; Bookworm has 2.36."""
 _ZIP_TIME = (1980, 1, 1, 0, 0, 0)
 _TAR_TIME = 315532800
-"""s since 1970: the same moment, so that equal sources give equal bytes."""
+"""Seconds since 1970: the same moment, so that equal sources give equal bytes."""
 
 
 def build(folder: Path, machine: str, python: str, packages: Sequence[str] = (), *, lock: Path = _PARTS / LOCK) -> Path:

@@ -24,7 +24,7 @@ _CLIENT_FAILED = 255
 """Exit code of `ssh` itself, where no command has run or its end was not seen."""
 
 _END_S = 2.0
-"""s that the end of a command that was broken off may take."""
+"""Seconds that the end of a command that was broken off may take."""
 
 _CHUNK = 1 << 16
 _LONGEST = 16 << 20

@@ -18,7 +18,7 @@ from swarm.messages.keys import STOP, is_name, key
 
 REASON = "the page of swarm view"
 DRIVE_S = 0.4
-"""s that a robot drives without being asked again: a page that hangs, or is gone, leaves it standing."""
+"""Seconds that a robot drives without being asked again: a page that hangs, or is gone, leaves it standing."""
 MAX_SPEED = 0.3
 """m/s"""
 MAX_TURN = 3.0
@@ -26,7 +26,7 @@ MAX_TURN = 3.0
 MODES = ("stand", "rest", "lie")
 """What a page may have a balancer do."""
 ANSWER_S = 5.0
-"""s for which an app is asked to set a parameter: it may be about to start, and a bus may lose a request."""
+"""Seconds for which an app is asked to set a parameter: it may be about to start, and a bus may lose a request."""
 START_S = 60.0
 """The same for an app that was started for it: over ssh, and as slow as a robot is."""
 

@@ -38,10 +38,10 @@ COMPARE_S = 15.0
 """For which robots that are seen are waited for before a start, so that it can be said that all run the same."""
 
 SEEN_S = 20.0
-"""s after its start within which an app has told the robot's bus that it is there; a Zero 2 W takes 4 for it."""
+"""Seconds after its start within which an app has told the robot's bus that it is there; a Zero 2 W takes 4 for it."""
 
 CUT_S, MEND_S = 8.0, 15.0
-"""s after which a link that is not as it should be is named; a robot calls another one each 6 s at the latest."""
+"""Seconds after which a link that is not as it should be is named; a robot calls another one each 6 s at the latest."""
 
 APPS = "view/apps"
 """What this side says of a real robot: the apps that were started on it, running or not."""

@@ -19,7 +19,7 @@ from swarm.process.paths import bus_endpoint
 from swarm.process.simulations import CONFIG, is_live, robots
 
 _LOOK_EVERY = 0.5
-"""s between two looks for buses that have come."""
+"""Seconds between two looks for buses that have come."""
 
 
 class Publisher(Protocol):

@@ -11,7 +11,7 @@ HISTORY_S = 120.0
 """How far back it goes, s."""
 
 HISTORY_STEP_S = 0.2
-"""s between two entries of a key at least."""
+"""Seconds between two entries of a key at least."""
 
 MAX_KEY = 1 << 20
 """Bytes of one key. A message of empty maps takes seventy times its size when it is decoded."""

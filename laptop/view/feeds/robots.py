@@ -23,7 +23,7 @@ SEEK_EVERY_S = 2.0
 """The same while some robots are not seen."""
 
 SILENT_S = 4.0
-"""s without a word after which a robot with an ssh connection counts as silent: it says something each second."""
+"""Seconds without a word after which a robot with an ssh connection counts as silent: it says something each second."""
 
 VIEW_SILENT_S = 5.0
 SHARE_S = 0.8
@@ -39,7 +39,7 @@ _log = logging.getLogger("view")
 _LOST = {"gone": "the mesh has lost it", "left": "its mesh was stopped"}
 _LOOK_EVERY_S = 0.25
 _FIRST_S = 20.0
-"""s that the first connection may take; ssh gives up a robot that does not answer after 10."""
+"""Seconds that the first connection may take; ssh gives up a robot that does not answer after 10."""
 
 
 class Robots(RealTime):

@@ -21,7 +21,7 @@ from swarm.onboard.lookout import MAX_COMMAND
 
 PROGRAM = "sudo -n /opt/swarm/current/bin/python -P -m swarm.onboard.lookout"
 RETRY_S = (1.0, 2.0, 5.0)
-"""s until the first, second and all later tries again."""
+"""Seconds until the first, second and all later tries again."""
 
 _CLIENT_FAILED = 255
 _OLD_RELEASE = "No module named swarm.onboard.lookout"

@@ -30,14 +30,14 @@ CROWD = 50
 """Robots from which on the messages between them are not counted: nobody could see them."""
 
 TICK_S = 0.02
-"""s of virtual time between two looks at the real one."""
+"""Seconds of virtual time between two looks at the real one."""
 TELL_S, TELL_CROWD_S = 0.04, 0.1
-"""s of real time between two handovers to the picture."""
+"""Seconds of real time between two handovers to the picture."""
 BEHIND_S = 0.25
-"""s of real time: more is not caught up, the run is as slow as it is."""
+"""Seconds of real time: more is not caught up, the run is as slow as it is."""
 MEASURE_S = 1.0
 LAST_S = 0.2
-"""s of virtual time until everybody has told how the run has ended."""
+"""Seconds of virtual time until everybody has told how the run has ended."""
 
 
 class VirtualFeed:

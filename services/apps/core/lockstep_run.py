@@ -27,7 +27,7 @@ from swarm.frozen import frozen
 from swarm.messages import Measurement
 
 ALONE = 0.03
-"""s of an iteration of a robot without neighbours, who has nobody to wait for."""
+"""Seconds of an iteration of a robot without neighbours, who has nobody to wait for."""
 
 _STAMP = struct.Struct("<dd")  # before the private fields in a snapshot: when its state was computed, and the first one
 
@@ -72,11 +72,11 @@ class LockstepRun:
         self.phase = "starting"
         """starting, running, done or fault."""
         self.reason = ""
-        """Of a fault."""
+        """The reason of a fault."""
         self.waiting: tuple[str, ...] = ()
         """Robots whose value has been missing for a while."""
         self.computed_at = 0.0
-        """When the newest state was computed."""
+        """The time at which the newest state was computed."""
         self.lost = False
         """Whether this robot has been in the run and its state is gone, as after a reboot."""
         of = terms.run, terms.schema
@@ -90,13 +90,13 @@ class LockstepRun:
         self._stopping: Stopping | None = None
         self._lockstep: Lockstep | None = None
         self.channel = self._channel_of(self.epochs.epoch)
-        """What the frames travel under."""
+        """The channel under which the frames travel."""
         self._graph = graph if self.epochs.number == begin.number else self.epochs.epoch.graph
         self._history: deque[RunState] = deque()
         self._began_at = 0.0
         self._progress_at = 0.0
         self._heard: dict[str, float] = {}
-        """When neighbours were heard last, where those that are not heard are given up."""
+        """The times at which neighbours were heard last, where those that are not heard are given up."""
         self._first_save = True
 
     @property

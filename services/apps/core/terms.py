@@ -50,7 +50,7 @@ class Terms:
     drop: bool = False
     """Whether robots that stay away are given up, and taken in again when they come back."""
     after: float = AFTER
-    """s after which they are."""
+    """Seconds after which they are."""
 
     @property
     def notes(self) -> str:

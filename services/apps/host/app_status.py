@@ -10,10 +10,10 @@ from swarm.messages.keys import key
 from swarm.process.runtime import Runtime
 
 LOOK_EVERY = 0.1
-"""s between two looks whether there is something new: it goes to people and programs that watch. At 25 Hz this took a
-fifth of an app's CPU time."""
+"""Seconds between two looks whether there is something new: it goes to people and programs that watch. At 25 Hz this
+took a fifth of an app's CPU time."""
 REPEAT = 1.0
-"""s between two messages of progress and state when nothing changes."""
+"""Seconds between two messages of progress and state when nothing changes."""
 
 
 class AppStatus:

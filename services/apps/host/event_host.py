@@ -34,7 +34,7 @@ from swarm.messages.keys import key
 from swarm.process.runtime import Runtime, listen
 
 REMIND = 0.5
-"""s between two looks for requests that have no answer yet."""
+"""Seconds between two looks for requests that have no answer yet."""
 
 
 class EventHost:

@@ -25,7 +25,7 @@ from swarm.messages.keys import key
 from swarm.process.runtime import Runtime
 
 CLOSE_WITHIN = 2.0
-"""s that a running step has when the process is to end."""
+"""Seconds that a running step has when the process is to end."""
 
 _NEVER = float("inf")
 

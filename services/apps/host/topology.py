@@ -32,13 +32,14 @@ CONFIGURED = 0
 """The epoch of the configuration's links."""
 
 ASK_EVERY = 0.2
-"""s between two questions to the mesh."""
+"""Seconds between two questions to the mesh."""
 
 TELL_EVERY = 1.0
-"""s between two messages that there is no answer that could be used."""
+"""Seconds between two messages that there is no answer that could be used."""
 
 SETTLED = 5.0
-"""s for which an automatic topology must have stayed the same: hosts that start together then have the same one."""
+"""Seconds for which an automatic topology must have stayed the same: hosts that start together then have the same
+one."""
 
 _log = logging.getLogger("topology")
 

@@ -22,7 +22,7 @@ Calibrate = Callable[[str, float], float]
 Say = Callable[[str], None]
 
 SECONDS = 5.0
-"""s of ranging at each place: some 50 ranges, whose median errs by a centimetre."""
+"""Seconds of ranging at each place: some 50 ranges, whose median errs by a centimetre."""
 
 LEAST = 5
 """Ranges to one anchor that make a median."""

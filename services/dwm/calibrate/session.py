@@ -32,7 +32,7 @@ KEYS = {
 HELP = "space or button A: start, stop   n or B: next place   r or C: place anew   q: end"
 
 SILENT = 5.0
-"""s without a report after which that is said."""
+"""Seconds without a report after which that is said."""
 
 _POLL = 0.1
 

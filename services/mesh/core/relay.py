@@ -78,7 +78,7 @@ class Leg:
     priority: int
     latest: bool
     interval: float
-    """s between two values; 0 = as published."""
+    """Seconds between two values; 0 = as published."""
     peers: tuple[str, ...]
     """Neighbours; the receiver with unicast; nobody with flood."""
     overlay: int = NEIGHBOURS

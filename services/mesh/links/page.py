@@ -17,7 +17,7 @@ from swarm.bluetooth.adapter import Adapter
 from swarm.errors import LocalError
 
 LOOK = 0.05
-"""s between two looks whether a page was answered."""
+"""Seconds between two looks whether a page was answered."""
 
 
 class Paging:

@@ -18,7 +18,7 @@ FLOOR = 0.012
 PACKET = 339
 """Bytes of a DH5 packet, the largest of Bluetooth's basic rate. At 78 kB/s they take 4.3 ms; six slots are 3.75 ms."""
 AGAIN = 6 * 625e-6
-"""s until a lost packet is there: its five slots, and the one in which the receiver says that it lacks it."""
+"""Seconds until a lost packet is there: its five slots, and the one in which the receiver says that it lacks it."""
 MAX_LOSS = 0.9
 
 
@@ -34,7 +34,7 @@ class AirModel:
     """bytes/s in each direction; None = without limit."""
     seed: int = 0
     dial: float = 0.0
-    """s until a connection is there, or found impossible: finding the other one takes a radio its time."""
+    """Seconds until a connection is there, or found impossible: finding the other one takes a radio its time."""
     loss: float = 0.0
     """Probability that a radio packet is lost, and has to be sent again."""
 

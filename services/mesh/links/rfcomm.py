@@ -20,8 +20,8 @@ from swarm.errors import LocalError
 from swarm.frozen import frozen
 
 DIAL_TIMEOUT = 10.0
-"""s from the page on. The kernel gives up an absent robot after 5.2 s with EHOSTDOWN, which says more than a time-out;
-encryption with nobody to answer for the pairing (no bluetoothd) hangs for ever."""
+"""Seconds from the page on. The kernel gives up an absent robot after 5.2 s with EHOSTDOWN, which says more than a
+time-out; encryption with nobody to answer for the pairing (no bluetoothd) hangs for ever."""
 
 SOL_BLUETOOTH = 274
 BT_SECURITY = 4

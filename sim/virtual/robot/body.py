@@ -19,10 +19,10 @@ POINT, DIFFERENTIAL = "point", "differential"
 MODELS = (DIFFERENTIAL, POINT)
 
 PERIOD = 0.01
-"""s between two steps of a motion, the balancer's tick."""
+"""Seconds between two steps of a motion, the balancer's tick."""
 
 STAND_UP, LIE_DOWN = 0.85, 0.41
-"""s from the command until it balances or lies; measured with physics (0.84 to 1.06, and 0.41)."""
+"""Seconds from the command until it balances or lies; measured with physics (0.84 to 1.06, and 0.41)."""
 RISE_WAY = 0.36
 """m that getting up takes: backward from the front, forward from the back (0.33 to 0.41)."""
 FALL_WAY = 0.15
@@ -30,7 +30,7 @@ FALL_WAY = 0.15
 TOPPLES = 0.45
 """N s of a push that it bears no more, with physics 0.40 to 0.50 (tests/services/balancer/test_body_physics.py)."""
 RECOVERS_S = 0.3
-"""s in which a robot rolls back what it bore: what pushes it meanwhile adds up, with weights that fall as
+"""Seconds in which a robot rolls back what it bore: what pushes it meanwhile adds up, with weights that fall as
 exp(-t / RECOVERS_S). So two that drive into each other fall from 0.15 m/s each on; with physics they bear 0.1 and
 fall at 0.3."""
 TOPPLE_WAY = 0.5

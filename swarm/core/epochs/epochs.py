@@ -37,18 +37,18 @@ from swarm.errors import PayloadError
 from swarm.messages.codec import MAX_COUNT
 
 COLLECT = 1.0
-"""s for which a ballot waits for answers of members who may be slow, and ..."""
+"""Seconds for which a ballot waits for answers of members who may be slow, and ..."""
 QUIET = 0.4
 """... s since the last one: after a partition many come at once, and all of them shall be in."""
 TELL_EVERY = 1.0
-"""s between two notes of a robot that wants something."""
+"""Seconds between two notes of a robot that wants something."""
 TELL_AGAIN = 0.2
-"""s between two notes to robots that seem not to know."""
+"""Seconds between two notes to robots that seem not to know."""
 MAX_FOUND = 1 << 62
 """A robot goes on counting its starts from a greater count that others have heard of, up to this: above it there is
 room for the starts to come."""
 STAGGER = 0.3
-"""s by which each member waits longer than the one before it to make a ballot: mostly one of them does."""
+"""Seconds by which each member waits longer than the one before it to make a ballot: mostly one of them does."""
 
 
 class Epochs:
@@ -253,7 +253,7 @@ class Epochs:
         """Have something else to say. What is asked with each frame is worked out here."""
         self._mine = self._roster.mine = mine = replace(self._mine, **changes)  # type: ignore[arg-type]
         self.number = mine.epoch.number
-        """Of the newest epoch known."""
+        """The number of the newest epoch known."""
         self.member = self.me in mine.epoch.members
         """Whether this robot is in it."""
         self.frozen = mine.promised != NONE or not self.member

@@ -12,7 +12,7 @@ from swarm.frozen import frozen
 from swarm.messages.codec import MAX_COUNT, MAX_PAYLOAD, Between, decode, encode
 
 MAX_NEIGHBOURS = 255
-"""Of one robot in an epoch: a snapshot of the lockstep counts them in one byte."""
+"""Most neighbours of a robot in an epoch: a snapshot of the lockstep counts them in one byte."""
 
 MAX_EPOCH = (MAX_PAYLOAD - 6 * 1024) // 3
 """Bytes of a packed epoch that others have told: a note may hold three of them, and 255 names besides."""
@@ -32,7 +32,7 @@ class Ballot:
 
     round: Count
     robot: str
-    """Who attempts it."""
+    """The robot that makes the ballot."""
 
 
 NONE = Ballot(0, "")
@@ -46,16 +46,16 @@ class Epoch:
     number: Number
     """u32 over all that follows: what tells its frames apart on the air."""
     counter: Count
-    """How many epochs went before it."""
+    """The number of epochs before it."""
     proposer: str
     before: Number
     """Number of the epoch that it follows."""
     k: Iteration
     """The iteration at which it begins."""
     members: tuple[str, ...]
-    """Sorted."""
+    """The names of the members, sorted."""
     carried: tuple[str, ...]
-    """Those of them who go on from x(k) of the epoch before; the others come with a value of their own."""
+    """The members that go on from x(k) of the epoch before; the others come with a value of their own."""
     edges: tuple[tuple[str, ...], ...]
     """Links among the members."""
     away: tuple[str, ...]
@@ -132,9 +132,9 @@ class EpochNote:
     version: Count
     """Goes up with every note of a process."""
     epoch: Epoch
-    """That the robot is in, or has heard of as the newest."""
+    """The epoch in which the robot is, or the newest that it has heard of."""
     k: Annotated[int, Between(-1, MAX_ITERATION)]
-    """Its iteration, where it has stopped for a ballot; -1: it has no state in this epoch."""
+    """The robot's iteration, where it has stopped for a ballot; -1: it has no state in this epoch."""
     well: bool
     """False: its app is in fault, or it was told to leave."""
     deaf: tuple[str, ...]

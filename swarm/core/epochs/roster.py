@@ -13,9 +13,9 @@ class Roster:
         self.me = me
         self.mine = mine
         self.notes: dict[str, EpochNote] = {}
-        """Of the others."""
+        """The notes of the other robots."""
         self.heard: dict[str, float] = {}
-        """When each came."""
+        """The times at which the notes came."""
 
     def take(self, note: EpochNote, now: float) -> None:
         """Keep a newer note of another robot."""

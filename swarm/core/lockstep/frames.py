@@ -120,7 +120,8 @@ class HeardNeighbour:
     reached: int = -1
     """Highest iteration it is known to be at."""
     slots: list[bytes | None] = field(default_factory=lambda: [None, None, None])
-    """Its values, that of iteration k in place k % 3: k and k+1 to be used, k-1 (used already) to be compared."""
+    """The neighbour's values, that of iteration k in place k % 3: k and k+1 to be used, k-1 (used already) to be
+    compared."""
 
 
 _SNAPSHOT = struct.Struct("<4sQIIIIBI")

@@ -13,9 +13,9 @@ class SilentLinks:
 
     def __init__(self) -> None:
         self._asked: tuple[str, ...] = ()
-        """Who was asked, and has said nothing over its link since."""
+        """The peers that were asked, and have said nothing over their link since."""
         self.due = _NEVER
-        """When `silent` is to be called."""
+        """The time at which `silent` is to be called."""
         self.around: tuple[str, ...] = ()
         """Neighbours to be talked to around their links."""
 

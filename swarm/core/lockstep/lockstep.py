@@ -33,9 +33,10 @@ from swarm.core.lockstep.questions import QuestionTimes
 from swarm.errors import FrameError, LocalError
 
 NAME_AFTER = 2.5
-"""Who is waited for is named after so many seconds without progress; 3 s are promised, the bus takes some."""
+"""Seconds without progress after which the robots that are waited for are named; 3 s are promised, the bus takes
+some."""
 LINGER = 10.0
-"""At its last iteration a robot stays at most so long for neighbours that may lack its values, in seconds."""
+"""Seconds that a robot that has finished stays for neighbours that may lack its values."""
 LINGER_PATIENCES = 5.0
 """... or so many times as long as it waits until it asks, where that is more."""
 RTT = 0.06

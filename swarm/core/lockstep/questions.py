@@ -21,14 +21,14 @@ class QuestionTimes:
 
     def __init__(self) -> None:
         self.due = 0.0
-        """When to ask."""
+        """The time of the next question."""
         self.interval = 0.0
-        """s from now, or from the last question, to the next one."""
+        """Seconds from now, or from the last question, to the next one."""
         self._asked_at = float("-inf")
         self._recent: list[float] = []
-        """s that the last iterations took."""
+        """Seconds that the last iterations took."""
         self._late_after = 0.0
-        """s after which one has taken too long; 0 while nothing is known."""
+        """Seconds after which one has taken too long; 0 while nothing is known."""
 
     def took(self, since: float, now: float, rtt: float) -> None:
         """Learn from an iteration that is over. What came a round trip after it was asked for may have been lost, and

@@ -31,7 +31,7 @@ SIZES = (50, 200, 500, 750, 1000)
 ALL = "all"
 
 SAY_EVERY_S = 5.0
-"""s between two words of how far a measurement is."""
+"""Seconds between two words of how far a measurement is."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

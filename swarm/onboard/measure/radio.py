@@ -22,7 +22,7 @@ from swarm.process.simulations import CONFIG, is_live
 HELP = "measure the signal strength of a Bluetooth link"
 
 PERIOD = 0.1
-"""s between two readings."""
+"""Seconds between two readings."""
 
 
 class Signal:

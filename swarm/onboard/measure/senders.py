@@ -16,7 +16,7 @@ from swarm.messages.keys import key
 from swarm.onboard.measure.figures import Figures, of_bursts, of_times
 
 PATIENCE = 5.0
-"""s to wait for an answer, beyond what the payload takes at `SLOWEST`."""
+"""Seconds to wait for an answer, beyond what the payload takes at `SLOWEST`."""
 
 SLOWEST = 5000.0
 """bytes/s."""

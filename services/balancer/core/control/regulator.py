@@ -25,7 +25,7 @@ class Deviation(NamedTuple):
     tilt_rate: float
     """rad/s."""
     dt: float
-    """s since the last tick."""
+    """Seconds since the last tick."""
 
 
 class Demand(NamedTuple):

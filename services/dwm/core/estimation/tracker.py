@@ -18,10 +18,10 @@ from services.dwm.core.estimation.multilateration import NoFix, multilaterate
 from swarm.frozen import frozen
 
 LATENCY = 0.060
-"""s from a measurement until its report is read: half a period, computing in the module, transfer."""
+"""Seconds from a measurement until its report is read: half a period, computing in the module, transfer."""
 
 SILENCE = 0.5
-"""s without odometry until there counts as none."""
+"""Seconds without odometry until there counts as none."""
 
 START_REPORTS = 5
 """The first place is made of the medians of so many reports: one range in twenty is a detour by decimetres, and with

@@ -5,7 +5,7 @@ from services.dwm.core.module.tlv import ERRORS, AnchorRange, Location, Position
 from swarm.messages import Uwb, UwbRange
 
 PATIENCE = 3.0
-"""s without any word: the balancer tells the ATmega's view at least once a second."""
+"""Seconds without any word: the balancer tells the ATmega's view at least once a second."""
 
 _TROUBLES = {
     "silent": "the module does not answer the ATmega: is it wired (its TX to pin 0), powered and in generic mode?",

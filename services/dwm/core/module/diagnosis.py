@@ -196,7 +196,7 @@ class DiagnosisWatch:
     """Holds a running service's reports against swarm.toml, every few seconds; tells what is new."""
 
     PERIOD = 5.0
-    """s of reports that are looked at together."""
+    """Seconds of reports that are looked at together."""
 
     def __init__(self, anchors: Sequence[Anchor], known: Mapping[str, str], now: float) -> None:
         self._anchors = anchors

@@ -10,13 +10,13 @@ from swarm.frozen import frozen
 T_co = TypeVar("T_co", covariant=True)
 
 TIMEOUT = 0.100
-"""s to wait for an answer (API guide: one request at a time; the module answers within 100 ms)."""
+"""Seconds to wait for an answer (API guide: one request at a time; the module answers within 100 ms)."""
 
 SLOW_TIMEOUT = 0.500
-"""s for calls that write the module's flash."""
+"""Seconds for calls that write the module's flash."""
 
 RESTART = 1.5
-"""s that a module is away after `reset` at most; about one in the field."""
+"""Seconds that a module is away after `reset` at most; about one in the field."""
 
 _HEARD = 512
 """Bytes kept to find out what speaks there."""

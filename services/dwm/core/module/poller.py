@@ -33,7 +33,7 @@ class ModuleReport:
 
     location: Location
     age: float = 0.0
-    """s since it was given; above zero where somebody else has asked for it."""
+    """Seconds since it was given; above zero where somebody else has asked for it."""
 
 
 @frozen

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from services.dwm.core.module.tlv import AnchorRange, Location
 
 FORGET = 3.0
-"""s after which a module that gives no range is not listed any more: it says nothing of where the robot is now."""
+"""Seconds after which a module that gives no range is not listed any more: it says nothing of where the robot is
+now."""
 
 STALE = 0.5
-"""s after which a range is marked as stale, where the module is asked 10 times a second."""
+"""Seconds after which a range is marked as stale, where the module is asked 10 times a second."""
 
 STUCK = 5
 """Answers with the very same range of one module, while others change, after which it is a repeat. With noise of 3 cm
@@ -39,7 +40,7 @@ class TrackedModule:
     fresh: bool = True
     """Whether the newest answer brought a new sample."""
     gap: float = 0.0
-    """s between it and the one before."""
+    """Seconds between it and the one before."""
     same: int = 0
 
 

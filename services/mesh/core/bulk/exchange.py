@@ -12,13 +12,13 @@ from services.mesh.core.bulk import pieces
 from services.mesh.core.bulk.pieces import GONE, PIECE, SIZE, WANT, Fetch, MessageId, Pace, Packet
 
 PATIENCE = 30.0
-"""s without a new piece after which a message is given up."""
+"""Seconds without a new piece after which a message is given up."""
 
 TRIED = 2
 """Timeouts in a row after which another robot is asked, where one may have the message."""
 
 LOOK_AGAIN = 2.0
-"""s until neighbours are tried where nobody is left to be asked."""
+"""Seconds until neighbours are tried where nobody is left to be asked."""
 
 MAX_WAITING = 4 * pieces.MAX_WANTED
 """Pieces that are remembered to be handed on to one robot when they come."""

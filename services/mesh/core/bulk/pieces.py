@@ -201,7 +201,7 @@ LOSS = 0.7
 """Factor of the window after pieces were lost, once a round trip."""
 
 FIRST_PATIENCE = 1.0
-"""s until pieces are asked for again, before a round trip was measured;"""
+"""Seconds until pieces are asked for again, before a round trip was measured;"""
 
 LEAST_PATIENCE = 0.3
 MOST_PATIENCE = 4.0

@@ -31,10 +31,10 @@ WINDOW = 64
 
 FIRST_WAIT = 0.3
 LONGEST_WAIT = 2.0
-"""s until an offer is repeated, doubling; and while its receiver has no room, or fetches."""
+"""Seconds until an offer is repeated, doubling; and while its receiver has no room, or fetches."""
 
 SILENCE = 20.0
-"""s without a word of the receiver after which a message is given up."""
+"""Seconds without a word of the receiver after which a message is given up."""
 
 MAX_COMING_BYTES = 4 * 1024 * 1024
 """Bytes, as announced, of the messages of all senders that are on their way here;"""
@@ -42,7 +42,7 @@ MAX_COMING_EACH = 2 * 1024 * 1024
 """and of one sender."""
 
 STALLED = 3.0
-"""s without a new piece after which a message makes room for another one."""
+"""Seconds without a new piece after which a message makes room for another one."""
 
 COUNTERS = ("unicast_large_later",)
 

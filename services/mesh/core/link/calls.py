@@ -29,11 +29,11 @@ from swarm.config.types import RobotConfig
 from swarm.frozen import frozen
 
 FIRST_DELAY = 0.2
-"""s until the second attempt."""
+"""Seconds until the second attempt."""
 
 LONGEST_DELAY = 5.0
-"""s between attempts at most, where calls keep no radio busy: a robot that returns is met again within this time, and
-there is no last attempt."""
+"""Seconds between attempts at most, where calls keep no radio busy: a robot that returns is met again within this
+time, and there is no last attempt."""
 
 EAGER = 3
 """Calls of a robot in vain after which calls keep to `SHARE`."""
@@ -46,16 +46,16 @@ OTHERS_SHARE = 0.02
 """The same of all others together."""
 
 KNOCK = 12.0
-"""s between two looks of a robot whether it has any link; up to twice that, so that robots do not look together. A
-lost hub has a successor by then, whose radio a knock of 5 s would take."""
+"""Seconds between two looks of a robot whether it has any link; up to twice that, so that robots do not look
+together. A lost hub has a successor by then, whose radio a knock of 5 s would take."""
 
 JITTER = 0.5
 """Each delay is spread by this fraction up and down, so that robots that lost each other together do not
 retry together."""
 
 GOOD_AFTER = 1.0
-"""s that a link must have been up for the back-off to start from the beginning again. Without it two
-processes of one name, which replace each other's connection, would do so several times a second."""
+"""Seconds that a link must have been up for the back-off to start from the beginning again. Without it two processes
+of one name, which replace each other's connection, would do so several times a second."""
 
 
 def dials(me: RobotConfig, peer: RobotConfig) -> bool:
@@ -134,7 +134,7 @@ MAX_PER_SOURCE = 8
 """Handshakes of one address at the same time."""
 
 FIRST_SHUT_OUT = 0.2
-"""s that an address is shut out after a refused handshake; doubles with each further one."""
+"""Seconds that an address is shut out after a refused handshake; doubles with each further one."""
 
 LONGEST_SHUT_OUT = 5.0
 """s; as long as our own robots wait at most until they call again."""
@@ -206,13 +206,13 @@ class Callers:
 
 
 FIRST_PAUSE = 0.5
-"""s within which a new target is called for the first time."""
+"""Seconds within which a new target is called for the first time."""
 
 PAUSE = 1.0
-"""s after the first call that failed; doubles with each further one."""
+"""Seconds after the first call that failed; doubles with each further one."""
 
 LONGEST_FAR, LONGEST_NEAR = 30.0, 300.0
-"""s between two calls at most. Who is in the swarm lacks nothing if we do not hear it."""
+"""Seconds between two calls at most. Who is in the swarm lacks nothing if we do not hear it."""
 
 _NEVER = float("inf")
 
@@ -321,7 +321,7 @@ class Local:
     robots: frozenset[str]
     """All robots of the swarm."""
     heartbeat: float = 0.5
-    """s between heartbeats, on a busy link too: they carry the clock."""
+    """Seconds between heartbeats, on a busy link too: they carry the clock."""
     suspect: float = 1.5
     dead: float = 3.0
     handshake: float = 8.0

@@ -23,7 +23,7 @@ from swarm.errors import FrameError
 from swarm.messages.keys import is_name
 
 WINDOW = 120.0
-"""s of samples a link's estimate rests on."""
+"""Seconds of samples a link's estimate rests on."""
 
 BEST = 0.5
 """Share of the samples that is used: those with the smallest round trip waited least in queues. Where the delay only
@@ -35,7 +35,7 @@ _REFIT = 4
 _ENOUGH = 20
 
 SKEW_AFTER = 10.0
-"""s that samples must span before a slope is fitted; over less it would be noise."""
+"""Seconds that samples must span before a slope is fitted; over less it would be noise."""
 
 UNKNOWN_SKEW = 30e-6
 """s/s by which two quartz clocks differ (standard deviation), as long as that was not measured."""
@@ -47,26 +47,27 @@ MAX_SLEW = 500e-6
 """Largest change of rate by which an offset is corrected; a second of mesh time is never off by more."""
 
 STEP = 0.2
-"""s of error above which the clock steps, which happens when it first hears of others, and when swarms merge."""
+"""Seconds of error above which the clock steps, which happens when it first hears of others, and when swarms merge."""
 
 STEPS_FOR = 10.0
-"""s after such a step in which it steps again rather than slews: it rested on the first sample of each link, whose
-jitter of some ms a hop would take half a minute to slew away."""
+"""Seconds after such a step in which it steps again rather than slews: it rested on the first sample of each link,
+whose jitter of some ms a hop would take half a minute to slew away."""
 
 SETTLE = 2.0
-"""s in which an error decays by e, as far as `MAX_SLEW` allows: with 60 ppm between clocks the lag is 0.12 ms a hop."""
+"""Seconds in which an error decays by e, as far as `MAX_SLEW` allows: with 60 ppm between clocks the lag is 0.12 ms
+a hop."""
 
 EPOCH_PERIOD = 0.4
-"""s between two epochs of the root, at least; a little less than the heartbeat's, which carries them."""
+"""Seconds between two epochs of the root, at least; a little less than the heartbeat's, which carries them."""
 
 FRESH = 2.5
-"""s for which a neighbour counts as connected to the root after it told a new epoch."""
+"""Seconds for which a neighbour counts as connected to the root after it told a new epoch."""
 
 ROOT_LOST = 5.0
-"""s without a new epoch after which a root is given up, and the smallest name left takes over."""
+"""Seconds without a new epoch after which a root is given up, and the smallest name left takes over."""
 
 LISTEN = 10.0
-"""s after its start in which a robot follows any root that is older than that, rather than be root itself: the
+"""Seconds after its start in which a robot follows any root that is older than that, rather than be root itself: the
 swarm's time survives a restart of the smallest name."""
 
 MAX_HOPS = 255

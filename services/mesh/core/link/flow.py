@@ -39,7 +39,7 @@ MAX_INCOMPLETE_BYTES = 3 * 1024 * 1024 // 2
 """Announced bytes of the incomplete messages of one peer."""
 
 INCOMPLETE_TIMEOUT = 30.0
-"""s without a fragment after which an incomplete message is dropped."""
+"""Seconds without a fragment after which an incomplete message is dropped."""
 
 _LAST = 0x8000
 _HEAD = struct.Struct("<HH")
@@ -157,7 +157,7 @@ MAX_WINDOW = 32 * 1024
 SYNC_EXTRA = 8 * 1024
 
 BUSY_FOR = 1.0
-"""s after a sync message for which the link counts as busy."""
+"""Seconds after a sync message for which the link counts as busy."""
 
 LARGER, SMALLER = 1.25, 0.8
 """What is tried."""
@@ -169,14 +169,14 @@ COLLAPSE = 0.6
 """Share of the rate below which the link has become slower; the window follows at once."""
 
 SLACK = 0.1
-"""s by which a round trip may exceed twice the smallest one; above, bytes wait whatever the rate says, as on a link
-much slower than expected. Jitter stays far below it."""
+"""Seconds by which a round trip may exceed twice the smallest one; above, bytes wait whatever the rate says, as on a
+link much slower than expected. Jitter stays far below it."""
 
 RELIEF = 0.7
 """Factor of the window then, once a round trip."""
 
 PERIOD = 0.1
-"""s over which a rate is measured at least;"""
+"""Seconds over which a rate is measured at least;"""
 
 ROUND_TRIPS = 8
 """and in round trips."""

@@ -150,7 +150,7 @@ MAX_COUNT = 256
 """Pings of one request."""
 
 FORGET = 30.0
-"""s after which an answer is no longer waited for."""
+"""Seconds after which an answer is no longer waited for."""
 
 _HEAD = struct.Struct("<QHB")
 _SHORT = 1

@@ -68,7 +68,7 @@ class Pulse:
         self.rtts: deque[float] = deque(maxlen=RTT_SAMPLES)
         """Round-trip times of the last heartbeats, s."""
         self.expected = 0.0
-        """s within which an answer is expected."""
+        """Seconds within which an answer is expected."""
         self._round_trips = RoundTrips()
         self.sent_rate = 0.0
         """bytes/s over the last heartbeats."""

@@ -114,7 +114,7 @@ class Session:
         self._heartbeat_at = now
         self._heartbeat_due = False
         self.supervised = 0.0
-        """s of silence after which the transport was told to give the connection up; 0 before it was."""
+        """Seconds of silence after which the transport was told to give the connection up; 0 before it was."""
         self.deadline = now + self._patience
         """When `handle_timer` wants to be called; it may turn out to be early, never late."""
 

@@ -24,7 +24,7 @@ MAX_WAVES = 256
 """Confirmed floods a robot remembers its part in; past that the oldest is forgotten, and its origin tries again."""
 
 LIFE = 30.0
-"""s after which a wave is forgotten, whatever became of it."""
+"""Seconds after which a wave is forgotten, whatever became of it."""
 
 RECENT = 5.0
 """s: an echo that left so recently may have died with the link it went over (silence is noticed after 3 s)."""

@@ -49,7 +49,7 @@ class Attempt:
     priority: int
     patience: float
     settle: float
-    """s that echoes may still come after all edges have spoken."""
+    """Seconds that echoes may still come after all edges have spoken."""
     all_know: bool
     """Whether all are to learn that all have it, not this robot alone by an echo."""
     first: int = 0

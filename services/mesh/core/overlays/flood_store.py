@@ -197,10 +197,11 @@ def _checksum(key: str, sequence: int) -> int:
 
 
 COMPARE_PERIOD = 30.0
-"""s between two comparisons of what two neighbours keep, each spread by a fifth. Repairs what full queues dropped."""
+"""Seconds between two comparisons of what two neighbours keep, each spread by a fifth. Repairs what full queues
+dropped."""
 
 ANSWER_PERIOD = 2.0
-"""s between two whole digests to one neighbour, the one at link-up aside."""
+"""Seconds between two whole digests to one neighbour, the one at link-up aside."""
 
 REPAIR_PERIOD = 0.1
 REPAIR_BYTES = 4096

@@ -30,7 +30,7 @@ MAX_BYTES = 8 * 1024 * 1024
 """Bytes of all messages that are held, or on their way here, as announced."""
 
 HOLD = 30.0
-"""s for which a message is held after the last one asked for a piece of it."""
+"""Seconds for which a message is held after the last one asked for a piece of it."""
 
 SLOWEST = 10_000.0
 """bytes/s at which a large flood must get on for its echo to be waited for."""

@@ -32,7 +32,7 @@ from swarm.messages.keys import key as key_of
 
 LEAST_PATIENCE = {CONTROL: 1.0}
 LEAST_PATIENCE_ELSE = 3.0
-"""s that one try of a confirmed flood may take at least; less urgent classes may have to wait in queues."""
+"""Seconds that one try of a confirmed flood may take at least; less urgent classes may have to wait in queues."""
 
 MAX_TICKETS = 1024
 """Requests whose answers are remembered, so that a repeated request is answered again, not done again."""

@@ -31,7 +31,7 @@ from swarm.messages.keys import key as key_of
 from swarm.messages.keys import parse
 
 MEMBERS_PERIOD = 10.0
-"""s between two publications of `mesh/members` when nothing changes."""
+"""Seconds between two publications of `mesh/members` when nothing changes."""
 
 COUNTERS = (*carried.COUNTERS, *flood.COUNTERS, *flood_store.COUNTERS, *large_messages.COUNTERS, *unicast.COUNTERS,
             *transfers.COUNTERS, *exchange.COUNTERS, "bad_packets", "topology_foreign")  # fmt: skip

@@ -96,10 +96,10 @@ def decode_halt(data: bytes) -> Halt:
 
 
 REPEAT_PERIOD = 10.0
-"""s between two messages to each neighbour once there was a stop."""
+"""Seconds between two messages to each neighbour once there was a stop."""
 
 SPACING = 0.1
-"""s between two stops of this robot: who publishes `swarm/stop` in a loop must not fill the links."""
+"""Seconds between two stops of this robot: who publishes `swarm/stop` in a loop must not fill the links."""
 
 _NEVER = float("inf")
 _NONE = Mark(0, 0)
@@ -216,12 +216,12 @@ def _above(mark: Mark) -> Mark:
 
 
 STOP_PERIOD = 1.0
-"""s between two repetitions of `swarm/stop` on the own bus while the swarm is stopped: a service that starts, or a
-message that was lost, must not make an exception."""
+"""Seconds between two repetitions of `swarm/stop` on the own bus while the swarm is stopped: a service that starts,
+or a message that was lost, must not make an exception."""
 
 CONFIRM_AFTER = 0.05
-"""s from a change of the register until `mesh/stopped` is flooded: stops that are given on many robots at once make one
-flood of each robot."""
+"""Seconds from a change of the register until `mesh/stopped` is flooded: stops that are given on many robots at once
+make one flood of each robot."""
 
 MAX_NAMED = 16
 """Robots that `mesh/stopped` names: with their reasons it stays far below what a flood carries."""

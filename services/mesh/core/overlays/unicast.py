@@ -38,7 +38,7 @@ FIRST_WAIT = 0.1
 """s on top of twice the path's round trip until a message is sent again."""
 LONGEST_WAIT = 4.0
 LEAST_PATIENCE = 4.5
-"""s that a message is tried at least: longer than silence takes to be noticed."""
+"""Seconds that a message is tried at least: longer than silence takes to be noticed."""
 
 WINDOW = 256
 """Numbers a receiver can tell apart below the highest it has seen of one sender."""

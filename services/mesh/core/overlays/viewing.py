@@ -21,7 +21,7 @@ LONGEST_S = 60.0
 """Of one request."""
 
 REPEAT_S = 2.0
-"""s between two requests that are flooded at least: two viewers cost no more than one."""
+"""Seconds between two requests that are flooded at least: two viewers cost no more than one."""
 
 PERIOD_S = 1.0
 BUDGET = 1000.0

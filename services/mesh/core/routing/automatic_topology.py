@@ -30,7 +30,8 @@ DOUBLED = MAX_LINKS - 1
 """Links a robot has at most for the sake of a second way: the last one is for who comes."""
 
 FORGET = 60.0
-"""s after which the automatic rule takes a link between two robots that do not hear each other out of the topology."""
+"""Seconds after which the automatic rule takes a link between two robots that do not hear each other out of the
+topology."""
 
 Pair = tuple[int, int]
 

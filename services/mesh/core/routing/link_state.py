@@ -26,19 +26,19 @@ HOPS, TIME = "hops", "time"
 """Metrics: every edge 1, or the measured one-way time."""
 
 HOLD_DOWN = 0.2
-"""s that good news wait for more, so that a robot with seven links says it once."""
+"""Seconds that good news wait for more, so that a robot with seven links says it once."""
 
 RATE, BURST = 1.0, 5
 """LSAs a second, and how many at once after a quiet time: links that break must be told without delay."""
 
 REFRESH = 60.0
-"""s between two LSAs when nothing changes, spread by a tenth."""
+"""Seconds between two LSAs when nothing changes, spread by a tenth."""
 
 MAX_AGE = 3 * REFRESH
-"""s without a new LSA after which a robot's links are forgotten."""
+"""Seconds without a new LSA after which a robot's links are forgotten."""
 
 TRUSTED = 2.0
-"""s for which a new link of ours counts although the other end has not reported it yet."""
+"""Seconds for which a new link of ours counts although the other end has not reported it yet."""
 
 UNKNOWN_TIME = 300
 """Taken for the one-way time of a link that was not measured yet: 30 ms."""
@@ -48,7 +48,7 @@ STEP = 1.2
 
 _MAX_LEVEL = int(math.log(65535, STEP))
 _ROUNDING = 1e-6
-"""s by which sums of times may be wrong; without it a deadline could come round for ever."""
+"""Seconds by which sums of times may be wrong; without it a deadline could come round for ever."""
 
 _NEVER = float("inf")
 

@@ -20,7 +20,7 @@ from swarm.messages import GraphRobot, Member, MemberChange, MeshGraph, Stopped
 from swarm.messages.codec import decode
 
 SETTLE = 0.2
-"""s from a change of the graph until it is looked at: the news of one accident come from several robots."""
+"""Seconds from a change of the graph until it is looked at: the news of one accident come from several robots."""
 
 KEPT_CHANGES = 32
 """Changes that `mesh/members` shows."""

@@ -69,16 +69,17 @@ def _hub(place: int) -> int:
 
 
 PAUSE = 1.5
-"""s for each earlier robot until a lost one is called by a robot that is not its hub."""
+"""Seconds for each earlier robot until a lost one is called by a robot that is not its hub."""
 
 BRIDGE = 10.0
-"""s besides, while an earlier one is in reach: that one is about to call. Then it does not hear the lost one."""
+"""Seconds besides, while an earlier one is in reach: that one is about to call. Then it does not hear the lost one."""
 
 UNSEEN = 20.0
-"""s besides, for one that was never there: hubs call one robot after the other, and robots are switched on so."""
+"""Seconds besides, for one that was never there: hubs call one robot after the other, and robots are switched on so."""
 
 FLEETING = 5.0
-"""s in reach after which a robot is no longer lost: the map of who has just lost a hub holds old news for a while."""
+"""Seconds in reach after which a robot is no longer lost: the map of who has just lost a hub holds old news for a
+while."""
 
 
 class Succession:

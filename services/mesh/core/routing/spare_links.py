@@ -6,7 +6,7 @@ from services.mesh.core.routing.topology import Ground
 from swarm.core.graph import Edge
 
 GRACE = 1.0
-"""s for which the other way must have been there: what is being flooded has passed, routes have been told."""
+"""Seconds for which the other way must have been there: what is being flooded has passed, routes have been told."""
 
 
 class SpareLinks:

@@ -48,22 +48,24 @@ from swarm.errors import LocalError
 from swarm.messages.keys import key as key_of
 
 PATIENCE = 30.0
-"""s after which a robot in reach with another value is not waited for any more."""
+"""Seconds after which a robot in reach with another value is not waited for any more."""
 
 MAKE = 10.0
-"""s after which new links are not waited for: a radio that is full has no room for them before old ones are gone."""
+"""Seconds after which new links are not waited for: a radio that is full has no room for them before old ones are
+gone."""
 
 LOOK = 0.05
-"""s from a change of the map until it is looked at: news come in packs."""
+"""Seconds from a change of the map until it is looked at: news come in packs."""
 
 REPEAT_PERIOD = 10.0
-"""s between two messages to neighbours that still have another value, for queues may drop anything."""
+"""Seconds between two messages to neighbours that still have another value, for queues may drop anything."""
 
 DOUBT = 10.0
-"""s that a link of the topology must have been down, and called in vain, until its other end counts as out of reach."""
+"""Seconds that a link of the topology must have been down, and called in vain, until its other end counts as out of
+reach."""
 
 SETTLE = 1.0
-"""s of news that the automatic rule waits for, and between two changes of it."""
+"""Seconds of news that the automatic rule waits for, and between two changes of it."""
 
 _NEVER = float("inf")
 

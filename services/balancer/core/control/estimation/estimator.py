@@ -31,7 +31,7 @@ class BodyEstimate(NamedTuple):
 
     t: float
     dt: float
-    """s since the last tick, 0 where the clock did not advance."""
+    """Seconds since the last tick, 0 where the clock did not advance."""
     tilt: float
     """rad from upright, -pi..pi, positive = forward."""
     tilt_rate: float
