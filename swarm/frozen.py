@@ -1,8 +1,9 @@
 """Frozen dataclasses with slots that cost little when a process starts.
 
-The standard library writes six methods for each such class and compiles each of them alone. For the 118 classes of an
-app's process that was 85 ms of the 190 ms of CPU it took to start; so it is 15 ms. Here only `__init__` is written, the
-others are closures over the fields' names. To `dataclasses.fields`, `replace` and `asdict` it is a dataclass.
+The standard library writes six methods for each such class and compiles each of them alone. The imports of an app's
+process then take 172 ms of CPU time, where they take 142 ms with this module (x86-64, CPython 3.11). Here only
+`__init__` is written; the others are closures over the fields' names. To `dataclasses.fields`, `replace` and `asdict`
+it is a dataclass.
 """
 
 from dataclasses import MISSING, Field, FrozenInstanceError, dataclass, field, fields

@@ -165,11 +165,19 @@ def _table(runs: Sequence[Recorded], beside: Sequence[Radio]) -> list[str]:
     ]  # fmt: skip
     for each, model in zip(runs, beside, strict=True):
         radio = each.radio
-        rows.append((
-            each.path.name, str(each.robots), str(each.links), str(each.piconets), *_ms(radio.pace, model.pace),
-            *_ms(radio.rtt_median, model.rtt_median), *_ms(radio.rtt_p99, model.rtt_p99),
-            str(radio.lost), ", ".join(radio.wrong) or "none",
-        ))  # fmt: skip
+        rows.append(
+            (
+                each.path.name,
+                str(each.robots),
+                str(each.links),
+                str(each.piconets),
+                *_ms(radio.pace, model.pace),
+                *_ms(radio.rtt_median, model.rtt_median),
+                *_ms(radio.rtt_p99, model.rtt_p99),
+                str(radio.lost),
+                ", ".join(radio.wrong) or "none",
+            )
+        )
     return columns(rows)
 
 

@@ -89,10 +89,17 @@ def name_points(
         _, middle, (dx, dy, reach) = best
         taken += [(middle[0] + part * width / 3, middle[1]) for part in (-1, 0, 1)]
         axes.annotate(
-            name, place, textcoords="offset points", xytext=(dx * reach, dy * reach), color=shade, fontsize=8.5,
-            ha=("center", "left", "right")[dx], va=("center", "bottom", "top")[dy], zorder=7,
+            name,
+            place,
+            textcoords="offset points",
+            xytext=(dx * reach, dy * reach),
+            color=shade,
+            fontsize=8.5,
+            ha=("center", "left", "right")[dx],
+            va=("center", "bottom", "top")[dy],
+            zorder=7,
             bbox={"facecolor": "white", "alpha": 0.7, "edgecolor": "none", "pad": 0.5},  # stroked, it is no text in SVG
-        )  # fmt: skip
+        )
 
 
 def _room(middle: tuple[float, float], width: float, height: float, point: tuple[float, float]) -> float:

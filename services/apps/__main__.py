@@ -112,9 +112,14 @@ def _options() -> argparse.Namespace:
         help="number of the run, the same on all robots (SWARM_RUN; default: by app and config)",
     )
     parser.add_argument(
-        "--set", dest="settings", action="append", type=_setting, default=[], metavar="[ROBOT.]NAME=VALUE",
+        "--set",
+        dest="settings",
+        action="append",
+        type=_setting,
+        default=[],
+        metavar="[ROBOT.]NAME=VALUE",
         help="a parameter, above swarm.toml; the same ones on all robots",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--escaped", dest="settings", action="append", type=_escaped, help="the same, written with %%XX (swarm run)"
     )

@@ -140,12 +140,16 @@ class ModuleLine:
         records = [data[_HEAD + _RECORD * n :][:_RECORD] for n in range(min(count, balboa.UWB_RANGES))]
         ranges = b"".join(each[: balboa.UWB_RANGE_SIZE] for each in records)
         places = b"".join(each[balboa.UWB_RANGE_SIZE :] for each in records)
-        self._report = b"".join((
-            bytes(4), bytes((count,)), data[_PLACE],
-            ranges.ljust(balboa.UWB_RANGE_SIZE * balboa.UWB_RANGES, b"\0"),
-            places.ljust(balboa.UWB_PLACE_SIZE * balboa.UWB_RANGES, b"\0"),
-            struct.pack("<H", self._sequence),
-        ))  # fmt: skip
+        self._report = b"".join(
+            (
+                bytes(4),
+                bytes((count,)),
+                data[_PLACE],
+                ranges.ljust(balboa.UWB_RANGE_SIZE * balboa.UWB_RANGES, b"\0"),
+                places.ljust(balboa.UWB_PLACE_SIZE * balboa.UWB_RANGES, b"\0"),
+                struct.pack("<H", self._sequence),
+            )
+        )
 
     def _wait_for_answer(self, now: float) -> None:
         if self._answer and now - self._last_byte >= SILENCE:

@@ -38,8 +38,13 @@ def main() -> int:
     parser.add_argument("app", metavar="APP", help=f"a file with an app, or {', '.join(BUILT_IN)}")
     parser.add_argument("--robots", type=int, default=6, metavar="N", help="robots in the rehearsal (6)")
     parser.add_argument("--iterations", type=int, default=300, metavar="K", help="iterations on each graph (300)")
-    parser.add_argument("--set", action="append", default=[], metavar="[ROBOT.]NAME=VALUE",
-                        help="a parameter or first value, for all robots or for one")  # fmt: skip
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="[ROBOT.]NAME=VALUE",
+        help="a parameter or first value, for all robots or for one",
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object")
     options = parser.parse_args()
     if options.robots < 1 or options.iterations < 4:

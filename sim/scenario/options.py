@@ -133,17 +133,30 @@ def parser(kind: type[argparse.ArgumentParser] = argparse.ArgumentParser) -> arg
     swarm.add_argument(
         "--topology", metavar="NAME|FILE", help="line, loop, full, thesis-d, random:SEED, auto, or a matrix file"
     )
-    swarm.add_argument("--links", choices=LINKS, help="which links carry the topology: its own (graph), those of one "
-                       "hub (star) or of several (tree), or what suits the radio (auto)")  # fmt: skip
+    swarm.add_argument(
+        "--links",
+        choices=LINKS,
+        help="which links carry the topology: its own (graph), those of one "
+        "hub (star) or of several (tree), or what suits the radio (auto)",
+    )
     swarm.add_argument("--config", type=Path, metavar="FILE", help="take the swarm from this swarm.toml instead")
-    swarm.add_argument("--like", type=Path, metavar="REPORT",
-                       help="use the I2C clock, latency, trim, battery and noise that swarm commission has "
-                       "measured")  # fmt: skip
+    swarm.add_argument(
+        "--like",
+        type=Path,
+        metavar="REPORT",
+        help="use the I2C clock, latency, trim, battery and noise that swarm commission has measured",
+    )
     app = p.add_argument_group("the app")
     app.add_argument("--algorithm", metavar="NAME", help="algorithm of the app")
-    app.add_argument("--set", dest="settings", action="append", type=setting, default=[],
-                     metavar="[APP/][ROBOT.]NAME=VALUE",
-                     help="a parameter of the first app or of the one named, for all robots or for one")  # fmt: skip
+    app.add_argument(
+        "--set",
+        dest="settings",
+        action="append",
+        type=setting,
+        default=[],
+        metavar="[APP/][ROBOT.]NAME=VALUE",
+        help="a parameter of the first app or of the one named, for all robots or for one",
+    )
     app.add_argument("--step-size", type=positive, metavar="G", help="gradient step in the thesis' unit, 1/cm^2")
     app.add_argument(
         "--replay", type=Path, metavar="DIR", help="feed the measurements recorded in DIR (k.csv for robot k)"
@@ -154,8 +167,12 @@ def parser(kind: type[argparse.ArgumentParser] = argparse.ArgumentParser) -> arg
         metavar="MODEL",
         help="measurements of a simulation study: none, bias (5 %%), thesis (5 %% and 2 %% every 5 iterations)",
     )
-    app.add_argument("--target-velocity", type=velocity, metavar="VX,VY",
-                     help="velocity of the target, m/s, from the first iteration of all robots on")  # fmt: skip
+    app.add_argument(
+        "--target-velocity",
+        type=velocity,
+        metavar="VX,VY",
+        help="velocity of the target, m/s, from the first iteration of all robots on",
+    )
     radio = p.add_argument_group("the radio")
     radio.add_argument(
         "--latency", type=duration, metavar="30ms", help="latency in one direction (30ms, or as in --like)"
@@ -167,26 +184,68 @@ def parser(kind: type[argparse.ArgumentParser] = argparse.ArgumentParser) -> arg
     radio.add_argument(
         "--loss", type=loss, default=0.0, metavar="0.05", help="share of radio packets that are lost and sent again (0)"
     )
-    radio.add_argument("--radio", dest="slots", type=slots, metavar="slots[:NAME=X,...]",
-                       help="under virtual time: a Bluetooth radio with piconets, bridges and pages in place of one "
-                       "delay for all links; slots:stay=0.2 changes a parameter")  # fmt: skip
-    radio.add_argument("--cut", dest="cuts", action="append", type=cut, default=[], metavar="r0-r1@12s,3s",
-                       help="cut a link 12 s after the first iteration for 3 s")  # fmt: skip
-    radio.add_argument("--off", dest="offs", action="append", type=off, default=[], metavar="r2@5s,10s",
-                       help="switch a robot off 5 s after the first iteration for 10 s; @start: it comes late; "
-                       "any@2s..8s,10s: the seed draws robot and time, also for the other faults")  # fmt: skip
-    radio.add_argument("--kill", dest="kills", action="append", type=kill, default=[], metavar="r2.app@5s",
-                       help=f"end a service, which then restarts: {', '.join(SERVICES)} (under virtual "
-                       "time: app, mesh)")  # fmt: skip
+    radio.add_argument(
+        "--radio",
+        dest="slots",
+        type=slots,
+        metavar="slots[:NAME=X,...]",
+        help="under virtual time: a Bluetooth radio with piconets, bridges and pages in place of one "
+        "delay for all links; slots:stay=0.2 changes a parameter",
+    )
+    radio.add_argument(
+        "--cut",
+        dest="cuts",
+        action="append",
+        type=cut,
+        default=[],
+        metavar="r0-r1@12s,3s",
+        help="cut a link 12 s after the first iteration for 3 s",
+    )
+    radio.add_argument(
+        "--off",
+        dest="offs",
+        action="append",
+        type=off,
+        default=[],
+        metavar="r2@5s,10s",
+        help="switch a robot off 5 s after the first iteration for 10 s; @start: it comes late; "
+        "any@2s..8s,10s: the seed draws robot and time, also for the other faults",
+    )
+    radio.add_argument(
+        "--kill",
+        dest="kills",
+        action="append",
+        type=kill,
+        default=[],
+        metavar="r2.app@5s",
+        help=f"end a service, which then restarts: {', '.join(SERVICES)} (under virtual time: app, mesh)",
+    )
     bodies = p.add_argument_group("the bodies")
-    bodies.add_argument("--clock-skew", type=skew, metavar="20ppm",
-                        help="under virtual time: each robot's clock has its own zero, and a rate error of "
-                        "up to this (0, all have one clock; with led_sync 20ppm)")  # fmt: skip
-    bodies.add_argument("--press", dest="presses", action="append", type=press, default=[], metavar="r4.A@5s",
-                        help="press a button 5 s after the first iteration")  # fmt: skip
-    bodies.add_argument("--push", dest="pushes", action="append", type=push, default=[], metavar="r1@5s,0.2",
-                        help="push a robot from behind 5 s after the first iteration, in N s (0.1; 0.5 topples "
-                        "it)")  # fmt: skip
+    bodies.add_argument(
+        "--clock-skew",
+        type=skew,
+        metavar="20ppm",
+        help="under virtual time: each robot's clock has its own zero, and a rate error of "
+        "up to this (0, all have one clock; with led_sync 20ppm)",
+    )
+    bodies.add_argument(
+        "--press",
+        dest="presses",
+        action="append",
+        type=press,
+        default=[],
+        metavar="r4.A@5s",
+        help="press a button 5 s after the first iteration",
+    )
+    bodies.add_argument(
+        "--push",
+        dest="pushes",
+        action="append",
+        type=push,
+        default=[],
+        metavar="r1@5s,0.2",
+        help="push a robot from behind 5 s after the first iteration, in N s (0.1; 0.5 topples it)",
+    )
     bodies.add_argument(
         "--lying", choices=("front", "back"), help="robots lie on this side at the start and wait for a command"
     )
@@ -207,18 +266,32 @@ def parser(kind: type[argparse.ArgumentParser] = argparse.ArgumentParser) -> arg
     run.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the run")
     run.add_argument("--record", type=Path, metavar="DIR", help="write the recording of the run to this folder")
     run.add_argument("--run-dir", type=Path, metavar="DIR", help="directory for sockets and logs during the run")
-    p.add_argument("--virtual", action="store_true",
-                   help="use one process and a virtual clock: reproducible, and as fast as possible")  # fmt: skip
-    p.add_argument("--body", choices=MODELS, default=MODELS[0],
-                   help="motion under virtual time: with ramps and errors, or exactly as commanded")  # fmt: skip
-    p.add_argument("--mesh", choices=MESHES,
-                   help="model of the mesh under virtual time: the whole mesh from its start, the settled mesh "
-                   "(above 50 robots), or delays only")  # fmt: skip
+    p.add_argument(
+        "--virtual",
+        action="store_true",
+        help="use one process and a virtual clock: reproducible, and as fast as possible",
+    )
+    p.add_argument(
+        "--body",
+        choices=MODELS,
+        default=MODELS[0],
+        help="motion under virtual time: with ramps and errors, or exactly as commanded",
+    )
+    p.add_argument(
+        "--mesh",
+        choices=MESHES,
+        help="model of the mesh under virtual time: the whole mesh from its start, the settled mesh "
+        "(above 50 robots), or delays only",
+    )
     p.add_argument(
         "--view", action="store_true", help="under virtual time: show the run in the browser, as swarm view does"
     )
-    p.add_argument("--speed", type=speed, metavar="X|max",
-                   help="with --view: X s of the robots' time a second (1), or as fast as it computes")  # fmt: skip
+    p.add_argument(
+        "--speed",
+        type=speed,
+        metavar="X|max",
+        help="with --view: X s of the robots' time a second (1), or as fast as it computes",
+    )
     p.add_argument("--no-open", action="store_true", help="with --view: only print the page's address")
     p.add_argument("--demo", action="store_true", help=argparse.SUPPRESS)
     return p

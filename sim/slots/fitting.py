@@ -41,11 +41,13 @@ def fitted(curves: Sequence[Curve]) -> FittedValue:
     values = sorted(curves[0].model)
     first, last = math.log(values[0]), math.log(values[-1])
     tried = [math.exp(first + (last - first) * step / STEPS) for step in range(STEPS + 1)]
-    squares = [statistics.fmean((_pace(curve, value) - math.log(curve.recorded)) ** 2 for curve in curves)
-               for value in tried]  # fmt: skip
+    squares = [
+        statistics.fmean((_pace(curve, value) - math.log(curve.recorded)) ** 2 for curve in curves) for value in tried
+    ]
     best = min(squares)
-    spread = statistics.fmean(statistics.pvariance(map(math.log, paces)) for curve in curves
-                              for paces in curve.model.values())  # fmt: skip
+    spread = statistics.fmean(
+        statistics.pvariance(map(math.log, paces)) for curve in curves for paces in curve.model.values()
+    )
     good = [value for value, square in zip(tried, squares, strict=True) if square <= best + spread + MODEL**2]
     return FittedValue(tried[squares.index(best)], good[0], good[-1], math.exp(math.sqrt(best)))
 

@@ -62,15 +62,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="R",
         help=f"end when they have been converged for R iterations ({ROUNDS})",
     )
-    end.add_argument("--tolerance", type=_positive, default=TOLERANCE, metavar="X",
-                     help="an app without a rule of its own has converged if its state changes by at most X "
-                     f"in a step ({TOLERANCE:g})")  # fmt: skip
+    end.add_argument(
+        "--tolerance",
+        type=_positive,
+        default=TOLERANCE,
+        metavar="X",
+        help="an app without a rule of its own has converged if its state changes by at most X "
+        f"in a step ({TOLERANCE:g})",
+    )
     end.add_argument(
         "--for", dest="run_for", type=_seconds, metavar="S", help="end S seconds after the first robot's start"
     )
     away = parser.add_argument_group("missing robots")
-    away.add_argument("--absent", choices=(WAIT, DROP), default=WAIT, help="wait for them (default), or go on without "
-                      "them if a majority is there, and admit them again when they return")  # fmt: skip
+    away.add_argument(
+        "--absent",
+        choices=(WAIT, DROP),
+        default=WAIT,
+        help="wait for them (default), or go on without "
+        "them if a majority is there, and admit them again when they return",
+    )
     away.add_argument(
         "--drop-after",
         type=_seconds,

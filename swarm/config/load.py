@@ -134,8 +134,11 @@ def _robots(top: Table) -> tuple[RobotConfig, ...]:
     for table in tables:
         robot = _robot(table)
         for key, value in (
-            ("name", robot.name), ("bluetooth", robot.bluetooth), ("link", robot.link), ("uwb", robot.uwb)
-        ):  # fmt: skip
+            ("name", robot.name),
+            ("bluetooth", robot.bluetooth),
+            ("link", robot.link),
+            ("uwb", robot.uwb),
+        ):
             # The prefix keeps the kinds apart: a robot may be called as another's socket.
             if value is not None and taken.setdefault(f"{key} {value}", robot.name) is not robot.name:
                 raise table.error(key, f"{shown(value)} is already that of robot {taken[f'{key} {value}']}")

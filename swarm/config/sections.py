@@ -119,9 +119,22 @@ def dwm(top: Table, robots: Sequence[str]) -> Dwm:
     """Read the table [dwm]."""
     table = top.table(
         "dwm",
-        ("source", "target", "rate", "filter", "filters", "window", "position_window", "latency", "height", "lever",
-         "calibration", "distance", "position"),
-    )  # fmt: skip
+        (
+            "source",
+            "target",
+            "rate",
+            "filter",
+            "filters",
+            "window",
+            "position_window",
+            "latency",
+            "height",
+            "lever",
+            "calibration",
+            "distance",
+            "position",
+        ),
+    )
     normal = Dwm()
     expected = "serial:PATH, balancer, bus:KEY or replay:DIR, {robot} in it standing for the robot's name"
     source = table.text("source", normal.source, expected=expected)

@@ -29,8 +29,12 @@ FOLLOW_S = 0.3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("services", nargs="*", metavar="SERVICE|RUN",
-                        help="services or apps (default: all); or a run's folder or recording")  # fmt: skip
+    parser.add_argument(
+        "services",
+        nargs="*",
+        metavar="SERVICE|RUN",
+        help="services or apps (default: all); or a run's folder or recording",
+    )
     parser.add_argument("-f", "--follow", action="store_true", help="also show new lines, until Ctrl-C")
     parser.add_argument("-n", "--lines", type=whole(0), default=20, help="number of lines of each robot (20)")
     robot_command.add_simulation(parser)

@@ -30,9 +30,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--csv", type=Path, metavar="DIR", help="write the thesis' layouts: <k>.csv for each robot, without a header"
     )
     parser.add_argument("--table", type=Path, metavar="DIR", help="write tables with a header: k, t, states, results")
-    parser.add_argument("--topic", action="append", default=[], metavar="TOPIC",
-                        help="a table of this in place of the states: dwm/pose, balancer/state (tilt, battery), "
-                        "mesh/links, sim/leds, sim/truth, ...; may be repeated")  # fmt: skip
+    parser.add_argument(
+        "--topic",
+        action="append",
+        default=[],
+        metavar="TOPIC",
+        help="a table of this in place of the states: dwm/pose, balancer/state (tilt, battery), "
+        "mesh/links, sim/leds, sim/truth, ...; may be repeated",
+    )
     parser.add_argument("--format", choices=tables.FORMATS, default="csv", help="file format of the tables (csv)")
     parser.add_argument("--mcap", type=Path, metavar="FILE", help="write all robots into one file, on one time axis")
     parser.add_argument(

@@ -150,8 +150,9 @@ def _make(
     if "position" in parts:
         part, placed = making.position_part(data, made)
         file = file.with_parts(part)
-        print(making.fit_text("places", placed.name, placed.left_out, placed.nested, len(data.spots),
-                              len(data.samples)))  # fmt: skip
+        print(
+            making.fit_text("places", placed.name, placed.left_out, placed.nested, len(data.spots), len(data.samples))
+        )
     configured = calibration_path(config, robot)
     path = options.output or configured or config.path.parent / "calibration" / f"{robot}.toml"
     making.save(file, path, robot, config.anchors)
@@ -229,8 +230,9 @@ def _config(options: argparse.Namespace) -> Config:
 
 def options_of(argv: list[str]) -> argparse.Namespace:
     """The arguments of one command; ends the process where they are wrong."""
-    parser = argparse.ArgumentParser(prog="swarm calibrate", description=__doc__, epilog=EPILOG,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)  # fmt: skip
+    parser = argparse.ArgumentParser(
+        prog="swarm calibrate", description=__doc__, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     def command(name: str, run: object, text: str) -> argparse.ArgumentParser:

@@ -171,8 +171,10 @@ def _is_number(value: object) -> bool:
 def fit_text(what: str, name: str, left_out: Mapping[str, float], nested: float, places: int, count: int) -> str:
     """The table of the models that competed."""
     lines = [f"{what}: {count} samples at {places} places; rms error at places left out of the fit:"]
-    lines += [f"  {model:<18}{100 * error:6.2f} cm{'  <- taken' if model == name else ''}"
-              for model, error in left_out.items()]  # fmt: skip
+    lines += [
+        f"  {model:<18}{100 * error:6.2f} cm{'  <- taken' if model == name else ''}"
+        for model, error in left_out.items()
+    ]
     lines.append(f"  the choice made anew without each place: {100 * nested:.2f} cm")
     return "\n".join(lines)
 

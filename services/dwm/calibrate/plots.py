@@ -74,8 +74,9 @@ def _map(axes: Any, data: CalibrationData, model: Affine) -> None:
         axes.plot(spot.x, spot.y, "2", color=_FILTERED, markersize=11)
         error = place_error(model, spot, spot.mean)
         gain = error / max(1e-6, hypot(spot.mean[0] - spot.x, spot.mean[1] - spot.y))
-        axes.annotate(f"{100 * error:.1f} ({gain:.0%})", (spot.x, spot.y), textcoords="offset points", xytext=(5, 5),
-                      fontsize=7)  # fmt: skip
+        axes.annotate(
+            f"{100 * error:.1f} ({gain:.0%})", (spot.x, spot.y), textcoords="offset points", xytext=(5, 5), fontsize=7
+        )
     axes.set_aspect("equal")
     axes.set_xlabel("x (m)")
     axes.set_ylabel("y (m); numbers: error in cm (part of the uncalibrated)")
@@ -91,8 +92,9 @@ def _place_distribution(axes: Any, data: CalibrationData, model: Affine) -> None
 def _cumulative(axes: Any, errors: dict[str, list[float]], label: str) -> None:
     for (name, values), colour in zip(errors.items(), (_TRUTH, _MODEL), strict=True):
         ordered = sorted(values)
-        axes.plot([100 * v for v in ordered], [(i + 1) / len(ordered) for i in range(len(ordered))], color=colour,
-                  label=name)  # fmt: skip
+        axes.plot(
+            [100 * v for v in ordered], [(i + 1) / len(ordered) for i in range(len(ordered))], color=colour, label=name
+        )
     axes.axhline(0.9, color="0.6", linestyle="--", linewidth=1)
     axes.set_xlabel(label)
     axes.set_ylabel("share of samples")

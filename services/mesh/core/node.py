@@ -65,10 +65,16 @@ class MeshNode:
         counters.update(dict.fromkeys(COUNTERS, 0))
         self.actions = Actions()
         self.connections = Connections(
-            local, overlays, self.actions,
-            admit=self._admit, serve=self._serve_overlays, set_peers=self._set_linked, random=random, nonce=nonce,
+            local,
+            overlays,
+            self.actions,
+            admit=self._admit,
+            serve=self._serve_overlays,
+            set_peers=self._set_linked,
+            random=random,
+            nonce=nonce,
             counters=counters,
-        )  # fmt: skip
+        )
         self._deadline = 0.0
         """When something is due, as of the last time that it may have become earlier."""
         self._serve_overlays()

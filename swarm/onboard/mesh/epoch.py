@@ -48,8 +48,10 @@ def run(args: argparse.Namespace) -> int:
     with opened(buses.find(args)) as found:
         answers = Answers(found, AppEpoch, f"app/{args.app}", "epoch")
         if not answers.wait(PATIENCE, lambda: bool(answers.newest)):
-            raise LocalError(f"no robot tells who is in {args.app}: {', '.join(found)} ({PATIENCE:g} s); "
-                             "does the app run? (swarm status)")  # fmt: skip
+            raise LocalError(
+                f"no robot tells who is in {args.app}: {', '.join(found)} ({PATIENCE:g} s); "
+                "does the app run? (swarm status)"
+            )
         problem = ""
         if args.verb == "show":
             answers.wait(PATIENCE, lambda: len(answers.newest) == len(found))

@@ -79,8 +79,9 @@ def collect(directories: Mapping[str, Path]) -> CollectedMesh:
                     break
                 graphs.changed.wait(max(0.0, end - clock.now()))
     if not any(view.links for view in views.values()) and not graphs.robots:
-        raise LocalError(f"no mesh reports its links: {', '.join(directories)} ({PATIENCE:g} s); "
-                         "does it run? (swarm status)")  # fmt: skip
+        raise LocalError(
+            f"no mesh reports its links: {', '.join(directories)} ({PATIENCE:g} s); does it run? (swarm status)"
+        )
     return CollectedMesh(views, graphs.best())
 
 

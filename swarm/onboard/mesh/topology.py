@@ -56,8 +56,9 @@ def run(args: argparse.Namespace) -> int:
             version = _set(found, *wish, args.after)
             answers.wait(args.timeout, lambda: is_done(answers, version))
     if not answers.newest:
-        raise LocalError(f"no mesh tells its topology: {', '.join(found)} ({PATIENCE:g} s); "
-                         "does it run? (swarm status)")  # fmt: skip
+        raise LocalError(
+            f"no mesh tells its topology: {', '.join(found)} ({PATIENCE:g} s); does it run? (swarm status)"
+        )
     done = is_done(answers)
     told = {name: None if answer is None else asdict(answer) for name, answer in robots(answers).items()}
     show(args, {"done": done, "robots": told}, table(answers))

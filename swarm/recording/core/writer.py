@@ -70,9 +70,7 @@ class ExistingContent:
 
     def summary(self) -> tuple[tuple[int, bytes], ...]:
         """Opcode and records of each group of a summary but the chunk indexes."""
-        counted = mcap.statistics(
-            self.counts, len(self.schemas), self.chunks, self.metadatas, self.start, self.end
-        )  # fmt: skip
+        counted = mcap.statistics(self.counts, len(self.schemas), self.chunks, self.metadatas, self.start, self.end)
         return (
             (mcap.SCHEMA, b"".join(map(mcap.schema, self.schemas.values()))),
             (mcap.CHANNEL, b"".join(map(mcap.channel, self.channels.values()))),

@@ -212,9 +212,20 @@ class UwbReader:
             age = min(65.535, self._last.age + now - self._last.t) if self._last.sequence else 0.0
             last = self._last
             self.news = Uwb(
-                now, _name(progress.uwb_state), progress.uwb_error, self._bad, last.sequence, last.lost, age,
-                last.x, last.y, last.z, last.quality, last.count, last.ranges,
-            )  # fmt: skip
+                now,
+                _name(progress.uwb_state),
+                progress.uwb_error,
+                self._bad,
+                last.sequence,
+                last.lost,
+                age,
+                last.x,
+                last.y,
+                last.z,
+                last.quality,
+                last.count,
+                last.ranges,
+            )
 
     def _whole(self, block: bytes) -> None:
         sequence = check(block)

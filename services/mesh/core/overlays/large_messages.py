@@ -254,7 +254,7 @@ class Large:
         self._floods = floods
         self._exchange = BulkExchange(
             me, emit=emit, has=self._has, finished=self._finished, others=neighbours, counters=counters
-        )  # fmt: skip
+        )
         transfers.exchange = floods.exchange = self._exchange
 
     def receive(self, packet: Packet, now: float) -> None:

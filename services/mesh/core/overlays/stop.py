@@ -56,8 +56,10 @@ class Halt(NamedTuple):
 
 def encode_halts(halt: Halt) -> list[bytes]:
     """HALT packets: each may be understood without the others."""
-    stops = [packed(name) + _MARK.pack(*mark) + packed(reason, MAX_REASON)
-             for name, (mark, reason) in sorted(halt.stops.items())]  # fmt: skip
+    stops = [
+        packed(name) + _MARK.pack(*mark) + packed(reason, MAX_REASON)
+        for name, (mark, reason) in sorted(halt.stops.items())
+    ]
     arms = [packed(name) + _MARK.pack(*mark) for name, mark in sorted(halt.arms.items())]
     packets = []
     # Stops first: should the rest be lost, the swarm rests.
@@ -134,8 +136,9 @@ class Register:
     @property
     def stops(self) -> dict[str, str]:
         """The robots whose stop holds, with its reason; empty = the swarm is armed."""
-        return {name: reason for name, (mark, reason) in sorted(self._stops.items())
-                if mark > self._arms.get(name, _NONE)}  # fmt: skip
+        return {
+            name: reason for name, (mark, reason) in sorted(self._stops.items()) if mark > self._arms.get(name, _NONE)
+        }
 
     def stop(self, reason: str, now: float) -> None:
         """Somebody on this robot stops the swarm."""

@@ -272,10 +272,11 @@ class Unicast:
         if route is not None:
             message = UnicastMessage(
                 self._me, flight.to, self._incarnation, flight.number, flight.key, flight.payload, ttl_of(route)
-            )  # fmt: skip
+            )
             self._passed(_hop(message, route.next_hop)._replace(token=flight.token))
-            self._emit(Transmit(route.next_hop, UNICAST, self._channel, packets.encode_message(message),
-                                flight.priority))  # fmt: skip
+            self._emit(
+                Transmit(route.next_hop, UNICAST, self._channel, packets.encode_message(message), flight.priority)
+            )
 
     def _first_wait(self, to: str) -> float:
         route = self._route(to)

@@ -1,9 +1,8 @@
 """The links that this robot wants: those of the topology in force, and for a while those that hold the swarm together.
 
-The topology (`routing.topology`) is a register that neighbours merge: the greatest value holds. It goes to each new
-link, and what is new to a robot goes on to its other neighbours at once, so it reaches everybody who can be reached,
-whoever issued it and whether that robot is still there. (A flooded latest value would be void when its origin
-restarts.)
+The topology (`routing.topology`) is a register that neighbours merge: the greatest value holds. A robot sends it over
+each new link, and a new value to all other neighbours at once. So it reaches every robot in reach, whether or not its
+issuer is still there. (A flooded latest value would be void when its origin restarts.)
 
 Make before break. A new value's links are asked for at once. A link that it does not contain stays until
 1. every robot in reach has the same value (its link state says so), or `PATIENCE` is over,
