@@ -16,8 +16,10 @@ from swarm.onboard.arguments import add_json, add_robots, add_run_dir, show
 TIMEOUT_S = 600.0
 """For each robot: a measurement may take minutes."""
 
-FROM_ONE = ("mesh topology", "mesh epoch", "measure rtt", "measure throughput")
+FROM_ONE = ("mesh topology", "mesh epoch", "measure rtt", "measure throughput", "measure radio")
 """Commands that one robot carries out for all: the one that is named first, else the first one."""
+OF_EACH = ("measure i2c",)
+"""Commands whose arguments are the robots that each carry them out."""
 
 _HERE = {"-h", "--help", "--port", "--ranges"}
 """Words by which a command is about something on this computer."""
@@ -39,8 +41,10 @@ def run(name: str, words: Sequence[str]) -> int | None:
     if not robot_command.is_meant(args):
         return None
     config = load(args.config, addressed=False)
+    named = [word for word in rest if word in config.names]
+    if name in OF_EACH:
+        args.robots, rest = args.robots or named, [word for word in rest if word not in named]
     if name in FROM_ONE:
-        named = [word for word in rest if word in config.names]
         args.robots = (args.robots or named or list(config.names))[:1]
     return _show(args, *_asked(Ssh(args.ssh_config), hosts(config, args.robots), name, rest, as_json=args.json))
 

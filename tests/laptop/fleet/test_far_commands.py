@@ -58,6 +58,8 @@ THERE = "-n env SWARM_ROBOT={} SWARM_RUNTIME=/run/swarm /opt/swarm/current/bin/s
         ("mesh epoch consensus --robots r1", {"r1": "mesh epoch consensus"}),
         ("measure rtt r1 r0 --count 3", {"r1": "measure rtt r1 r0 --count 3"}),
         ("measure i2c --robots r0", {"r0": "measure i2c"}),
+        ("measure i2c r1 --sizes 4", {"r1": "measure i2c --sizes 4"}),
+        ("measure radio r1 r0", {"r1": "measure radio r1 r0"}),
         ("dwm check", {"r0": "dwm check", "r1": "dwm check"}),
     ],
 )
