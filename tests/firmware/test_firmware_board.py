@@ -13,7 +13,7 @@ BOOTLOADER = 0x7000
 
 
 @pytest.mark.parametrize("leds", list(itertools.product((False, True), repeat=3)))
-def test_leds(bench, leds):
+def test_the_firmware_shows_the_leds_that_are_written(bench, leds):
     bench.put("LEDS", bytes(leds))
     bench.run(0.003)
     assert bench.leds() == leds
@@ -63,7 +63,7 @@ def test_a_lit_led_goes_dark_for_microseconds_only(bench):
 
 
 @pytest.mark.parametrize("volts", [4.8, 6.0, 7.4, 9.6, 14.9])
-def test_battery(bench, volts):
+def test_the_firmware_measures_the_battery_to_15_millivolts(bench, volts):
     bench.battery(volts)
     bench.run(1.0)
     assert bench.number("BATTERY") == pytest.approx(1000 * volts, abs=15)

@@ -25,7 +25,7 @@ def with_traffic(bench, seconds):
 
 
 @pytest.mark.parametrize(("left", "right"), [(1000, 1000), (-1000, 1000), (10000, -9700)])
-def test_exact(bench, left, right):
+def test_encoders_lose_no_count_beside_traffic_on_the_bus(bench, left, right):
     """The robot's own maximum is about 6000 counts/s."""
     bench.wheels(left, right)
     with_traffic(bench, 0.15)

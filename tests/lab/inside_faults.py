@@ -265,7 +265,7 @@ def test_a_robot_that_is_not_there(radio: Radio, how: str) -> None:
     radio.order("medium", range=1000.0)
 
 
-def test_nobody_listens(radio: Radio) -> None:
+def test_a_call_where_nobody_listens_is_refused_by_name(radio: Radio) -> None:
     with pytest.raises(OSError, match="no mesh listens there on that channel") as caught:
         rfcomm.dial(mine(radio, 0, 9), radio.addresses[2])
     assert caught.value.errno == errno.ECONNREFUSED

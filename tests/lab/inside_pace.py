@@ -48,7 +48,7 @@ def one_way(radio: Radio, one: int, other: int) -> float:
 
 
 @pytest.mark.parametrize("latency", LATENCIES)
-def test_pace(processes: Processes, radio: Radio, latency: float) -> None:
+def test_an_iteration_takes_as_long_as_the_radio_lets_it(processes: Processes, radio: Radio, latency: float) -> None:
     radio.order("medium", latency=latency)
     raw = statistics.median(one_way(radio, one, other) for one, other in LINE[:2])
     swarm = Swarm(processes, "line")

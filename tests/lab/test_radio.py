@@ -117,7 +117,7 @@ def test_a_link_tells_its_signal(world: World) -> None:
     assert result(world, A, Op.READ_RSSI, 999)[0] == Status.UNKNOWN_CONNECTION
 
 
-def test_golden_bytes() -> None:
+def test_events_of_the_controller_have_these_bytes() -> None:
     assert hci.complete(Op.RESET).hex() == "040e0401030c00"
     assert hci.status(Op.CREATE_CONNECTION).hex() == "040f0400010504"
     assert hci.connected(0, 1, A).hex() == "04030b00010001" + "0000ba1002" + "0100"

@@ -28,7 +28,7 @@ def test_fifty_random_faults(capsys: pytest.CaptureFixture[str]) -> None:
 STARTS = {"r0": 0.0, "r1": 0.5}
 
 
-def test_the_swing() -> None:
+def test_the_swing_is_a_triangle_of_period_four() -> None:
     assert [swing(0, phase) for phase in (0.0, 0.5, 1.0, 2.0, 3.0, 4.0)] == [0.0, 0.5, 1.0, 0.0, -1.0, 0.0]
     assert swing(1, 0.0) == pytest.approx(0.37)
 

@@ -82,7 +82,7 @@ def test_a_wrong_file_is_one_line_on_stderr(example, capsys):
 
 
 @pytest.mark.parametrize("arguments", [(), ("--example", "check"), ("chekc",), ("--nonsense",)])
-def test_wrong_arguments(arguments, capsys):
+def test_wrong_arguments_end_with_2_and_the_usage(arguments, capsys):
     assert run("config", *arguments) == 2
     assert "swarm config" in capsys.readouterr().err
 
@@ -131,7 +131,7 @@ def test_the_completion_script_completes_commands_and_those_of_groups():
     assert done.stdout == "estop\n"
 
 
-def test_version(capsys):
+def test_the_command_prints_its_version(capsys):
     assert run("--version") == 0
     assert capsys.readouterr().out == f"swarm {swarm.__version__}\n"
 

@@ -69,7 +69,7 @@ def test_a_host_has_one_name(before: list[str]) -> None:
 @pytest.mark.parametrize(
     ("release", "version"), [("6.12.25+rpt-rpi-v8", (6, 12)), ("6.1.0-37-arm64", (6, 1)), ("?", (0, 0)), ("", (0, 0))]
 )
-def test_kernels_versions(release: str, version: tuple[int, int]) -> None:
+def test_the_version_is_read_from_a_kernels_name(release: str, version: tuple[int, int]) -> None:
     assert texts.kernel_version(release) == version
 
 

@@ -78,7 +78,7 @@ def gone(home: Path) -> bool:
     return True
 
 
-def test_one_robot(robots: FakeRobots, add: Callable[[str], Path]) -> None:
+def test_z_sub_shows_the_samples_of_one_robot_over_ssh(robots: FakeRobots, add: Callable[[str], Path]) -> None:
     home = add("r0")
     process = start(robots, "--robots", "r0", "swarm/*/balancer/**", "--count", "2")
     code, output, errors = finish(process, home)

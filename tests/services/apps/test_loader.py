@@ -122,7 +122,7 @@ def test_every_example_is_short_and_tested_here() -> None:
     assert all(len(text.splitlines()) <= 40 for text in files.values())
 
 
-def test_example_consensus() -> None:
+def test_the_example_consensus_agrees_on_the_mean() -> None:
     values = {f"r{i}": {"value": x} for i, x in enumerate((0.5, 3.0, 5.0))}
     swarm = MemorySwarm(str(EXAMPLES / "consensus.py"), config_of(3, robots=values), 100)
     assert all(result["value"] == pytest.approx(8.5 / 3) for result in swarm.final.values())

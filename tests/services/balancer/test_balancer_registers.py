@@ -176,7 +176,7 @@ def test_buttons_and_battery() -> None:
     assert read.battery == pytest.approx(7.4)
 
 
-def test_leds() -> None:
+def test_the_driver_writes_the_leds() -> None:
     bench = Bench()
     bench.balboa.write_leds(True, False, True)
     assert bench.robot.atmega.leds == (True, False, True)

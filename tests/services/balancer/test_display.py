@@ -242,5 +242,5 @@ def test_wrapped_text_fits(text: str, lines: int) -> None:
         ("1\n2\n3\n4\n5", ["1", "2", "3", "4"]),
     ],
 )
-def test_wrapping(text: str, expected: list[str]) -> None:
+def test_text_is_wrapped_between_words_where_they_fit(text: str, expected: list[str]) -> None:
     assert wrap(text, 4) == expected

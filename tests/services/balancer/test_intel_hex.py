@@ -60,7 +60,7 @@ def test_any_text_is_read_or_refused(text: str) -> None:
         intel_hex.parse(text, 1000)
 
 
-def test_other_addresses() -> None:
+def test_intel_hex_is_read_with_segments_and_other_addresses() -> None:
     text = record(2, 0, b"\x00\x10") + record(0, 4, b"a") + record(4, 0, b"\x00\x00") + record(0, 0, b"b")
     text += record(3, 0, bytes(4)) + record(5, 0, bytes(4)) + record(1, 0, b"")
     assert intel_hex.parse(text, 1000) == b"b" + b"\xff" * 0x103 + b"a"

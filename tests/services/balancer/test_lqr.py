@@ -49,7 +49,7 @@ def test_matrix_exponential_against_eigenvalues(rows: list[list[float]]) -> None
 
 
 @given(st.lists(st.lists(st.floats(-9, 9), min_size=3, max_size=3), min_size=3, max_size=3))
-def test_inverse(rows: list[list[float]]) -> None:
+def test_the_inverse_equals_that_of_numpy(rows: list[list[float]]) -> None:
     matrix = np.array(rows) + 40 * np.eye(3)
     assert np.array(lqr.inverse(matrix.tolist())) == pytest.approx(np.linalg.inv(matrix), rel=1e-9, abs=1e-12)
 

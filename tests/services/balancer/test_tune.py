@@ -16,7 +16,7 @@ notes = st.builds(
 )
 
 
-def test_golden_bytes() -> None:
+def test_a_tune_has_these_bytes() -> None:
     melody = SetNotes((Note(440.0, 0.5, 1.0), Note(0.0, 0.1, 1.0), Note(4186.0, 2.55, 0.5)))
     assert tunes(melody) == [
         (bytes.fromhex("0f 45 32 00 0a"), pytest.approx(0.6)),
@@ -31,7 +31,7 @@ def test_the_nearest_semitone(hertz: float, midi: int) -> None:
 
 
 @pytest.mark.parametrize(("volume", "level"), [(0.0, 0), (1e-9, 1), (0.25, 13), (0.5, 14), (1.0, 15)])
-def test_loudness(volume: float, level: int) -> None:
+def test_each_step_of_loudness_halves_the_volume(volume: float, level: int) -> None:
     assert loudness(volume) == level
 
 

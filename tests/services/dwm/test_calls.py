@@ -64,7 +64,7 @@ def answer(call, data):
         (calls.STATUS_GET, "32 00"),
     ],
 )  # fmt: skip
-def test_requests(call, request_):
+def test_requests_have_the_bytes_of_the_api_guide(call, request_):
     assert call.request == bytes.fromhex(request_)
     assert calls.call_of(call.request).name == call.name
 
@@ -88,7 +88,7 @@ def test_requests(call, request_):
         (calls.CFG_GET, "400105", Refusal(5)),
     ],
 )  # fmt: skip
-def test_answers(call, data, result):
+def test_answers_are_read_as_the_api_guide_has_them(call, data, result):
     assert answer(call, bytes.fromhex(data)) == result
 
 

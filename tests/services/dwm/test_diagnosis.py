@@ -61,14 +61,14 @@ def test_what_is_right_is_left_alone(seed):
         ("refused", "refused"),
     ],
 )
-def test_transport(kind, code):
+def test_each_trouble_of_the_line_has_its_finding(kind, code):
     assert codes([diagnosis.of_trouble(Trouble(kind, "so"))]) == [code]
 
 
 @pytest.mark.parametrize(
     ("firmware", "found"), [((1, 3, 0, 1), []), ((1, 1, 1, 1), ["firmware"]), ((2, 0, 0, 1), ["firmware"])]
 )
-def test_firmware(firmware, found):
+def test_another_firmware_of_the_module_is_found(firmware, found):
     assert codes(diagnosis.of_version(Version(firmware, 0, 0))) == found
 
 
@@ -87,7 +87,7 @@ def test_firmware(firmware, found):
         (Settings(anchor=True), GOOD, ModuleStatus(False, False), ["role", "no-network"]),
     ],
 )
-def test_settings(settings, rate, status, found):
+def test_wrong_settings_of_a_tag_are_found(settings, rate, status, found):
     assert codes(diagnosis.of_settings(settings, rate, status, anchor=False)) == found
 
 
@@ -191,7 +191,7 @@ def test_an_anchor_with_the_address_of_the_tag():
     assert "duplicate-address" in codes(diagnosis.of_answers(answers(modules()), ANCHORS, {}, own="D001"))
 
 
-def test_impossible_ranges():
+def test_an_impossible_range_is_found():
     locations = answers(modules())
     broken = replace(locations[-1], ranges=(AnchorRange("D001", 4000.0, 100, modules()[0].known),))
     assert "impossible-range" in codes(diagnosis.of_answers([*locations, broken], ANCHORS, {}))

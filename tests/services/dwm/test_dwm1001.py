@@ -108,7 +108,7 @@ def test_bad_parameters_are_refused(request_):
     assert Line().send(bytes.fromhex(request_)) == bytes.fromhex("400103")
 
 
-def test_every_call():
+def test_the_simulated_module_answers_every_call():
     line = Line()
     line.run(0.2)
     assert line.ask(LOC_GET) == LOCATION

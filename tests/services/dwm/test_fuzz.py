@@ -68,7 +68,7 @@ def mutated(data, generator):
 
 
 @pytest.mark.parametrize("count", [runs(SHORT), runs(LONG)])
-def test_answers(count):
+def test_random_answers_are_read_or_refused(count):
     generator = random.Random(1)
     for _ in range(count):
         call, good = ANSWERS[generator.randrange(len(ANSWERS))]
@@ -87,7 +87,7 @@ def test_answers(count):
 
 
 @pytest.mark.parametrize("count", [runs(SHORT), runs(LONG)])
-def test_exchanges(count):
+def test_random_exchanges_end_with_an_answer_or_a_trouble(count):
     """Whatever the line brings, a request ends with an answer or a named trouble."""
     generator = random.Random(2)
     for _ in range(count):

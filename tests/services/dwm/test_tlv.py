@@ -83,7 +83,7 @@ def test_error_codes_have_names(code):
 
 
 @given(st.builds(Location, positions, st.lists(ranges, max_size=MAX_RANGES).map(tuple)))
-def test_round_trip(location):
+def test_a_location_is_decoded_as_it_was_encoded(location):
     assert decode(encode_location(location)) == ([location], 0)
 
 
@@ -135,7 +135,7 @@ def test_mutations_raise_only_frame_errors_and_cost_one_answer(sent, data):
 
 
 @given(st.binary(max_size=600))
-def test_any_bytes(data):
+def test_the_decoder_survives_any_bytes(data):
     decoder = TlvDecoder(LOC_GET)
     decoder.receive(data)
     drain(decoder)

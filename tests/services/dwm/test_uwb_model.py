@@ -90,7 +90,7 @@ def test_two_anchors_give_no_fix_and_the_old_numbers():
     assert len(location.ranges) == 3
 
 
-def test_heights_count():
+def test_a_range_includes_the_difference_in_height():
     tag = Tag(random.Random(1), QUIET)
     (item,) = tag.measure([Module("D001", 0.0, 3.0, 1.0, MODULES[0].known)], 0.0, 0.0, 0.0, 5.0).ranges
     assert item.distance == 5.0

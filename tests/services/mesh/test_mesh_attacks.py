@@ -568,10 +568,10 @@ class Siege(RuleBasedStateMachine):
         self.watched.check_others()
 
 
-def test_siege() -> None:
+def test_a_mesh_withstands_random_strangers() -> None:
     run_state_machine_as_test(Siege, settings=settings(max_examples=40, stateful_step_count=25, deadline=None))
 
 
 @pytest.mark.slow
-def test_long_siege() -> None:
+def test_a_mesh_withstands_many_random_strangers() -> None:
     run_state_machine_as_test(Siege, settings=settings(max_examples=300, stateful_step_count=50, deadline=None))

@@ -35,7 +35,7 @@ NOTICED = 1.0
 # -- membership ------------------------------------------------------------------------------------------------
 
 
-def test_everybody_joins() -> None:
+def test_robots_that_start_join_the_members() -> None:
     world = World(line(4), start=False)
     world.start("r0")
     world.run(1.0)

@@ -45,7 +45,7 @@ def sent(relay: KeyRelay, key: str, payload: bytes = b"x", now: float = 0.0) -> 
         ("swarm/r0/a.b", "swarm/r0/axb", False),
     ],
 )
-def test_key_expressions(expression: str, key: str, matching: bool) -> None:
+def test_a_key_matches_the_expressions_that_include_it(expression: str, key: str, matching: bool) -> None:
     assert matches(expression, key) is matching
 
 

@@ -28,7 +28,7 @@ from swarm.onboard.mesh import radio as mesh_radio
 # -- bytes ---------------------------------------------------------------------------------------------------
 
 
-def test_golden_bytes() -> None:
+def test_reading_the_rssi_has_these_bytes() -> None:
     """By the specification: opcode 0x1405, handle 11; -60 dB for it."""
     assert hci.read(hci.READ_RSSI, 11) == bytes.fromhex("01 05 14 02 0b 00")
     assert hci.reading(bytes.fromhex("04 0e 07 01 05 14 00 0b 00 c4")) == hci.Reading(0, 11, -60)

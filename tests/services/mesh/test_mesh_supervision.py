@@ -25,7 +25,7 @@ DONE = bytes.fromhex("04 0e 06 01 37 0c 00 0b 00")
 PERIPHERAL = bytes.fromhex("04 0e 06 01 37 0c 0c 0b 00")
 
 
-def test_golden_bytes() -> None:
+def test_writing_the_supervision_has_these_bytes() -> None:
     """By the specification: opcode 0x0c37, handle 11, 2 s = 3200 slots of 0.625 ms."""
     assert hci.write_supervision(11, 2.0) == bytes.fromhex("01 37 0c 04 0b 00 80 0c")
     assert hci.written_supervision(DONE) == 0

@@ -52,7 +52,7 @@ def test_a_value_survives_wire_and_file(
     assert 0 < ground.tag(value) < 2**32
 
 
-def test_golden_bytes() -> None:
+def test_a_topology_has_these_bytes() -> None:
     ground = Ground(["r0", "r1", "r2"], line(3), auto=False)
     assert ground.base == 0x4E2800DF
     value = TopologyVersion(3, 1, "r2", True, (("r0", "r1"), ("r0", "r2")))

@@ -303,7 +303,7 @@ def test_rehearse_takes_parameters_and_first_values() -> None:
         rehearse("nothing")
 
 
-def test_trends() -> None:
+def test_results_settle_spread_or_grow_as_their_trend_says() -> None:
     def of(*values: float) -> dict:
         return trends.judge({"r0": [{"x": value} for value in values]})
 

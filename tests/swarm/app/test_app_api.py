@@ -73,7 +73,7 @@ def test_fields_come_from_annotations_in_declared_order_base_first() -> None:
     assert set(Tracker.spec.parameters) == {"weights", "diverges_above", "gain", "rounds", "shout", "mode"}
 
 
-def test_first_values() -> None:
+def test_first_values_come_from_the_class_or_the_configuration() -> None:
     app = make()
     assert (app.value, app.coarse, app.count, app.on, app.place) == (2.0, 0.0, 0, False, (0.0, 0.0))
     app = make(value=3, count=-1, on=True, place=[1, 2])
@@ -201,7 +201,7 @@ def test_neighbours_are_sorted_named_and_read_only() -> None:
         ("row", "r0", {"r1": 1 / 2}, 1 / 2),
     ],
 )
-def test_weights(weights: str, name: str, expected: dict[str, float], own: float) -> None:
+def test_the_robot_has_the_weights_of_its_rule(weights: str, name: str, expected: dict[str, float], own: float) -> None:
     app = make(name=name, weights=weights)
     assert app.robot.weights == pytest.approx(expected)
     assert app.robot.own_weight == pytest.approx(own)

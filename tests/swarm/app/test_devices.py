@@ -85,7 +85,7 @@ def test_pose_with_its_age_until_it_is_lost(rig: Rig) -> None:
         ("idle", "upright", "upright"),
     ],
 )
-def test_posture(rig: Rig, mode: str, tilt: str, posture: str) -> None:
+def test_an_app_sees_the_posture_of_its_robot(rig: Rig, mode: str, tilt: str, posture: str) -> None:
     assert rig.devices.posture == "unknown"
     rig.bus.come("balancer/state", state(mode, tilt, "it fell" if mode == "fault" else ""))
     assert rig.devices.posture == posture
@@ -147,7 +147,7 @@ def test_drive_goes_on_until_told_otherwise(rig: Rig) -> None:
         rig.devices.drive(float("nan"), 0.0)
 
 
-def test_display(rig: Rig) -> None:
+def test_the_display_shows_an_apps_lines_until_they_are_empty(rig: Rig) -> None:
     rig.devices.display(["hello", 3])
     assert rig.after(1.5 * LED_REPEAT) == [SetDisplay("hello\n3", LED_CLAIM)] * 2
     rig.devices.display([])
@@ -156,7 +156,7 @@ def test_display(rig: Rig) -> None:
     assert len(rig.bus.take()[0].text) == 200
 
 
-def test_modes(rig: Rig) -> None:
+def test_an_app_commands_the_balancers_mode_once(rig: Rig) -> None:
     rig.devices.mode("stand")
     assert rig.bus.take() == [SetMode("stand")]
     assert rig.devices.next_deadline() is None

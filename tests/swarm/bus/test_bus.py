@@ -469,7 +469,9 @@ def test_stock_tools_reach_the_bus(open_bus: Open, processes: Processes, runtime
     assert stock.communicate() == ("swarm/r0/balancer/leds application/msgpack\n", "")
 
 
-def test_few_threads(processes: Processes, bus_service: subprocess.Popen[str], runtime: Path) -> None:
+def test_a_client_of_the_bus_has_few_threads(
+    processes: Processes, bus_service: subprocess.Popen[str], runtime: Path
+) -> None:
     """The one-worker runtime is in force: without it a client has 7 threads, a router 8."""
     client = processes.start("-c", SUBSCRIBER, bus_endpoint(runtime))
     assert client.stdout is not None

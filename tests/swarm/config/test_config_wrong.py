@@ -236,7 +236,7 @@ from swarm.errors import ConfigError
         (ONE + "[simulation.places]\nr0 = [1, 1]", "[simulation.places] r0: expected three numbers [x, y, heading]"),
     ],
 )
-def test_wrong_entries(text, message):
+def test_a_wrong_entry_is_named_with_the_mend(text, message):
     with pytest.raises(ConfigError) as caught:
         parse(text, FILE)
     assert str(caught.value).startswith(f"swarm.toml: {message}")

@@ -72,7 +72,7 @@ def test_a_folder_that_is_not_there(tmp_path):
 
 
 @pytest.mark.parametrize("now", [NOW + 9, NOW - 1e6])  # a Pi's clock may be years behind
-def test_a_rotation(path, now):
+def test_a_rotation_adds_a_key_and_keeps_the_old_one(path, now):
     old = new_key_file(path, NOW)
     secret = read_keys(path)[old]
     new = rotate(path, now)

@@ -212,7 +212,7 @@ def test_too_many_events_lose_the_oldest() -> None:
     assert calls(each) == [HandlerCall("on_button", (3,))]
 
 
-def test_timers() -> None:
+def test_a_timer_calls_its_handler_when_it_is_due() -> None:
     each = started()
     each.actions()
     each.after(0.5, "blink", 0.0)

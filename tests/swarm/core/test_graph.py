@@ -66,7 +66,7 @@ def test_matrix_and_back(graph):
 
 
 @given(graphs())
-def test_weights(graph):
+def test_metropolis_weights_of_a_graph_are_symmetric(graph):
     for name in graph.names:
         metropolis, row = graph.metropolis_weights(name), graph.row_weights(name)
         assert list(metropolis) == list(row) == list(graph.neighbours(name))
@@ -93,7 +93,7 @@ def test_weights(graph):
         ("random:42", 8, "01 07 13 16 24 26 45 67"),
     ],
 )
-def test_shapes(shape, count, edges):
+def test_each_shape_has_its_edges(shape, count, edges):
     graph = Graph.of_shape(shape, names(count))
     assert " ".join(a[1:] + b[1:] for a, b in graph.edges) == edges
 
@@ -140,7 +140,7 @@ def test_splitmix64_reference_values():
         ("random:" + "9" * 5000, 3, "whole number"),
     ],
 )
-def test_impossible_shapes(shape, count, message):
+def test_an_impossible_shape_is_refused_by_name(shape, count, message):
     with pytest.raises(LocalError, match=message):
         Graph.of_shape(shape, names(count))
 
@@ -153,12 +153,12 @@ def test_impossible_shapes(shape, count, message):
         ([("r0", "r1"), ("r1", "r0")], "link r1-r0 is listed twice"),
     ],
 )
-def test_impossible_edges(edges, message):
+def test_impossible_edges_are_refused_by_name(edges, message):
     with pytest.raises(LocalError, match=message):
         Graph(SIX, edges)
 
 
-def test_equal_names():
+def test_two_robots_with_one_name_are_refused():
     with pytest.raises(LocalError, match="same name"):
         Graph(["a", "a"], [])
 
@@ -173,6 +173,6 @@ def test_equal_names():
         ([[0, 2, 0], [2, 0, 1], [0, 1, 0]], "expected 0 or 1, got 2"),
     ],
 )
-def test_impossible_matrices(matrix, message):
+def test_an_impossible_matrix_is_refused_by_name(matrix, message):
     with pytest.raises(LocalError, match=message):
         Graph.of_matrix(matrix, names(3))

@@ -27,7 +27,7 @@ def schema(**annotations: Any) -> Schema:
     return Schema("App", [field_of(name, annotation) for name, annotation in annotations.items()])
 
 
-def test_golden_bytes() -> None:
+def test_a_packed_state_has_these_bytes() -> None:
     """Little endian, no padding, declared order."""
     packed = schema(**ALL).pack({"a": 1.5, "b": -0.25, "c": -2, "d": True, "e": (3.0, 4.0)})
     assert packed.hex() == (
@@ -41,7 +41,7 @@ def test_golden_bytes() -> None:
     assert schema(**ALL).size == 37
 
 
-def test_golden_hashes() -> None:
+def test_a_schema_has_this_hash_on_every_machine() -> None:
     """They are compared between robots, so another Python or another machine must find the same."""
     assert schema(**ALL).hash == 0x3D4B6539
     assert schema(value=float).hash == 0x9D9A2569
@@ -165,7 +165,7 @@ def test_private_fields_that_cannot_be_saved_are_named(value: object) -> None:
         pack_private({"_x": value})
 
 
-def test_columns() -> None:
+def test_a_vector_has_a_column_for_each_entry() -> None:
     assert [c for f in schema(**ALL).fields for c in f.columns] == ["a", "b", "c", "d", "e[0]", "e[1]"]
 
 

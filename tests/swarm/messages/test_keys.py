@@ -14,7 +14,7 @@ CHUNK = st.from_regex(r"[A-Za-z0-9_.:-]{1,12}", fullmatch=True)
 
 
 @given(CHUNK, CHUNK, st.lists(CHUNK, min_size=1, max_size=6))
-def test_round_trip(robot: str, service: str, topic: list[str]) -> None:
+def test_a_key_is_parsed_as_it_was_made(robot: str, service: str, topic: list[str]) -> None:
     text = key(robot, service, *topic)
     assert parse(text) == Key(robot, service, "/".join(topic))
     assert str(parse(text)) == text
@@ -74,12 +74,12 @@ def test_a_name_makes_a_valid_key(text: str) -> None:
 
 
 @pytest.mark.parametrize("text", ["r0", "a", "left-front_2", "a" * 16])
-def test_names(text: str) -> None:
+def test_these_texts_are_names(text: str) -> None:
     assert is_name(text)
 
 
 @pytest.mark.parametrize("text", ["", "R0", "0r", "r.0", "r 0", "a" * 17, "r0\n", "-r", "é"])
-def test_no_names(text: str) -> None:
+def test_these_texts_are_no_names(text: str) -> None:
     assert not is_name(text)
 
 

@@ -51,7 +51,7 @@ def strategy(kind: Any) -> st.SearchStrategy[Any]:
 
 
 @given(st.sampled_from(TYPES).flatmap(strategy))
-def test_round_trip(message: object) -> None:
+def test_a_message_is_decoded_as_it_was_encoded(message: object) -> None:
     kind = type(message)
     again = decode(kind, encode(message), "swarm/r0/test/x")
     assert again == message
@@ -163,7 +163,7 @@ def test_what_cannot_be_published_as_a_stop_is_published_empty() -> None:
         ("swarm/r0/mesh/alive", None),
     ],
 )
-def test_type_of(text: str, kind: type | None) -> None:
+def test_the_key_tells_the_type_of_its_message(text: str, kind: type | None) -> None:
     assert type_of(text) is kind
 
 

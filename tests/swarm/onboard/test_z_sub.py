@@ -63,7 +63,7 @@ def test_a_line_for_each_sample(processes: Processes, bus: Bus) -> None:
 
 
 @pytest.mark.usefixtures("router")
-def test_json(processes: Processes, bus: Bus) -> None:
+def test_z_sub_prints_a_json_object_for_each_sample(processes: Processes, bus: Bus) -> None:
     process = processes.start(*Z_SUB, "swarm/r0/balancer/leds", "--json", "--count", "2")
     for line in lines_while_publishing(process, bus, "swarm/r0/balancer/leds", RED):
         data = json.loads(line)
@@ -73,7 +73,7 @@ def test_json(processes: Processes, bus: Bus) -> None:
 
 @pytest.mark.usefixtures("router")
 @pytest.mark.parametrize("form", [(), ("--json",)])
-def test_rates(processes: Processes, bus: Bus, form: tuple[str, ...]) -> None:
+def test_z_sub_prints_samples_and_bytes_a_second(processes: Processes, bus: Bus, form: tuple[str, ...]) -> None:
     process = processes.start(*Z_SUB, "swarm/r0/balancer/**", "--rate", "--seconds", "1.5", *form)
     lines = lines_while_publishing(process, bus, "swarm/r0/balancer/leds", RED)
     assert lines

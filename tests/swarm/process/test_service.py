@@ -275,7 +275,9 @@ def test_the_journal_gets_a_priority_on_each_line(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize(("wanted", "level"), [("debug", 10), ("ERROR", 40), ("nonsense", 20), ("", 20)])
-def test_log_level(root_logger: logging.Logger, monkeypatch: pytest.MonkeyPatch, wanted: str, level: int) -> None:
+def test_the_environment_sets_the_level_of_the_log(
+    root_logger: logging.Logger, monkeypatch: pytest.MonkeyPatch, wanted: str, level: int
+) -> None:
     monkeypatch.setenv("SWARM_LOG", wanted)
     log.setup("mesh")
     assert root_logger.level == level

@@ -98,7 +98,7 @@ def test_a_directory_with_other_things_is_not_taken(runtime: Path) -> None:
         claim(Path("/proc/run"))
 
 
-def test_robots(run: Path) -> None:
+def test_the_robots_of_a_simulation_are_the_folders_with_a_bus(run: Path) -> None:
     assert robots(run) == {"r0": run / "r0", "r1": run / "r1"}
     (run / "r7").mkdir()
     (run / "r7" / "bus.sock").touch()
@@ -135,7 +135,9 @@ def call(run: Path, *arguments: str) -> int:
 
 
 @pytest.mark.parametrize("service", ["bus", "mesh", "app/consensus"])
-def test_kill(processes: Processes, run: Path, service: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_kills_a_service_of_a_simulated_robot(
+    processes: Processes, run: Path, service: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     process = victim(processes, run, service)
     assert call(run, "r0", service) == 0
     assert process.wait(60) == -signal.SIGKILL

@@ -45,7 +45,7 @@ def read(tmp_path_factory, data):
     return list(reader.samples()), reader
 
 
-def test_golden_bytes():
+def test_a_recording_has_these_bytes():
     data = recorded(("a/b", 1.5, {"v": 0.1}), epoch_ns=1_000, finish=False)
     schema = b'{"title":"swarm.dict","type":"object","properties":{"v":{"type":"number"}}}'
     message = b'{"v":0.1}'

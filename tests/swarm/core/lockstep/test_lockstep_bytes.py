@@ -73,7 +73,7 @@ def test_channel_refuses_numbers_that_do_not_fit(field):
             dataclasses.replace(OURS, **{field: value})
 
 
-def test_golden_frames():
+def test_frames_of_the_lockstep_have_these_bytes():
     assert encode_step(0, b"ab", None).hex() == "01" + "00000000" + "6162"
     assert encode_step(0x01020304, b"ab", b"cd").hex() == "01" + "04030201" + "6162" + "6364"
     assert encode_want(7).hex() == "02" + "07000000"
@@ -137,7 +137,7 @@ SNAPSHOT_BYTES = bytes.fromhex(
 )
 
 
-def test_golden_snapshot():
+def test_a_snapshot_has_these_bytes():
     assert SNAPSHOT.encode().hex() == SNAPSHOT_BYTES.hex()
     assert Snapshot.decode(SNAPSHOT_BYTES) == SNAPSHOT
 
