@@ -13,6 +13,7 @@ import itertools
 import json
 import logging
 import secrets
+import signal
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -261,6 +262,13 @@ async def _repeat(control: Control) -> None:
             await asyncio.to_thread(control.repeat)
         except Exception:  # noqa: BLE001 - whatever it is, the next stop has to be repeated, too
             _log.exception("what robots have not confirmed could not be repeated")
+
+
+def end_on_signals(ended: asyncio.Event) -> None:
+    """Set `ended` at Ctrl-C and SIGTERM. Windows' event loop takes no handlers: there Ctrl-C is a KeyboardInterrupt."""
+    with contextlib.suppress(NotImplementedError):
+        for number in (signal.SIGINT, signal.SIGTERM):
+            asyncio.get_running_loop().add_signal_handler(number, ended.set)
 
 
 async def serve(

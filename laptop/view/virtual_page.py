@@ -1,7 +1,6 @@
 """`swarm sim --virtual --view`: a run under virtual time on the page of `swarm view`, while it runs and after."""
 
 import asyncio
-import signal
 import sys
 from collections.abc import Callable
 
@@ -24,8 +23,7 @@ def watched(run: VirtualRun, plan: Scenario, options: Options, tell: Callable[[R
 
     async def main() -> int:
         ended = asyncio.Event()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            asyncio.get_running_loop().add_signal_handler(number, ended.set)
+        server.end_on_signals(ended)
         codes: list[int] = []
 
         def go() -> RunOutcome:

@@ -4,6 +4,7 @@ python other_systems.py COMMAND...     the command line of a laptop
 python other_systems.py                a run from Python
 """
 
+import asyncio
 import os
 import signal
 import socket
@@ -37,6 +38,23 @@ for place, names in NAMES.items():
     for each in names.split():
         if hasattr(place, each):
             delattr(place, each)
+
+
+def loopback_pair(*_):
+    """A pair of connected sockets as Windows has them, where asyncio takes them from."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        near = socket.create_connection(server.getsockname())
+        far, _ = server.accept()
+    return near, far
+
+
+def no_handler(*_):
+    """Windows' event loop takes no handlers of signals."""
+    raise NotImplementedError
+
+
+socket.socketpair = loopback_pair
+asyncio.SelectorEventLoop.add_signal_handler = no_handler
 
 if __name__ == "__main__" and sys.argv[1:]:
     from laptop.cli import main

@@ -3,9 +3,14 @@
 import os
 import subprocess
 import sys
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+
+from bench.running import running
 
 PROGRAM = Path(__file__).parent / "other_systems.py"
 ROOT = Path(__file__).parents[2]
@@ -13,12 +18,22 @@ ROOT = Path(__file__).parents[2]
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
 
 
-def on_another_system(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+def bare_environment() -> dict[str, str]:
     environment = {name: value for name, value in os.environ.items() if name != "XDG_RUNTIME_DIR"}
-    environment |= {"PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg"}
-    return subprocess.run(
-        [sys.executable, str(PROGRAM), *words], cwd=folder, env=environment, capture_output=True, text=True, timeout=100
-    )
+    return environment | {"PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg"}
+
+
+def on_another_system(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(PROGRAM), *words]
+    return subprocess.run(command, cwd=folder, env=bare_environment(), capture_output=True, text=True, timeout=100)
+
+
+@contextmanager
+def served_on_another_system(folder: Path, *words: str) -> Iterator[str]:
+    """The address of the page that a command serves."""
+    command = [sys.executable, str(PROGRAM), *words]
+    with running(command, cwd=folder, env=bare_environment(), stdout=subprocess.PIPE, text=True) as process:
+        yield process.stdout.readline().strip()
 
 
 def test_a_run_from_python_is_simulated_saved_and_loaded(tmp_path: Path) -> None:
@@ -41,6 +56,14 @@ def test_an_author_writes_checks_simulates_plots_and_exports(tmp_path: Path) -> 
         done = on_another_system(tmp_path, *words.split())
         assert done.returncode == 0, f"{words}: {done.stdout}{done.stderr}"
     assert (tmp_path / "mine.png").stat().st_size > 5000
+
+
+def test_the_live_page_shows_a_recording_and_a_run_under_virtual_time(tmp_path: Path) -> None:
+    run = "sim consensus --virtual --robots 3 --iterations 30"
+    assert on_another_system(tmp_path, *run.split(), "--record", "run").returncode == 0
+    for words in ("view run --no-open", f"{run} --view --no-open"):
+        with served_on_another_system(tmp_path, *words.split()) as address, urllib.request.urlopen(address) as answer:
+            assert b"<html" in answer.read()
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 from laptop.cli.commands import SECTIONS
+from swarm import __version__
 from swarm.config.example import EXAMPLE
 from swarm.onboard.command_line import Command, CommandGroup, parser_of
 
@@ -27,6 +28,12 @@ ELSEWHERE = {"firmware/README.md": "reference/firmware.md"}
 _FENCE = re.compile(r"^```(\w+) (?:([\w./]+\.\w+)|.*)$", re.MULTILINE)
 """A code block's language, and the name of a file or how tests run it, which Markdown's extension knows nothing of."""
 _LINK = re.compile(r"\]\((\.\./[^)#\s]+)(#[^)\s]*)?\)")
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Show the version on every page."""
+    config.site_name = f"Balboa Swarm {__version__}"
+    return config
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:

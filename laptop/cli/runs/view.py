@@ -2,7 +2,6 @@
 
 import argparse
 import asyncio
-import signal
 import sys
 import webbrowser
 from pathlib import Path
@@ -83,8 +82,7 @@ def run(args: argparse.Namespace) -> int:
                 return
             announce(address, browse=not args.no_open)
 
-        for number in (signal.SIGINT, signal.SIGTERM):
-            asyncio.get_running_loop().add_signal_handler(number, ended.set)
+        server.end_on_signals(ended)
         await server.serve(feed, control, args.port, ready, ended)
 
     try:
