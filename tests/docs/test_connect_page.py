@@ -1,7 +1,6 @@
 """The programs of the pages about other tools run against a simulation and its recording."""
 
 import contextlib
-import importlib.util
 import re
 import socket
 import struct
@@ -12,7 +11,9 @@ from pathlib import Path
 
 import pytest
 from conftest import wait_until
+from needs import needs_ssh
 
+from bench.fake_robots import FakeRobots
 from bench.running import running
 from swarm.bus.zenoh_bus import Bus
 from swarm.messages import Pose, read
@@ -53,7 +54,20 @@ def test_a_stock_zenoh_client_reads_an_apps_state(simulation: Path) -> None:
     until_said("client.py", simulation, "'value':", simulation / "run" / "r0" / "bus.sock", 3)
 
 
-@pytest.mark.skipif(importlib.util.find_spec("pandas") is None, reason="pandas is not installed")
+@needs_ssh
+def test_a_stock_zenoh_client_reads_a_robots_bus_through_ssh(simulation: Path) -> None:
+    robots = FakeRobots(simulation)
+    robots.add("r0")
+    robots.ready()
+    (line,) = re.findall(r"^ssh (-N -L .*) &$", (ROOT / "docs" / PAGES[0]).read_text(encoding="utf-8"), re.MULTILINE)
+    near = simulation / "r0.sock"
+    words = line.replace("/tmp/r0.sock", str(near)).replace("/run/swarm/bus.sock", str(simulation / "run/r0/bus.sock"))
+    wait_until((simulation / "run/r0/bus.sock").is_socket, what="the bus of the simulation")
+    with contextlib.closing(robots), running(["ssh", "-F", str(robots.ssh_config), *words.split()]):
+        wait_until(near.is_socket, what="the forwarded socket")
+        until_said("client.py", simulation, "'value':", near, 3)
+
+
 def test_pandas_reads_a_recording_through_the_makers_reader(tmp_path: Path) -> None:
     words = ("sim", "consensus", "--virtual", "--robots", "2", "--iterations", "5", "--record", tmp_path / "recorded")
     subprocess.run([sys.executable, "-m", "laptop.cli", *map(str, words)], check=True, cwd=ROOT, capture_output=True)
