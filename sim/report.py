@@ -53,9 +53,9 @@ class RunOutcome:
     scene_record: SceneRecord | None = None
     """The world's own eyes, where somebody looked."""
     began: float = 0.0
-    """When the run began, by the scene_record' clock, s."""
+    """The time at which the run began, by the clock of `scene_record`, s."""
     moves_from: float = math.inf
-    """When a target that moves began to, by the clock of the trajectories, s."""
+    """The time at which a target that moves began to, by the clock of the trajectories, s."""
     beside: Mapping[str, Mapping[str, Trajectory]] = field(default_factory=dict)
     """Of other apps that the robots ran meanwhile."""
     never: tuple[str, ...] = ()

@@ -66,7 +66,7 @@ class JourneyLeg(NamedTuple):
     next: str
     back: bool
     until: float | None
-    """When it was there; None where it was not seen there."""
+    """The time at which it was there; None where it was not seen there."""
 
 
 def legs(passes: Iterable[Pass], sender: str, to: str, arrived: float | None, known: float | None) -> list[JourneyLeg]:

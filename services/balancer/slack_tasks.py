@@ -78,9 +78,9 @@ class SlackTasks:
         self._mark = 0
         """The offset up to which something was read along last; 0 where that is not known."""
         self._until = now
-        """When the next tick begins."""
+        """The time at which the next tick begins."""
         self._begun: float | None = None
-        """When this one did, by the bus' own count of time."""
+        """The time at which this one did, by the bus' own count of time."""
         self._planned = 0.0
         """What its transfers should take besides those of the control step, s."""
         self._busy = TypicalTime(PERIOD_S)

@@ -82,7 +82,7 @@ class ModuleBoard:
         self._selector = selectors.EpollSelector()
         self._target = target = config.dwm.target
         self.moves_from = math.inf
-        """When the target begins to move, if it does."""
+        """The time at which the target begins to move, if it does."""
         for anchor in config.anchors:
             at = (anchor.x, anchor.y, anchor.z)
             if anchor.address == target:  # the simulation may have moved it

@@ -66,9 +66,9 @@ class LinkEnd:
         self.got = False
         """Whether the packet at the head has arrived and its acknowledgement has not."""
         self.heard = now
-        """When this end last heard the other one."""
+        """The time at which this end last heard the other one."""
         self.ready_at = self.delivered_at = now
-        """When the host had the last frame ready for sending, and the last one received."""
+        """The time at which the host had the last frame ready for sending, and the last one received."""
 
     def packet(self) -> tuple[int, int]:
         """Bytes and slots of the next packet."""
@@ -88,7 +88,7 @@ class RadioLink:
         """Counts plans of `SlotRadio.supervise`."""
         self.polled = now - 1.0
         self.used = now
-        """When it last carried data."""
+        """The time at which it last carried data."""
         self.misses = 0
         self.more = False
         """Whether the peripheral has said that it has more."""
@@ -110,13 +110,13 @@ class Device:
         """What it shares its time among: piconets, and `PAGE`."""
         self.tuned: str | None = None
         self.ready = 0.0
-        """When the change to that is done."""
+        """The time at which the change to that is done."""
         self.until = _NEVER
-        """When the stay ends."""
+        """The time at which the stay ends."""
         self.scanning = 0.0
-        """Until when it scans for pages."""
+        """The time until which it scans for pages."""
         self.busy = 0.0
-        """Until when an exchange takes it."""
+        """The time until which an exchange takes it."""
         self.links: list[RadioLink] = []
         self.central_of: list[RadioLink] = []
         self.turn = 0

@@ -33,7 +33,7 @@ class LockedRuntime:
         self.counters = counters
         self.log = log
         self.next_time = NEVER
-        """When `call_due` has something to do."""
+        """The time at which `call_due` has something to do."""
         self._lock = threading.RLock()
         self._depth = 0
         """How many entries are inside each other."""

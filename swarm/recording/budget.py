@@ -32,7 +32,7 @@ class _RunFolder:
     size: int
     """Bytes on the disk."""
     changed: float
-    """When something in it was written last, s since 1970."""
+    """The time at which something in it was written last, s since 1970."""
     held: bool
     """Whether a process records into it."""
 

@@ -33,7 +33,7 @@ class RecordedSample(NamedTuple):
 
     topic: str
     t: float
-    """When it was recorded, s of the recording process' clock."""
+    """The time at which it was recorded, s of the recording process' clock."""
     data: bytes
     """JSON text."""
 

@@ -13,7 +13,7 @@ class StepRecord(NamedTuple):
 
     k: int
     t: float
-    """When it was done, s by the robot's clock."""
+    """The time at which it was done, s by the robot's clock."""
     state: dict[str, Value]
     result: Mapping[str, Value]
     measurement: Measurement | None = None

@@ -56,7 +56,7 @@ class _Relay:
         self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         """Written when the inbox is empty no longer; open until the process ends."""
         self._turn_at = 0.0
-        """When commands may be handed to the loop again."""
+        """The time at which commands may be handed to the loop again."""
         self._heard = clock.now()
         self._composer = Composer(service.robot)
         self._side = BusSide(service, clock.now, self)

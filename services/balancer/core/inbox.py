@@ -18,7 +18,7 @@ class WaitingCommand(NamedTuple):
     """Its key."""
     payload: bytes
     heard: float
-    """When the bridge heard it, s of the robot's monotonic clock."""
+    """The time at which the bridge heard it, s of the robot's monotonic clock."""
 
 
 class Inbox:

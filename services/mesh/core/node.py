@@ -76,7 +76,7 @@ class MeshNode:
             counters=counters,
         )
         self._deadline = 0.0
-        """When something is due, as of the last time that it may have become earlier."""
+        """The time at which something is due, as of the last time that it may have become earlier."""
         self._serve_overlays()
 
     # -- inputs ------------------------------------------------------------------------------------

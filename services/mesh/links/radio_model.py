@@ -85,8 +85,8 @@ class DelayLine:
         self._chunks: list[tuple[float, bytes]] = []  # seldom more than one; an empty deque takes 0.7 kB
         self._last_arrival = 0.0
         self.free_at = 0.0
-        """When the last chunk taken in has left the sender. Until then the sender's queue, not this line,
-        holds what comes next: take nothing in, so that the sender feels the link's bandwidth."""
+        """The time at which the last chunk taken in has left the sender. Until then the sender's queue, not this
+        line, holds what comes next: take nothing in, so that the sender feels the link's bandwidth."""
 
     def push(self, data: bytes, stamp: float) -> float:
         """Take in a chunk that was sent at `stamp`; b"" stands for the end of the stream. Returns when it arrives."""

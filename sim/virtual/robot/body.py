@@ -78,7 +78,7 @@ class VirtualBody:
         self._drive = Drive(body, limits)
         self._now = 0.0
         self._until = 0.0
-        """When the manoeuvre under way is over, or the command to drive."""
+        """The time at which the manoeuvre under way is over, or the command to drive."""
         self._roll = 0.0
         """m/s, during a manoeuvre."""
         self._gauss = gauss

@@ -41,7 +41,7 @@ class ModuleField:
         self._simulation = config.simulation
         self._target = target = config.dwm.target
         self.moves_from = math.inf
-        """When the target begins to move, if it does."""
+        """The time at which the target begins to move, if it does."""
         self._standing = []
         for anchor in config.anchors:
             at = (anchor.x, anchor.y)

@@ -20,10 +20,10 @@ class QueuedTask:
     patience: float
     """Seconds without a transfer after which it goes before more important tasks."""
     since: float | None = None
-    """When it began to wait, or was served last while it still wants more; None where it wants nothing."""
+    """The time at which it began to wait, or was served last while it still wants more; None where it wants nothing."""
 
     starved_at: float = -math.inf
-    """When it was last found that there is no time for it."""
+    """The time at which it was last found that there is no time for it."""
 
     def wants(self, now: float) -> None:
         """It has a transfer to do."""

@@ -77,7 +77,7 @@ class Outgoing:
     """0 while it waits for its turn."""
     wait: float = 0.0
     next_at: float = _NEVER
-    """When it is to be repeated."""
+    """The time at which it is to be repeated."""
 
 
 class Limits(NamedTuple):

@@ -216,7 +216,7 @@ class Pace:
         self._round_trips = RoundTrips()
         self._timeouts = 0
         self._began = 0.0
-        """When the present round began: it ends with the first piece that was asked for later."""
+        """The time at which the present round began: it ends with the first piece that was asked for later."""
         self._sum = 0.0
         self._count = 0
         self._full = False
@@ -289,7 +289,7 @@ class Fetch:
         self.have = 0
         """Pieces that are there."""
         self.heard = now
-        """When the last new piece came."""
+        """The time at which the last new piece came."""
         self.source: str | None = None
         """Who is asked now."""
         self.sources: deque[str] = deque()

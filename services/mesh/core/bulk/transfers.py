@@ -56,7 +56,7 @@ class Parcel(Outgoing):
     done: int = 0
     """Bytes the receiver has, as it says."""
     heard: float = 0.0
-    """When the receiver last said something."""
+    """The time at which the receiver last said something."""
     wait: float = FIRST_WAIT
 
 

@@ -235,7 +235,7 @@ class Search:
         self._eager = eager
         self._targets: dict[str, _Target] = {}
         self._began = 0.0
-        """When the call that is under way began."""
+        """The time at which the call that is under way began."""
         self.calling: str | None = None
         """Whom we are calling."""
 

@@ -219,7 +219,7 @@ class _Neighbour:
     link: LinkClock = field(default_factory=LinkClock)
     claim: ClockClaim | None = None
     advanced: float = -math.inf
-    """When it last told a new epoch of the root that it claims."""
+    """The time at which it last told a new epoch of the root that it claims."""
 
 
 class ClockSync:

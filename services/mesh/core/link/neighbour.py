@@ -57,7 +57,7 @@ class Link:
         self.session: Session | None = None
         """The connection in use, once it is up."""
         self.since = 0.0
-        """When that connection came up."""
+        """The time at which that connection came up."""
         self.unanswered = 0
         """Handshakes in a row that took too long: the next one gets twice the time, since the link may be slow."""
         self.attempt = False

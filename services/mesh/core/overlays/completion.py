@@ -68,7 +68,7 @@ class _Flood:
     goal: int
     """Who could be reached when it came here: who joins later is not waited for."""
     ends: float
-    """When it is forgotten."""
+    """The time at which it is forgotten."""
     robots: int = 0
     """Who has it, as far as is known here."""
     shared: dict[str, int] = field(default_factory=dict)

@@ -121,7 +121,7 @@ class Linking:
         self.wanted = ends(self._ground.physical(self.value), me)
         """Robots that this one is to have links with."""
         self.adopted: float | None = None
-        """When the value came into force here; None before the first timer."""
+        """The time at which the value came into force here; None before the first timer."""
         self._succession = Succession(start.ground.names, me)
         if self.carried:
             act(Neighbours(self.neighbours))
