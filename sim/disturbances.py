@@ -19,10 +19,10 @@ from swarm.errors import ConfigError
 from swarm.frozen import frozen
 
 AT_START = "start"
-"""In place of a time: from the beginning on."""
+"""The word in place of a time: from the beginning on."""
 
 ANY = "any"
-"""In place of a robot: the seed names one."""
+"""The word in place of a robot: the seed names one."""
 
 SERVICES = ("mesh", "app", "balancer", "dwm", "bus")
 """What can be killed; `app` is the one that the run is about."""

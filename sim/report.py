@@ -42,7 +42,7 @@ class RunOutcome:
     rss_mib: Mapping[str, float]
     """Resident memory of each robot's processes."""
     restarts: Mapping[str, int]
-    """Of each robot: services that were started again, and times that it was switched off and on."""
+    """Restarts of each robot: services that were started again, and times that it was switched off and on."""
     problems: tuple[str, ...]
     missing: tuple[str, ...] = ()
     """Robots that the others have gone on without, and that are not back at the end."""
@@ -57,7 +57,7 @@ class RunOutcome:
     moves_from: float = math.inf
     """The time at which a target that moves began to, by the clock of the trajectories, s."""
     beside: Mapping[str, Mapping[str, Trajectory]] = field(default_factory=dict)
-    """Of other apps that the robots ran meanwhile."""
+    """The trajectories of other apps that the robots ran meanwhile."""
     never: tuple[str, ...] = ()
     """What was to happen and did not, since the run ended before."""
 

@@ -16,7 +16,7 @@ from swarm.errors import AppError, FrameError
 from swarm.messages.codec import Value
 
 HANDLERS = ("on_button", "on_message", "on_answer", "on_announced", "on_neighbour", "on_timer")
-"""Those that are only called where the app has them."""
+"""The handlers that are only called where the app has them."""
 
 
 class EventRunner(AppRunner):

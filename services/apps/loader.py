@@ -52,9 +52,9 @@ class LoadedApp:
     source: str
     """Path of its file; of a class out of a notebook what Python calls the cell."""
     algorithms: Mapping[str, type[AnyApp]]
-    """By name, the default one first; the only name is empty where there is no choice."""
+    """The algorithms by name, the default one first; the only name is empty where there is no choice."""
     digest: bytes
-    """Of the source text of all its files."""
+    """The digest of the source text of all its files."""
 
     @property
     def is_built_in(self) -> bool:

@@ -15,7 +15,7 @@ from services.balancer.core.slack.wire_time import Transfer
 from services.balancer.i2c import I2CBus
 
 IMU, ATMEGA = "IMU", "ATmega"
-"""Whose transfer failed: an OSError's `filename`."""
+"""The device whose transfer failed: an OSError's `filename`."""
 
 
 class Imu:

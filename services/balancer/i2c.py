@@ -23,7 +23,8 @@ TIMEOUT_10MS = 2
 waits; the longest transfer that we make takes 4 ms."""
 
 PATIENCE_S = 10.0
-"""For the device at the start: on a boot the balancer may be up before udev has made the device its own."""
+"""Seconds to wait for the device at the start: on a boot the balancer may be up before udev has made the device its
+own."""
 RETRY_S = 0.2
 
 _I2C_TIMEOUT = 0x0702  # linux/i2c-dev.h, in units of 10 ms

@@ -72,7 +72,7 @@ class SlackTasks:
         )
         """The most important task first (docs/reference/robot/i2c-bus.md)."""
         self._boarded: QueuedTask | None = None
-        """Whose transfer is under way with the control step."""
+        """The task whose transfer is under way with the control step."""
         self._before = 0
         """Bytes of it before those that it wanted."""
         self._mark = 0

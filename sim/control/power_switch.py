@@ -12,7 +12,7 @@ from swarm.frozen import frozen
 from swarm.messages.codec import decode, encode
 
 SOCKET = "power.sock"
-"""In the run directory; the simulation listens there."""
+"""The socket in the run directory at which the simulation listens."""
 
 DISK = "disk"
 """A simulated robot's state directory, in its runtime directory."""

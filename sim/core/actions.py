@@ -18,7 +18,7 @@ MAX_IMPULSE = 2.0
 """N s, either way: five times what throws the robot over."""
 MAX_HOLD_S = 60.0
 MAX_SLIDE_M = 1.0
-"""By how much a robot that hits another moves it aside at most."""
+"""Largest distance by which a robot that hits another moves it aside."""
 WHEELS = ("left", "right")
 MAX_ANGLE = 4 * math.tau
 """rad that a hand turns a robot or a wheel at most."""
@@ -53,7 +53,7 @@ class Knock:
     impulse: float
     """Forward, N s."""
     dx: float
-    """By how much it slides aside, m."""
+    """The distance by which it slides aside, m."""
     dy: float
 
 
@@ -81,9 +81,9 @@ class Lift:
     """Take the robot in the hand, its wheels in the air, and hold it at a tilt; or stand it upright on the floor."""
 
     tilt: float
-    """From upright, rad, forward positive."""
+    """Tilt from upright, rad, forward positive."""
     turn: float = 0.0
-    """By how much it is turned to the left meanwhile, rad."""
+    """The angle by which it is turned to the left meanwhile, rad."""
     down: bool = False
     """Put it down upright, where the hand holds it until its motors run; `tilt` and `turn` do not count then."""
 

@@ -53,7 +53,7 @@ class Hit(NamedTuple):
     impulse: Point
     """N s, along x and y."""
     shift: Point
-    """By how much it is moved aside, m."""
+    """The distance by which it is moved aside, m."""
 
     def knock(self, heading: float) -> Knock:
         """Return the effect on a body with this heading (rad): its part of the impulse forward. The wheels hold the

@@ -83,7 +83,7 @@ class ImuDevice:
     def __init__(self, body: BalboaBody, noise: RandomNumbers, errors: ImuErrors, trim: float) -> None:
         self._body, self._noise, self._errors, self._trim = body, noise, errors, trim
         self.reversed: set[str] = set()
-        """In which ways it is mounted wrong: upside-down, backward or mirrored."""
+        """The ways in which it is mounted wrong: upside-down, backward or mirrored."""
         self.identity = imu.IDENTITY
         """WHO_AM_I, from the next reset on."""
         self.byte_s = BITS_PER_BYTE / SCL_HZ
@@ -216,7 +216,7 @@ class SimulatedRobot:
             balboa.ADDRESS: self.atmega,
             display.ADDRESS: self.display,
         }
-        """By address; what is taken out is absent."""
+        """The devices by address; a device that is taken out is absent."""
         self.sda_held = False
         """A device holds SDA low in the middle of a byte: nothing goes until nine clock pulses have come."""
         self.failures: list[int] = []

@@ -14,7 +14,7 @@ from swarm.core.random_numbers import RandomNumbers
 from swarm.recording.thesis_ranges import ThesisRecording, ThesisRow
 
 ERRORS = {"none": (0.0, 0.0), "bias": (0.05, 0.0), "thesis": (0.05, 0.02)}
-"""By name: share of the bias, share of the noise. Figure 4.9 (a) and (b), (c), (d)."""
+"""Share of the bias and share of the noise, by name. Figure 4.9 (a) and (b), (c), (d)."""
 
 EVERY = 5
 """Iterations that one draw of the noise holds."""

@@ -40,7 +40,7 @@ class Seen:
     """The latest of one robot."""
 
     status: dict[str, Status] = field(default_factory=dict)
-    """By service."""
+    """The status by service."""
     balancer: BalancerState | None = None
     links: Links | None = None
     pose: Pose | None = None

@@ -19,7 +19,7 @@ from swarm.errors import LocalError
 from swarm.process.simulations import pid_file
 
 RESTART_DELAY_S = 0.2
-"""As RestartSec in the units of deploy/systemd."""
+"""Seconds, as RestartSec in the units of deploy/systemd."""
 START_LIMIT = 5
 START_LIMIT_INTERVAL_S = 10.0
 """A service that ends this often within this time is given up, as StartLimitBurst does."""
@@ -44,10 +44,10 @@ class Child:
     given_up: str = ""
     """Why it is not started again; empty while it is kept up."""
     exit_code: int | None = None
-    """Of its last end."""
+    """The exit code of its last end."""
     restart_at: float | None = None
     held: bool = False
-    """By an order: it is not started again until told to."""
+    """Whether a request holds it: it is not started again until told to."""
     _ends: list[float] = field(default_factory=list)
 
     @property

@@ -88,7 +88,7 @@ class Options:
     seed: int
     replay: Path | None
     noise: str | None
-    """Of `core.noise.ERRORS`: how measurements err; None: as the simulated modules do."""
+    """The name in `core.noise.ERRORS` of the measurements' errors; None: those of the simulated modules."""
     target_velocity: tuple[float, float] | None
     """m/s; None: as the configuration says."""
     json: bool
@@ -100,7 +100,7 @@ class Options:
     """When its lockstep ends but for `iterations`, and what becomes of robots that stay away."""
     demo: bool
     virtual: bool
-    """In one process under a virtual clock."""
+    """Whether the run is in one process under a virtual clock."""
     body: str
     """Model of the bodies then."""
     mesh: str | None

@@ -93,7 +93,7 @@ class Scenario:
     run_options: RunOptions
     """How its lockstep goes, `iterations` and all."""
     recordings: dict[str, ThesisRecording]
-    """By robot; what --noise makes up, too."""
+    """The recordings by robot, with those that --noise makes up."""
     synthetic: bool
     """Whether they were made up: then there are no estimates to compare with."""
 

@@ -48,9 +48,9 @@ class SecondOrder(Consensus):
     _before: float = 0.0
     """x(k-1)."""
     _omega: float = 1.0
-    """Of the last step."""
+    """The weight omega of the last step."""
     _gain: float = 1.0
-    """Of the plain step within the combination."""
+    """The gain of the plain step within the combination."""
     _radius: float = 0.0
     """Largest factor by which one plain step can leave disagreement."""
     _begun: int = 0
@@ -106,7 +106,7 @@ class Flood(SyncApp):
     values: Annotated[Vector, ROOM]
     """First values, in the order of the swarm."""
     _order: tuple[str, ...] = ()
-    """That order."""
+    """The order of the robots in `values`."""
 
     def start(self) -> None:
         """Begin with the own value as the only one that is known."""

@@ -27,7 +27,7 @@ class UnicastDemo(EventApp):
     delivered: int = 0
     received: int = 0
     _under_way: dict[str, tuple[str, float]]
-    """By ticket: the receiver, and when."""
+    """The receiver and the time of each message under way, by ticket."""
 
     def start(self) -> None:
         self._under_way = {}

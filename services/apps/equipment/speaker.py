@@ -23,7 +23,7 @@ MOST_LINES_S = 100
 """Lines of one app and robot that are told in a second; how many were more is said in the next one."""
 
 PRINTED = "print"
-"""In place of a level, of what was printed."""
+"""The level of printed text."""
 
 Sink = Callable[[AppLog], None]
 

@@ -70,7 +70,7 @@ class LockstepHost:
         self.app = app
         self.robot = runtime.robot
         self.drivers: dict[str, LockstepDriver] = {}
-        """By the name of the channel."""
+        """The drivers by the name of the channel."""
         self._runtime = runtime
         self._run = place.run
         self._by_schema: dict[int, LockstepDriver] = {}

@@ -58,7 +58,7 @@ class RunPlace(NamedTuple):
     begin: Epoch
     """The members and links with which the run began."""
     graph: Graph
-    """Those links."""
+    """The graph of those links."""
     incarnation: int
     """It goes up with every start of the app's process, or of the robot."""
 

@@ -25,7 +25,7 @@ _NOT_FOR_THE_BRIDGE = ("NOTIFY_SOCKET", "WATCHDOG_PID", "WATCHDOG_USEC")
 """systemd hears of the loop, not of the bridge."""
 
 OOM_SCORE_ADJUST = "300"
-"""Of the bridge, as of an app: where memory runs out it is ended, not the loop, which its unit protects."""
+"""The setting of the bridge, as of an app: where memory runs out it is ended, not the loop, which its unit protects."""
 
 _log = logging.getLogger("balancer")
 
@@ -36,7 +36,7 @@ class Bridge:
     def __init__(self, now: float) -> None:
         """Start the process."""
         self.pid = 0
-        """Of the process; 0 where there is none."""
+        """The process id; 0 where there is none."""
         self._socket: socket.socket | None = None
         self._stops: socket.socket | None = None
         self._stop_is_there = select.poll()

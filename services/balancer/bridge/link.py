@@ -55,7 +55,7 @@ Told = (
     | I2CRates
     | Firmware
 )
-"""By the loop."""
+"""The messages that the loop sends."""
 LoopCommand = (
     SetMode
     | SetVelocity
@@ -69,7 +69,7 @@ LoopCommand = (
     | MeasureI2C
     | TryMotors
 )
-"""By the bridge."""
+"""The messages that the bridge sends."""
 LoopMessage = Told | LoopCommand
 
 TELEMETRY_S = 0.04

@@ -35,7 +35,7 @@ class MotorFault(NamedTuple):
 
     name: str
     reason: str
-    """In words."""
+    """The reason in words."""
 
     @property
     def recovery(self) -> str:

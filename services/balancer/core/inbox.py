@@ -29,9 +29,9 @@ class Inbox:
         self._newest_only = newest_only
         self._number = 0
         self._waiting: dict[int, WaitingCommand] = {}
-        """In the order in which they came."""
+        """The commands that wait, in the order in which they came."""
         self._numbers: dict[str, list[int]] = {}
-        """Of the commands that wait, by key."""
+        """The numbers of the commands that wait, by key."""
         self._bytes = 0
         self._dropped: dict[str, int] = {}
 

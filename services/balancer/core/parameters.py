@@ -11,7 +11,7 @@ class BalancerParameter(NamedTuple):
     """One of them."""
 
     value: float
-    """As it starts."""
+    """The value at the start."""
     low: float
     high: float
 

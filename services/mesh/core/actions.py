@@ -36,7 +36,7 @@ class Disconnect(NamedTuple):
 
     peer: str
     code: int
-    """Of BYE: why."""
+    """The code of BYE, which tells the reason."""
 
 
 class Neighbours(NamedTuple):

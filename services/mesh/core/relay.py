@@ -16,7 +16,7 @@ from swarm.errors import PayloadError
 from swarm.messages.keys import is_name, parse
 
 OVERLAYS = {"neighbours": NEIGHBOURS, "flood": FLOOD, "unicast": UNICAST, "around": UNICAST}
-"""Those that rules name; around is unicast to a neighbour that avoids the link with it."""
+"""The overlays that rules name; around is unicast to a neighbour that avoids the link with it."""
 
 MAX_ROUTES = 4096
 """Keys whose routes are remembered; past that, all are found anew and what is held back is lost."""

@@ -116,9 +116,9 @@ class ThesisLedSync(EventApp):
     """Algorithm 3 with two consensus processes, on the mesh's clock in place of NTP. It drifts as the thesis' did."""
 
     tolerance: float = parameter(0.0625, unit="1", low=0.001, high=0.25)
-    """Of the phase, as a share of the period: 1/16 and 1/64 in figure 4.6."""
+    """Tolerance of the phase, as a share of the period: 1/16 and 1/64 in figure 4.6."""
     overhead: float = parameter(0.001, unit="s", low=0.0, high=0.05)
-    """By which each of the program's waits is too long: 1 ms gives the thesis' figures."""
+    """The time by which each of the program's waits is too long: 1 ms gives the thesis' figures."""
     frequency = channel(RowFrequency)
     phase = channel(Phase)
     actual: float = 0.0

@@ -21,18 +21,19 @@ UNIT = 1e-3
 """m: a place and a range are sent in mm, which is what the module resolves and 1/40 of a range's noise."""
 
 _SPAN = 1 << 17
-"""Of each of the three numbers: 51 bits, which a float64 holds. Places within 65 m of the origin, ranges to 131 m."""
+"""The range of each of the three numbers: 51 bits, which a float64 holds. Places within 65 m of the origin, ranges
+to 131 m."""
 
 
 class Flood(Localization):
     """Least squares of all range residuals (with equal noise the maximum-likelihood place) on every robot."""
 
     entries: Annotated[Vector, ROOM]
-    """By robot, in the order of the swarm: range and place (`pack`); 0 = not yet known."""
+    """Range and place (`pack`) by robot, in the order of the swarm; 0 = not yet known."""
     _seen: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Range and own place, smoothed."""
     _from: tuple[str, ...] = ()
-    """By robot: the neighbour on a shortest way to it, who knows its newest."""
+    """The neighbour on a shortest way to each robot, which knows its newest measurement."""
     _order: tuple[str, ...] = ()
     """The swarm that entries and ways are of."""
 

@@ -39,7 +39,7 @@ class Scene:
     """The geometry on which the limit depends, m, by the index of the robot."""
 
     weights: tuple[tuple[tuple[int, float], ...], ...]
-    """Of each robot: its neighbours and itself."""
+    """The weights of each robot: of its neighbours and of itself."""
     places: tuple[Vector2, ...]
     target: Vector2
     start: Vector2 = (0.0, 0.0)

@@ -20,7 +20,7 @@ class Moving(Localization):
     q: Annotated[Vector, track.LENGTH]
     """Information about the mean of the anchors as origin, 280 bytes."""
     _sequence: int = -1
-    """Of the newest measurement that went in: one that is repeated says nothing new."""
+    """The number of the newest measurement that went in: a repeated one says nothing new."""
     _velocity: tuple[float, float] = (0.0, 0.0)
     """The last one found, m an iteration: where the next search begins."""
     _began: float = 0.0

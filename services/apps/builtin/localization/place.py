@@ -82,7 +82,7 @@ class Judged(Localization):
     _m: Statistics = ranges.NOTHING
     """The own ones, smoothed."""
     _entered: Statistics = ranges.NOTHING
-    """Those that went into `_q`."""
+    """The statistics that went into `_q`."""
     _moved: float = math.inf
     """How far the place has moved in the last step, m."""
 

@@ -28,13 +28,13 @@ class BodyModel:
     wheel_mass: float
     """Both wheels, kg."""
     lever: float
-    """From the axle to the body's centre of mass, m."""
+    """Distance from the axle to the body's centre of mass, m."""
     inertia: float
-    """Of the body about its centre of mass, kg m^2."""
+    """Inertia of the body about its centre of mass, kg m^2."""
     wheel_inertia: float
     """Both wheels, kg m^2."""
     rotor_inertia: float
-    """Of both rotors through the gears (n^2 J), kg m^2: it resists the wheels turning against the body."""
+    """Inertia of both rotors through the gears (n^2 J), kg m^2: it resists the wheels turning against the body."""
     wheel_radius: float
     """m."""
     counts_per_turn: float
@@ -42,7 +42,7 @@ class BodyModel:
     stall_torque: float
     """At duty 1, N m."""
     free_speed: float
-    """Of a wheel against the body at duty 1, rad/s."""
+    """Speed of a wheel against the body at duty 1, rad/s."""
     friction: float
     """Dry friction, N m."""
     track: float = 0.11

@@ -19,7 +19,7 @@ Matrix = list[list[float]]
 PERIOD_S = 0.01
 
 DELAY_S = 0.005
-"""From the IMU's sample to the motors' answer. Less is 3.5 ms on the Pi's bus; more is lateness."""
+"""Seconds from the IMU's sample to the motors' answer. 3.5 ms of it are the Pi's bus; the rest is lateness."""
 
 Q = (300.0, 2.0, 200.0, 1.0)
 """Weights of x (m), x' (m/s), th (rad), th' (rad/s)."""

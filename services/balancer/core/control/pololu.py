@@ -30,16 +30,16 @@ class Constants(NamedTuple):
     distance_response: float
     speed_response: float
     limit: float
-    """Of the duty."""
+    """Limit of the duty."""
 
 
 POLOLU = Constants(140.0, 11.0, 73.0, 3300.0, 300 / 400)
-"""Of the example for the Balboa."""
+"""The constants of the example for the Balboa."""
 THESIS = Constants(150.0, 7.0, 60.0, 1900.0, 250 / 400)
-"""Of the thesis' program."""
+"""The constants of the thesis' program."""
 
 LEAK = 1e-3
-"""Of the angle, a tick."""
+"""The share of the angle that is lost in a tick."""
 
 _MOTOR_UNITS = 400.0
 

@@ -3,7 +3,7 @@
 from swarm.messages import Buttons
 
 REPEAT_S = 1.0
-"""For who comes late."""
+"""Seconds after which the state is published again, for subscribers that come late."""
 
 
 class ButtonCounter:

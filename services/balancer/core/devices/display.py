@@ -18,7 +18,7 @@ LINES = PAGES - 1
 """The first one is two pages high."""
 
 BEHIND_S = 10.0
-"""For a picture."""
+"""Seconds after which a picture that is not yet drawn counts as behind."""
 RETRY_S = 10.0
 """Between looks for a display that is not there."""
 

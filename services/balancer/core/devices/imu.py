@@ -23,7 +23,7 @@ OUTX_L_G = 0x22
 IDENTITY = 0x69
 LSM6DSO = 0x6C
 IDENTITIES = {IDENTITY: "LSM6DS33", LSM6DSO: "LSM6DSO"}
-"""By WHO_AM_I."""
+"""The parts by WHO_AM_I."""
 
 SETUP: tuple[tuple[int, int], ...] = (
     (CTRL3_C, 0x44),  # IF_INC: a block read steps through the registers; BDU: no word changes while it is read

@@ -46,7 +46,7 @@ WRITE_S = 0.7e-3
 MARGIN_S = 0.8e-3
 """Left free before the next tick, whose control step must not be late."""
 CONTROL_S = 3.4e-3
-"""From a tick's time until its control step leaves the bus."""
+"""Seconds from a tick's time until its control step leaves the bus."""
 
 _BLINK_S = 0.25
 _FLASH_EVERY_S, _FLASH_S = 2.0, 0.15
@@ -82,7 +82,7 @@ class LedClaim:
     def __init__(self) -> None:
         self._current: LedOrder | None = None
         self._coming: list[LedOrder] = []
-        """By time."""
+        """The orders that wait, by time."""
 
     def take(self, order: LedOrder, now: float) -> bool:
         """Queue an order. It replaces earlier orders from `order.at` on. Return False where too many wait."""

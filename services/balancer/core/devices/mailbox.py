@@ -18,7 +18,7 @@ REQUEST_LIMITS = (2, 255)
 TICKET_LIMIT = 64
 """Characters."""
 PATIENCE_S = 3.0
-"""From the request to the end of its answer; the ATmega needs 0.6 s for a module that is silent."""
+"""Seconds from the request to the end of its answer; the ATmega needs 0.6 s for a module that is silent."""
 WAIT_S = 0.02
 """Between looks for the answer."""
 FAILURES = 40
@@ -70,7 +70,7 @@ class Mailbox:
         self._token = 0
         self._phase = ""
         self._at = 0
-        """Of the request, or of the answer, that comes next."""
+        """The index of the next byte of the request, or of the answer."""
         self._sent = 0
         """Bytes of the request in the last transfer."""
         self._give_up_at = self._look_at = 0.0

@@ -16,7 +16,7 @@ MOST = 1000
 FAILURES = 20
 """Failed transfers in a row after which a measurement is given up."""
 TRANSFER_S = 0.04
-"""For each transfer: four ticks, where the bus has other things to do."""
+"""Seconds for each transfer: four ticks, where the bus has other things to do."""
 
 
 def longest(count: int) -> float:

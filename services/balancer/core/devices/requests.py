@@ -13,7 +13,7 @@ IMU_DURATION_S = 60.0
 TEXT_LIMIT = 200
 """Letters of a text for the display: more than it can show."""
 TEXT_SECONDS = 60.0
-"""For which it may be claimed: who wants it for longer says so again."""
+"""Seconds for which it may be claimed at most; a longer claim is renewed."""
 
 
 def check(command: object) -> None:

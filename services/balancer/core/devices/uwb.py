@@ -19,7 +19,7 @@ from swarm.errors import RemoteError
 from swarm.messages import Uwb, UwbRange
 
 PERIOD_S = 0.100
-"""Of the ATmega's polls."""
+"""Period of the ATmega's polls, s."""
 TELL_S = 1.0
 """Without reports the state of the line is read and told this often; with reports it is read this often."""
 TORN_LIMIT = 3

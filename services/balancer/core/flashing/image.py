@@ -15,7 +15,7 @@ PAGE = 128
 ROOM = 28672
 """Bytes below the bootloader (BOOTSZ of Pololu's fuses: 2048 words)."""
 SIGNATURE = bytes((0x1E, 0x95, 0x87))
-"""Of the ATmega32U4 (datasheet table 28-6)."""
+"""The signature of the ATmega32U4 (datasheet table 28-6)."""
 CHIPS = {
     SIGNATURE: "ATmega32U4",
     b"\x1e\x95\x8a": "ATmega32U2",
@@ -32,7 +32,7 @@ class Image(NamedTuple):
     """The image of a firmware."""
 
     data: bytes
-    """From address 0, whole pages."""
+    """The bytes from address 0 on, in whole pages."""
     layout: int
     """Version of what it offers at I2C (balboa.LAYOUT_VERSION)."""
     revision: int

@@ -15,7 +15,7 @@ class QueuedTask:
     """A slack task and how long it has waited."""
 
     name: str
-    """As `balancer/state` names it."""
+    """The name in `balancer/state`."""
     task: SlackTask
     patience: float
     """Seconds without a transfer after which it goes before more important tasks."""

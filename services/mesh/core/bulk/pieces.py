@@ -291,9 +291,9 @@ class Fetch:
         self.heard = now
         """The time at which the last new piece came."""
         self.source: str | None = None
-        """Who is asked now."""
+        """The robot that is asked now."""
         self.sources: deque[str] = deque()
-        """Who else may have it."""
+        """The other robots that may have it."""
         self._parts: dict[int, bytes] = {}
         self._next = 0
         self._again: deque[int] = deque()

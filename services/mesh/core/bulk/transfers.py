@@ -23,7 +23,7 @@ MAX_SENDING_BYTES = 4 * 1024 * 1024
 """Messages of this robot that are on their way or wait for their turn, and their bytes; more are refused."""
 
 MAX_OFFERED = 4
-"""Of those to one robot, under way at the same time."""
+"""Most transfers to one robot that are under way at the same time."""
 
 MAX_SPAN = 32
 WINDOW = 64
@@ -87,7 +87,7 @@ class Transfers:
         self._over = SeenLives(WINDOW)
         """Messages of others that are over."""
         self._keys: dict[MessageId, str] = {}
-        """Of messages on their way here."""
+        """The keys of messages on their way here."""
 
     # -- own messages ------------------------------------------------------------------------------------------
 

@@ -237,7 +237,7 @@ class Search:
         self._began = 0.0
         """The time at which the call that is under way began."""
         self.calling: str | None = None
-        """Whom we are calling."""
+        """The robot that is being called."""
 
     def aim(self, far: Collection[str], near: Collection[str], now: float) -> None:
         """These are the targets now. One that is new, or went from near to far, is called soon."""
@@ -326,7 +326,7 @@ class Local:
     dead: float = 3.0
     handshake: float = 8.0
     patience: float = 60.0
-    """Of these times, s, `swarm.config.types.MeshConfig` tells what they mean."""
+    """The meaning of these times, s, stands at `swarm.config.types.MeshConfig`."""
     pages: bool = False
     """Whether a call keeps the radio from other links, as a page of Bluetooth does; then callers are known by their
     addresses, too."""

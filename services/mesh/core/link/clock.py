@@ -236,7 +236,7 @@ class ClockSync:
         self._started: float | None = None
         self._root = (robot, self._incarnation)
         self._followed = robot
-        """Whose time this is: that of the root as soon as there is a way to it."""
+        """The robot whose time this is: the root as soon as there is a way to it."""
         self._parent: str | None = None
         self._hop = 0
         self._epoch = 0

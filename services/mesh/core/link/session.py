@@ -83,7 +83,7 @@ class Session:
         self.dialled = dialled
         self._expected = expected
         self.peer = dialled
-        """Who is at the other end; None until an unknown caller's HELLO was accepted."""
+        """The robot at the other end; None until an unknown caller's HELLO was accepted."""
         self.state = CONNECTING
         self.pulse = Pulse(now)
         self.sent = 0

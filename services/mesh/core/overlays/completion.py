@@ -34,7 +34,7 @@ class Known(NamedTuple):
 
     incarnation: int
     sequence: int
-    """Of its first try."""
+    """The sequence number of its first try."""
     robots: int
     """Bit i is robot i of all names, sorted."""
     final: bool = False
@@ -66,13 +66,13 @@ class _Flood:
     key: str
     priority: int
     goal: int
-    """Who could be reached when it came here: who joins later is not waited for."""
+    """The robots in reach when it came here: a robot that joins later is not waited for."""
     ends: float
     """The time at which it is forgotten."""
     robots: int = 0
-    """Who has it, as far as is known here."""
+    """The robots that have it, as far as is known here."""
     shared: dict[str, int] = field(default_factory=dict)
-    """Of whom each neighbour has told us, or has been told."""
+    """The robots of which each neighbour has told us, or has been told."""
     disturbed: bool = False
     complete: bool = False
     """Whether that was told here."""
@@ -107,7 +107,7 @@ class Completion:
         self._floods: OrderedDict[FloodId, _Flood] = OrderedDict()
         self._map: dict[str, frozenset[str]] = {}
         self._through: dict[str, int] = {}
-        """Who has a shortest way to a neighbour over this robot; made as needed."""
+        """The robots with a shortest way to a neighbour over this robot; made as needed."""
 
     def __len__(self) -> int:
         return len(self._floods)

@@ -57,7 +57,7 @@ class Attempt:
     deadline: float = 0.0
     robots: set[str] = field(default_factory=set)
     goal: set[str] = field(default_factory=set)
-    """Who could be reached when it began."""
+    """The robots in reach when it began."""
 
 
 class FloodOverlay:

@@ -62,7 +62,7 @@ class Origin:
     floor: int = 0
     """Values up to this sequence were forgotten and are not to come back."""
     checksum: int = 0
-    """Of keys and sequences of the kept values, in any order."""
+    """The checksum of keys and sequences of the kept values, in any order."""
 
 
 class Store:

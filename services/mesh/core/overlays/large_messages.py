@@ -65,7 +65,7 @@ class _Held:
     payload: bytes
     until: float
     key: str
-    """Of a latest value; empty otherwise."""
+    """The key of a latest value; empty otherwise."""
     have: dict[str, int] = field(default_factory=dict)
     """Pieces that those who ask for more have."""
 

@@ -64,7 +64,7 @@ class Hop(NamedTuple):
     """A message, or the answer to it, is handed to a neighbour."""
 
     sender: str
-    """Of the message, also where it is the answer."""
+    """The sender of the message, also where it is the answer."""
     to: str
     number: int
     """Counts what this sender sent to this receiver, from 1."""
@@ -73,9 +73,9 @@ class Hop(NamedTuple):
     back: bool
     """Whether it is the answer."""
     key: str = ""
-    """Of the message. An answer has none: empty on its way, known where it begins."""
+    """The key of the message. An answer has none: empty on its way, known where it begins."""
     token: object = None
-    """Of an own message: what it was sent with."""
+    """The token with which an own message was sent."""
 
 
 @dataclass(eq=False)

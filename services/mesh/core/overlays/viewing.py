@@ -18,7 +18,7 @@ from swarm.messages.codec import decode, encode, unpack
 from swarm.messages.keys import whose_token
 
 LONGEST_S = 60.0
-"""Of one request."""
+"""Most seconds of one request."""
 
 REPEAT_S = 2.0
 """Seconds between two requests that are flooded at least: two viewers cost no more than one."""

@@ -50,7 +50,7 @@ class Membership:
         self._routes = routes
         self._usual = _State(NEVER, 0, 0.0)
         self._members: dict[str, _State] = {}
-        """Those who are not as usual: in a swarm of a thousand that is settled nobody."""
+        """The members that are not as usual: none in a settled swarm of a thousand."""
         self._told: Mapping[str, Collection[str]] = {}
         """The neighbours that each robot told of."""
         self.changes: deque[MemberChange] = deque(maxlen=KEPT_CHANGES)

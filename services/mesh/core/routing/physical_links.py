@@ -92,7 +92,7 @@ class Succession:
         self._lost: dict[str, float] = {}
         """Robots out of reach, and since when; the time for one that was never there is `UNSEEN` later."""
         self._back: dict[str, float] = {}
-        """Those of them that seem to be in reach again, and since when."""
+        """The lost robots that seem to be in reach again, and since when."""
         self._seen: set[str] = set()
         """Robots that were in reach at any time."""
         self._next = _NEVER

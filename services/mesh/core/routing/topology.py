@@ -30,7 +30,7 @@ MAX_LINKS = MAX_RFCOMM_LINKS
 """Links of one robot, whatever they run over."""
 
 AUTO = "auto"
-"""In place of a shape: the robots find their neighbours themselves."""
+"""The value in place of a shape with which robots find their neighbours themselves."""
 
 MAX_VERSION = MAX_STEP = (1 << 32) - 1
 

@@ -78,7 +78,7 @@ class InitialLinks(NamedTuple):
     saved: TopologyVersion | None = None
     """The value that was kept when it was running last."""
     pages: bool = False
-    """As of `link.calls.Local`."""
+    """Whether robots are called by pages, as in `link.calls.Local`."""
 
 
 class Linking:
@@ -106,7 +106,7 @@ class Linking:
         self._links: dict[str, None] = {}
         self._spare = SpareLinks(me, start.ground)
         self._reach: dict[str, bool] = {}
-        """Of the robots that we dial, as far as we have tried: whether we hear each other."""
+        """Whether we hear each of the robots that we dial, as far as we have tried."""
         self._down: dict[str, float] = {}
         """Links of the topology that are down, and since when."""
         self._rule = AutomaticRule(start.ground, map)

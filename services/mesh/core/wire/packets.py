@@ -131,7 +131,7 @@ class Spread(NamedTuple):
     """A flooded message. Its origin is the robot that its channel's key belongs to."""
 
     incarnation: int
-    """Of the origin: goes up with each of its starts."""
+    """The incarnation of the origin, which goes up with each of its starts."""
     sequence: int
     """Counts the origin's floods from 1."""
     payload: bytes
@@ -154,7 +154,7 @@ class EchoPacket(NamedTuple):
     incarnation: int
     sequence: int
     robots: tuple[str, ...]
-    """Who was reached behind the sender, the sender included."""
+    """The robots that were reached behind the sender, the sender included."""
     lost: bool = False
     """A link broke before its echo came: there may be more."""
     orphan: bool = False
@@ -181,7 +181,7 @@ class UnicastMessage(NamedTuple):
     sender: str
     to: str
     incarnation: int
-    """Of the sender."""
+    """The incarnation of the sender."""
     number: int
     """Counts what this sender sent to this receiver, from 1. Message 0 is sent once, nobody acknowledges it, and it
     does not use the link between its sender and its receiver."""
@@ -199,9 +199,9 @@ class Ack(NamedTuple):
     """The receiver's answer on its way back."""
 
     sender: str
-    """Who answers."""
+    """The robot that answers."""
     to: str
-    """Whose message it was."""
+    """The robot whose message it was."""
     incarnation: int
     number: int
     refused: bool

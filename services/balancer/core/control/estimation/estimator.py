@@ -40,15 +40,15 @@ class BodyEstimate(NamedTuple):
     """Way of the left wheel since the start, m."""
     right: float
     speed: float
-    """Of the axle, forward, m/s."""
+    """Speed of the axle, forward, m/s."""
     heading: float
-    """By gyro and wheels, rad since the start, counter-clockwise positive, not wrapped."""
+    """Heading by gyro and wheels, rad since the start, counter-clockwise positive, not wrapped."""
     turn_rate: float
-    """By the gyro, rad/s."""
+    """Turn rate by the gyro, rad/s."""
     gyro_heading: float
-    """By the gyro alone, rad."""
+    """Heading by the gyro alone, rad."""
     wheel_heading: float
-    """By the wheels alone, rad."""
+    """Heading by the wheels alone, rad."""
     x: float
     """Way in the plane of the start, ahead, m."""
     y: float

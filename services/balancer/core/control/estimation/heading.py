@@ -10,7 +10,7 @@ LEARNING_S = 10.0
 """Time constant with which the gyro's zero follows the wheels: what is left of it after the calibration, some 0.007
 deg/s, costs 0.07 degrees in all."""
 SMOOTHING_S = 0.5
-"""Of the difference between the two: one count of one wheel in a tick is 0.17 rad/s."""
+"""Time constant that smooths the difference between the two: one count of one wheel in a tick is 0.17 rad/s."""
 STRAIGHT = 0.1
 """rad/s: nothing is learned while either turns faster than that: a track 5 % wrong would be taken for a zero."""
 

@@ -17,7 +17,7 @@ FALL_RATE = 3.0
 BRAKE_GAIN = 0.5
 """Duty a rad/s above that."""
 DOWN = math.radians(107)
-"""From here on the motors are off: the floor, at 110 degrees, does the rest."""
+"""The tilt from which on the motors are off: the floor, at 110 degrees, does the rest."""
 LONGEST_S = 2.0
 """Whatever it does then, the motors are off."""
 
