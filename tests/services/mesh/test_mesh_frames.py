@@ -35,17 +35,8 @@ GOLDEN = {
 DOCUMENT = Path(__file__).parents[3] / "docs/reference/network/frames.md"
 
 
-def drain(decoder: FrameDecoder) -> list[Frame]:
-    found = []
-    while (frame := decoder.next()) is not None:
-        found.append(frame)
-    return found
-
-
 def body_of(encoded: bytes) -> bytes:
-    decoder = FrameDecoder(frames.MAX_FRAME)
-    decoder.feed(encoded)
-    (frame,) = drain(decoder)
+    (frame,) = FrameDecoder(frames.MAX_FRAME).frames(encoded)
     return frame.body
 
 
@@ -109,9 +100,7 @@ def test_bind_round_trip(channel: int, key: str) -> None:
 
 @given(st.integers(0, 65535), st.binary(max_size=100), st.sampled_from((0, 1, 2)))
 def test_data_round_trip(channel: int, payload: bytes, priority: int) -> None:
-    decoder = FrameDecoder(frames.MAX_FRAME)
-    decoder.feed(frames.encode_data(priority, channel, payload))
-    (frame,) = drain(decoder)
+    (frame,) = FrameDecoder(frames.MAX_FRAME).frames(frames.encode_data(priority, channel, payload))
     assert (frame.kind, frame.priority) == (frames.DATA, priority)
     assert frames.decode_data(frame.body) == (channel, payload)
 
@@ -125,15 +114,13 @@ encoded_frames = st.one_of(
 @given(st.lists(encoded_frames, max_size=12), st.data())
 def test_any_split_of_the_stream_gives_the_same_frames(parts: list[bytes], data: st.DataObject) -> None:
     stream = b"".join(parts)
-    whole = FrameDecoder(frames.MAX_FRAME)
-    whole.feed(stream)
+    whole = list(FrameDecoder(frames.MAX_FRAME).frames(stream))
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=20)))
     pieces = FrameDecoder(frames.MAX_FRAME)
-    found = []
+    found: list[Frame] = []
     for start, end in zip([0, *cuts], [*cuts, len(stream)], strict=True):
-        pieces.feed(stream[start:end])
-        found += drain(pieces)
-    assert found == drain(whole)
+        found += pieces.frames(stream[start:end])
+    assert found == whole
     assert len(found) == len(parts)
 
 
@@ -155,10 +142,9 @@ def test_noise_raises_frame_errors_only_and_stays_small(noise: bytes, step: int)
     decoder = FrameDecoder()
     with suppress(FrameError):
         for at in range(0, len(noise), step):
-            decoder.feed(noise[at : at + step])
-            for frame in drain(decoder):
+            for frame in decoder.frames(noise[at : at + step]):
                 DECODERS[frame.kind](frame.body)
-            assert len(decoder._buffer) <= frames.MAX_HANDSHAKE + 2 + step
+            assert len(decoder._rest) <= frames.MAX_HANDSHAKE + 2 + step
 
 
 @given(st.sampled_from(list(GOLDEN.values())), st.data())
@@ -166,10 +152,8 @@ def test_mutated_frames_raise_frame_errors_only(encoded: bytes, data: st.DataObj
     mutated = bytearray(encoded)
     for _ in range(data.draw(st.integers(1, 4))):
         mutated[data.draw(st.integers(0, len(mutated) - 1))] = data.draw(st.integers(0, 255))
-    decoder = FrameDecoder(frames.MAX_FRAME)
-    decoder.feed(bytes(mutated))
     with suppress(FrameError):
-        for frame in drain(decoder):
+        for frame in FrameDecoder(frames.MAX_FRAME).frames(bytes(mutated)):
             DECODERS[frame.kind](frame.body)
 
 
@@ -181,10 +165,8 @@ def test_any_body_raises_frame_errors_only(body: bytes, kind: int) -> None:
 
 @pytest.mark.parametrize("length", [0, 257, 4097, 65535])
 def test_the_length_is_refused_before_anything_else_is_read(length: int) -> None:
-    decoder = FrameDecoder()
-    decoder.feed(struct.pack("<H", length))
     with pytest.raises(FrameError, match=f"length {length}: 1 to 256"):
-        decoder.next()
+        list(FrameDecoder().frames(struct.pack("<H", length)))
 
 
 @pytest.mark.parametrize(
@@ -192,10 +174,8 @@ def test_the_length_is_refused_before_anything_else_is_read(length: int) -> None
     [(0x00, "kind 0"), (0x0A, "kind 10"), (0x0F, "kind 15"), (0x31, "class 3"), (0x46, "class 4")],
 )
 def test_unknown_kinds_and_classes_are_refused(first: int, text: str) -> None:
-    decoder = FrameDecoder()
-    decoder.feed(bytes((1, 0, first)))
     with pytest.raises(FrameError, match=text):
-        decoder.next()
+        list(FrameDecoder().frames(bytes((1, 0, first))))
 
 
 def test_bytes_too_many_are_refused() -> None:

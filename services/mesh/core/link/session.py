@@ -169,9 +169,8 @@ class Session:
         if self.state == DOWN:
             return
         self._receipts.taken += len(data)
-        self._decoder.feed(data)
         try:
-            while self.state != DOWN and (frame := self._decoder.next()) is not None:
+            for frame in self._decoder.frames(data):
                 self.received += 1
                 # Whole frames only: whoever can add bytes to the stream must not keep a dead link looking alive.
                 self._heard = now
@@ -182,6 +181,8 @@ class Session:
                     self._on_data(frame)
                 else:
                     self._on_control(frame, now)
+                    if self.state == DOWN:
+                        break
         except frames.VersionError as error:
             self._end(frames.BAD_VERSION, str(error))
         except frames.TagError as error:

@@ -9,7 +9,7 @@ that was wrong once cannot be resynchronised, so the connection ends.
 
 import hmac
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from swarm.errors import FrameError, LocalError
@@ -176,44 +176,41 @@ class FrameDecoder:
         """Largest `length` accepted; the session raises it when the handshake is over."""
         self.tag: Tag | None = None
         """What the tags of the frames to come must be; None while they carry none."""
-        self._buffer = b""
-        self._at = 0
+        self._rest = b""
+        """The frame that is not whole yet."""
 
-    def feed(self, data: bytes) -> None:
-        """Add bytes from the stream; call `next` until it gives None before feeding more."""
-        self._buffer = self._buffer[self._at :] + data if self._at < len(self._buffer) else data
-        self._at = 0
+    def frames(self, data: bytes) -> Iterator[Frame]:
+        """Add bytes from the stream; gives the frames that are whole now. Raises `FrameError`."""
+        buffer = self._rest + data if self._rest else data
+        at = 0
+        while len(buffer) - at >= 2:
+            length = buffer[at] | buffer[at + 1] << 8
+            # Looked at anew for each frame: the one before may have ended the handshake.
+            if not 1 <= length <= self.limit:
+                raise FrameError(f"frame length {length}: 1 to {self.limit} are allowed")
+            end = at + 2 + length
+            if len(buffer) < end:
+                break
+            body_end = end if self.tag is None else _check_tag(self.tag, buffer, at, end)
+            first = buffer[at + 2]
+            kind, priority = first & 0x0F, first >> 4
+            if kind not in _KINDS:
+                raise FrameError(f"frame kind {kind}: not known to protocol version {VERSION}")
+            if priority > BULK:
+                raise FrameError(f"frame class {priority}: 0 to {BULK} are allowed")
+            yield Frame(kind, priority, buffer[at + 3 : body_end])
+            at = end
+        self._rest = buffer[at:]
 
-    def next(self) -> Frame | None:
-        """The next whole frame, or None where more bytes are needed. Raises `FrameError`."""
-        buffer, at = self._buffer, self._at
-        if len(buffer) - at < 2:
-            return None
-        length = buffer[at] | buffer[at + 1] << 8
-        if not 1 <= length <= self.limit:
-            raise FrameError(f"frame length {length}: 1 to {self.limit} are allowed")
-        end = at + 2 + length
-        if len(buffer) < end:
-            return None
-        body_end = end if self.tag is None else self._check_tag(self.tag, at, end)
-        first = buffer[at + 2]
-        kind, priority = first & 0x0F, first >> 4
-        if kind not in _KINDS:
-            raise FrameError(f"frame kind {kind}: not known to protocol version {VERSION}")
-        if priority > BULK:
-            raise FrameError(f"frame class {priority}: 0 to {BULK} are allowed")
-        self._at = end
-        return Frame(kind, priority, buffer[at + 3 : body_end])
 
-    def _check_tag(self, tag: Tag, at: int, end: int) -> int:
-        """Check the tag of a frame, and return where its body ends. Nothing of a frame counts before its tag was
-        right."""
-        start = end - TAG_SIZE
-        if start < at + _HEAD.size:
-            raise TagError(f"frame length {end - at - 2}: no room for a tag")
-        if not hmac.compare_digest(tag(self._buffer[at:start]), self._buffer[start:end]):
-            raise TagError("the tag of a frame is wrong")
-        return start
+def _check_tag(tag: Tag, buffer: bytes, at: int, end: int) -> int:
+    """Check the tag of a frame, and return where its body ends. Nothing of a frame counts before its tag was right."""
+    start = end - TAG_SIZE
+    if start < at + _HEAD.size:
+        raise TagError(f"frame length {end - at - 2}: no room for a tag")
+    if not hmac.compare_digest(tag(buffer[at:start]), buffer[start:end]):
+        raise TagError("the tag of a frame is wrong")
+    return start
 
 
 def encode(kind: int, priority: int, body: bytes) -> bytes:
