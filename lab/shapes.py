@@ -6,6 +6,8 @@ ROBOTS = 6
 ITERATIONS = 40
 LONG = 200
 """Iterations of a run with faults in it."""
+ENDLESS = 3000
+"""Iterations of a run that a test ends: two minutes at least, whatever its links do meanwhile."""
 
 LINE = [(i, i + 1) for i in range(ROBOTS - 1)]
 LOOP = [*LINE, (0, ROBOTS - 1)]

@@ -9,7 +9,7 @@ import pytest
 
 from lab import waiting
 from lab.inside import run_tests
-from lab.shapes import ITERATIONS, LONG, config, hasty, star
+from lab.shapes import ENDLESS, ITERATIONS, LONG, config, hasty, star
 from lab.vm.build import Image
 from lab.vm.machine import PLAIN, Machine
 from swarm.config.keyfile import new_key_file
@@ -37,7 +37,7 @@ def simulate(shape: str, share: Path, make: Callable[[str, str], str] = config, 
     (share / f"{name}.toml").write_text(make(shape, 'key = "/share/swarm.key"'))
     own = share / "own.toml"
     own.write_text(make(shape, "insecure = true"))
-    iterations = LONG if name in ("line", "around") else ITERATIONS
+    iterations = {"line": LONG, "around": ENDLESS}.get(name, ITERATIONS)
     words = ["consensus", "--config", str(own), "--virtual", "--iterations", str(iterations), "--json"]
     record = ["--record", str(share / "simulated" / name)]
     waiting.run(f"the simulation of {name}", [sys.executable, "-m", "laptop.cli.runs.sim", *words, *record])
