@@ -120,11 +120,25 @@ class BusLine:
         self.bus.subscribe(key(robot, "dwm", "module"), self._take)
 
     def ask(self, call: ModuleCall[T]) -> T:
+        if not self.bus.wait_connected(_PATIENCE):
+            raise NoAnswerError(Trouble("silent", f"{self.name}: its bus does not answer: does it run?"))
+        outcome = self._exchange(call)
+        for _ in range(_ATTEMPTS - 1):
+            if isinstance(outcome, Answer) or outcome.kind.startswith("refused"):
+                break
+            outcome = self._exchange(call)
+        if isinstance(outcome, Trouble):
+            raise NoAnswerError(outcome)
+        return outcome.result
+
+    def close(self) -> None:
+        self.bus.close()
+
+    def _exchange(self, call: ModuleCall[T]) -> Answer[T] | Trouble:
+        """What the module said to the service, or why it said nothing; raises `NoAnswerError` where that is silent."""
         self._count += 1
         request = ModuleRequest(f"{self._prefix}-{self._count}", call.request)
         end = clock.now() + _PATIENCE
-        if not self.bus.wait_connected(_PATIENCE):
-            raise NoAnswerError(Trouble("silent", f"{self.name}: its bus does not answer: does it run?"))
         while clock.now() < end:
             self.bus.publish(self._key, request, urgent=True)
             answer = self._wait(request.ticket, min(end, clock.now() + _REPEAT))
@@ -132,9 +146,6 @@ class BusLine:
                 return _read(call, answer)
         reason = f"{self.name}: its dwm service does not answer: does it run, and is its source no recording?"
         raise NoAnswerError(Trouble("silent", reason))
-
-    def close(self) -> None:
-        self.bus.close()
 
     def _wait(self, ticket: str, end: float) -> ModuleAnswer | None:
         while (left := end - clock.now()) > 0:
@@ -153,14 +164,12 @@ class BusLine:
             return  # only a broken service could have sent it
 
 
-def _read(call: ModuleCall[T], answer: ModuleAnswer) -> T:
+def _read(call: ModuleCall[T], answer: ModuleAnswer) -> Answer[T] | Trouble:
     exchange = ModuleExchange(call)
     outcome = exchange.receive(answer.answer) or exchange.expire()
-    if isinstance(outcome, Answer):
-        return outcome.result
-    if not answer.answer or outcome.kind == "silent":
-        outcome = Trouble("silent", answer.problem or outcome.reason)
-    raise NoAnswerError(outcome)
+    if isinstance(outcome, Trouble) and (not answer.answer or outcome.kind == "silent"):
+        return Trouble("silent", answer.problem or outcome.reason)
+    return outcome
 
 
 def restart(line: ModuleConnection, patience: float = 6.0) -> None:

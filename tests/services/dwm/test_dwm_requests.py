@@ -144,3 +144,22 @@ def test_a_module_behind_the_atmega(processes, bus):
         wait_until(lambda: states[-1].state == "ready", what="ready again")
     wait_until(lambda: "is it running" in states[-1].reason, what="the balancer's absence")
     assert stop(process) == 0
+
+
+def test_a_module_that_did_not_answer_its_service_is_asked_again(bus, runtime):
+    """As at a port: a byte may get lost."""
+    asked = []
+
+    def answer(name, payload):
+        asked.append(decode(ModuleRequest, payload, name).ticket)
+        said = (b"", "the module is silent") if len(set(asked)) < 3 else (encode_refusal(4), "")
+        bus.publish("swarm/r0/dwm/module", ModuleAnswer(time.monotonic(), asked[-1], *said))
+
+    bus.subscribe("swarm/r0/dwm/set/module", answer)
+    line = BusLine("r0", runtime)
+    try:
+        with pytest.raises(NoAnswerError, match="refuses cfg_get: busy"):
+            line.ask(CFG_GET)
+    finally:
+        line.close()
+    assert len(set(asked)) == 3
