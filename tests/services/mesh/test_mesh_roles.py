@@ -1,5 +1,7 @@
 """Who calls whom: every link once, the same on all robots, one piconet where the graph has two sides."""
 
+from itertools import product
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -22,6 +24,22 @@ def test_every_link_has_one_caller_and_turning_any_does_not_help(n, seed):
     assert waiting(links) <= waiting([(min(link), max(link)) for link in links])
     for place, (caller, called) in enumerate(links):
         assert waiting([*links[:place], (called, caller), *links[place + 1 :]]) >= waiting(links)
+
+
+@pytest.mark.parametrize("shape", ["loop", "line", "full", *(f"random:{seed}" for seed in range(5))])
+@pytest.mark.parametrize("n", [3, 4, 5])
+def test_no_other_roles_make_waiting_shorter_on_small_graphs(shape, n):
+    found = graph(shape, n)
+    least = min(waiting([call[::way] for call, way in zip(found.edges, ways, strict=True)])
+                for ways in product((1, -1), repeat=len(found.edges)))  # fmt: skip
+    assert waiting(sorted(callers(found.names, found.edges))) == least
+
+
+def test_on_a_full_graph_of_six_the_worst_link_is_between_robots_of_three_and_five_piconets():
+    found = graph("full", 6)
+    calls = sorted(callers(found.names, found.edges))
+    assert waiting(calls) == (15, 165)  # the least of all 2^15, and (20, 161) by turning single calls alone
+    assert sorted(piconets(calls).values()) == [3, 3, 3, 3, 3, 5]
 
 
 @given(st.integers(3, 9), st.integers(0, 20), st.randoms(use_true_random=False))

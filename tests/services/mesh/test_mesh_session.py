@@ -49,6 +49,15 @@ def test_the_round_trip_time_is_measured() -> None:
     assert world.link("r1", "r0").rtt == pytest.approx(0.080, abs=1e-5)
 
 
+@pytest.mark.parametrize(("latency", "heartbeats"), [(0.03, 40), (0.12, 40), (0.13, 20), (1.0, 20)])
+def test_a_link_has_half_as_many_heartbeats_where_round_trips_are_long(latency: float, heartbeats: int) -> None:
+    world = World(PAIR, latency=latency)
+    world.run(20.0)
+    before = world.link("r0", "r1").sent
+    world.run(20.0)
+    assert world.link("r0", "r1").sent - before == pytest.approx(3 * heartbeats, abs=4)  # each with clock and receipt
+
+
 def test_heartbeats_of_all_links_leave_together() -> None:
     world = World([("r0", "r1"), ("r1", "r2")])
     world.run(1.0)

@@ -321,7 +321,7 @@ class Local:
     robots: frozenset[str]
     """All robots of the swarm."""
     heartbeat: float = 0.5
-    """Seconds between heartbeats, on a busy link too: they carry the clock."""
+    """Seconds between heartbeats, on a busy link too: they carry the clock. Twice that where round trips are long."""
     suspect: float = 1.5
     dead: float = 3.0
     handshake: float = 8.0

@@ -70,6 +70,8 @@ class Pulse:
         self.expected = 0.0
         """Seconds within which an answer is expected."""
         self._round_trips = RoundTrips()
+        self._usual = 0.0
+        """Median of `rtts`, s."""
         self.sent_rate = 0.0
         """bytes/s over the last heartbeats."""
         self.received_rate = 0.0
@@ -82,6 +84,17 @@ class Pulse:
         waited in it."""
         self._round_trips.add(rtt, now)
         self.expected = rtt + DEVIATIONS * self._round_trips.deviation
+
+    def period(self, least: float) -> float:
+        """Return the time between two heartbeats, s: `least`, or twice that where half of it is shorter than the usual
+        round trip. More heartbeats would tell little, and each frame takes time of a slow radio."""
+        return 2.0 * least if self._usual > least / 2.0 else least
+
+    def next_beat(self, now: float, least: float, incarnation: int) -> float:
+        """Return when the next heartbeat is due. Those of all links of a robot leave together: each time it wakes
+        costs. Robots have moments of their own, by their incarnation."""
+        wait = least - (now - incarnation % 1024 / 1024 * least) % least
+        return now + (wait if wait > least / 4 else wait + least) + (self.period(least) - least)
 
     def beat(self, now: float, sent: int, received: int) -> Heartbeat:
         """The heartbeat to send after so many bytes each way."""
@@ -109,7 +122,8 @@ class Pulse:
         self.rtts.append(rtt)
         self.rtt = rtt if self.rtt is None else self.rtt + _RTT_GAIN * (rtt - self.rtt)
         self._round_trips.add(rtt, now)
-        tail = sorted(self.rtts)[int(TAIL * len(self.rtts))]
+        ordered = sorted(self.rtts)
+        self._usual, tail = ordered[len(ordered) // 2], ordered[int(TAIL * len(ordered))]
         self.expected = max(self._round_trips.smoothed + DEVIATIONS * self._round_trips.deviation, tail)
         return rtt, apart
 
@@ -117,9 +131,3 @@ class Pulse:
 def _microseconds(now: float) -> int:
     return int(now * 1e6)
 
-
-def next_beat(now: float, period: float, incarnation: int) -> float:
-    """Return when a link's next heartbeat is due. Those of all links of a robot leave together: each time it wakes
-    costs. Robots have moments of their own, by their incarnation."""
-    wait = period - (now - incarnation % 1024 / 1024 * period) % period
-    return now + (wait if wait > period / 4 else wait + period)

@@ -28,7 +28,7 @@ from services.mesh.core.link.calls import Local
 from services.mesh.core.link.clock import ClockSync, decode_claim, encode_claim
 from services.mesh.core.link.flow import Fragment, Reassembly, decode_fragment, encode_fragment
 from services.mesh.core.link.outbox import SENT, Channels, Outbox, OutgoingPart, QueuedMessage, overlay_of
-from services.mesh.core.link.round_trips import Pulse, next_beat
+from services.mesh.core.link.round_trips import Pulse
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.auth import Keys, newest_common
 from services.mesh.core.wire.frames import BULK, BYE_TEXT, SYNC, Frame, Hello
@@ -127,13 +127,13 @@ class Session:
     def suspect_after(self) -> float:
         """s of silence after which the link is suspect: as configured, or more where its round trips ask for it."""
         local = self._local
-        return min(max(local.suspect, local.heartbeat + SUSPECT_AFTER * self.pulse.expected), local.patience)
+        return min(max(local.suspect, self.pulse.period(local.heartbeat) + SUSPECT_AFTER * self.pulse.expected), local.patience)
 
     @property
     def dead_after(self) -> float:
         """The same for its end."""
         local = self._local
-        return min(max(local.dead, local.heartbeat + DEAD_AFTER * self.pulse.expected), local.patience)
+        return min(max(local.dead, self.pulse.period(local.heartbeat) + DEAD_AFTER * self.pulse.expected), local.patience)
 
     @property
     def process(self) -> int:
@@ -217,7 +217,7 @@ class Session:
                 self._events.append(LinkSuspect())
             if now >= self._heartbeat_at:
                 self._heartbeat_due = True
-                self._heartbeat_at = next_beat(now, self._local.heartbeat, self._local.incarnation)
+                self._heartbeat_at = self.pulse.next_beat(now, self._local.heartbeat, self._local.incarnation)
             patience = dead if self.state == SUSPECT else suspect
             self.deadline = min(self._heartbeat_at, self._heard + patience)
 

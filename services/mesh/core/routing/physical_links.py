@@ -11,8 +11,9 @@ Later robots take over from a hub that is lost or does not hear a robot. Each ro
 it does not reach any more. It waits `PAUSE` s for each robot before it, and longer while an earlier one could call.
 
 Where links are those of the graph, who calls is the central of a piconet with all that it calls. So a robot should
-either call all its neighbours or be called by them: on a graph of two sides one side calls. On other graphs calls are
-turned one by one as long as that makes waiting shorter. All robots find the same, from their configuration.
+either call all its neighbours or be called by them: on a graph of two sides one side calls. On other graphs
+several first choices are tried, and calls of each are turned one by one as long as that makes waiting shorter. All
+robots find the same, from their configuration.
 """
 
 from collections.abc import Collection, Sequence, Set
@@ -128,8 +129,25 @@ MOST = 32
 
 def callers(names: Sequence[str], edges: Sequence[Edge]) -> frozenset[Edge]:
     """Return the links, each with its caller first."""
+    links = sorted(map(_sorted, edges))
+    first = _by_sides(names, links)
+    if len(links) > MOST:
+        return frozenset(first)
+    # Turning single calls ends at the best choice near the first one, so several are tried.
+    order = sorted(names)
+    starts = [first, _by_circle(order, links)]
+    starts += [_by_circle([name for name in order if name != last], links) for last in order]
+    return frozenset(min(map(_turned, starts), key=waiting))
+
+
+def _sorted(edge: Edge) -> Edge:
+    return (min(edge), max(edge))
+
+
+def _by_sides(names: Sequence[str], links: Sequence[Edge]) -> list[Edge]:
+    """Let one side call the other, as far as a graph has two sides."""
     near: dict[str, list[str]] = {name: [] for name in names}
-    for a, b in edges:
+    for a, b in links:
         near[a].append(b)
         near[b].append(a)
     # The side with more links a robot is called less: in a star the hub calls, as the robot with most neighbours.
@@ -142,12 +160,18 @@ def callers(names: Sequence[str], edges: Sequence[Edge]) -> frozenset[Edge]:
                 if other not in calls:
                     calls[other] = not calls[here]
                     todo.append(other)
-    links = [(a, b) if (not calls[a], a) < (not calls[b], b) else (b, a) for a, b in sorted(map(_sorted, edges))]
-    return frozenset(_turned(links) if len(links) <= MOST else links)
+    return [(a, b) if (not calls[a], a) < (not calls[b], b) else (b, a) for a, b in links]
 
 
-def _sorted(edge: Edge) -> Edge:
-    return (min(edge), max(edge))
+def _by_circle(order: Sequence[str], links: Sequence[Edge]) -> list[Edge]:
+    """Let each robot call the half of the circle behind it, so that all call and are called alike. A robot that is not
+    in the circle is called by all."""
+    place = {name: number for number, name in enumerate(order)}
+    found = []
+    for a, b in links:
+        steps = (place[b] - place[a]) % len(order) if a in place and b in place else len(order) * (a not in place)
+        found.append((a, b) if 2 * steps <= len(order) else (b, a))
+    return found
 
 
 def _turned(links: list[Edge]) -> list[Edge]:
