@@ -115,6 +115,7 @@ class Calling:
 
     def confirmed(self, session: Session) -> None:
         """Note that a handshake has succeeded."""
+        self._alone = False
         if (caller := self._half_open.pop(session, None)) is not None:
             self._callers.confirmed(caller)
 

@@ -1,0 +1,115 @@
+"""Consensus of whole swarms over the slot radio, by the services' own cores in virtual time."""
+
+import math
+import statistics
+from itertools import pairwise
+
+from bench.rows import number
+from sim.scenario.options import parse
+from sim.scenario.scenario import build
+from sim.virtual.bus import VirtualBus
+from sim.virtual.run import PLACE, VirtualRun, simulate
+from swarm.app.overlays import Overlays
+
+DROP = ("--absent", "drop", "--drop-after", "3")
+
+SETTLED = 10.0
+"""s from the first iteration until a run counts as quiet: all links are up, clocks are joined."""
+
+SIZE = 960_000
+"""Bytes of a large message: the bus takes 983 040, with the request around them."""
+
+
+def consensus(
+    graph: str, iterations: int, seed: int, *, links: str, radio: str = "slots", more: tuple[str, ...] = ()
+) -> dict[str, object]:
+    """Return the report of one run on a graph such as `loop 6`."""
+    shape, robots = graph.split()
+    report, _ = simulate(
+        "consensus", "--robots", robots, "--topology", shape, "--iterations", str(iterations), "--seed", str(seed),
+        "--radio", radio, "--links", links, *more,
+    )  # fmt: skip
+    return report
+
+
+def pace(graph: str, iterations: int, seed: int, *, links: str, radio: str = "slots") -> float:
+    """Return s an iteration."""
+    report = consensus(graph, iterations, seed, links=links, radio=radio)
+    return number(report, "seconds") / max(1.0, number(report, "iterations"))
+
+
+def start(graph: str, seed: int, *, links: str) -> float:
+    """Return s until all robots iterate; infinite where they do not."""
+    report = consensus(graph, 1, seed, links=links)
+    return math.inf if report["problems"] else number(report, "started_s")
+
+
+class Watched:
+    """A run of so many virtual seconds from its first iteration on, and when a robot had its iterations."""
+
+    def __init__(self, graph: str, seconds: float, seed: int, *more: str, robot: str = "r1") -> None:
+        shape, robots = graph.split()
+        options = parse(["consensus", "--virtual", "--radio", "slots", "--robots", robots, "--topology", shape,
+                         "--seconds", str(seconds), "--seed", str(seed), *more])  # fmt: skip
+        self.run = VirtualRun(options, build(options, PLACE))
+        self.moments: list[float] = []
+        self._robot, self._advanced = robot, self.run.advanced
+        self.run.advanced = self._note  # type: ignore[method-assign]
+
+    def _note(self, source: object, line: object) -> None:
+        if getattr(source, "robot", "") == self._robot:
+            self.moments.append(self.run.world.time.now)
+        self._advanced(source, line)
+
+    def pace(self, since: float, until: float = math.inf) -> float:
+        """Return s an iteration between two moments."""
+        found = [moment for moment in self.moments if since <= moment < until]
+        return (found[-1] - found[0]) / (len(found) - 1)
+
+
+def fail_over(graph: str, seed: int) -> float:
+    """Return s without an iteration after the hub was switched off for good."""
+    watched = Watched(graph, 30.0, seed, *DROP, "--links", "auto", "--off", "r0@10s,1000s")
+    watched.run.go()
+    return max(after - before for before, after in pairwise(watched.moments))
+
+
+def absent(graph: str, seconds: float, seed: int) -> float:
+    """Return s an iteration while the last robot of a graph has never been there."""
+    last = f"r{int(graph.split()[1]) - 1}"
+    watched = Watched(graph, seconds, seed, *DROP, "--links", "auto", "--off", f"{last}@start,100000s")
+    watched.run.go()
+    return watched.pace(watched.moments[0] + SETTLED)
+
+
+def alone(graph: str, seconds: float, seed: int) -> float:
+    """Return the same of a swarm in which all are there."""
+    watched = Watched(graph, seconds, seed, "--links", "auto")
+    watched.run.go()
+    return watched.pace(watched.moments[0] + SETTLED)
+
+
+def transfer(graph: str, seconds: float, seed: int, size: int) -> tuple[float, float, float]:
+    """Return s an iteration in quiet and while r1 sends r2 a large message, and s that the message takes."""
+    watched = Watched(graph, seconds, seed, "--links", "auto", robot="r3")
+    world = watched.run.world
+    ends = {name: Overlays(VirtualBus(world.robots[name].router), name, "bench", now=lambda: world.time.now, prefix=name)
+            for name in ("r1", "r2")}  # fmt: skip
+    moments: list[float] = []
+    payload = bytes(size)
+    ends["r2"].on_message(lambda sender, data: moments.append(world.time.now))
+
+    def send() -> None:
+        moments.append(world.time.now)
+        ends["r1"].send("r2", payload, timeout=seconds)
+
+    world.time.at(2.0 * SETTLED, send)
+    watched.run.go()
+    began, *arrived = moments
+    ended = arrived[0] if arrived else math.inf
+    return watched.pace(SETTLED, began), watched.pace(began, ended), ended - began
+
+
+def mean(figures: list[float]) -> float:
+    """Return the mean of what seeds gave."""
+    return statistics.fmean(figures)
