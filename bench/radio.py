@@ -8,6 +8,7 @@ its sleeps on the same radio, and the least that one piconet allows: no loss, no
 How long a bridge stays is not known, so that is swept: graphs of several piconets depend on it, one piconet does not.
 """
 
+import math
 import statistics
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,9 +16,9 @@ from dataclasses import dataclass
 from bench import radio_fit
 from bench.apps import RECORDINGS
 from bench.radio_patterns import Bundled, Original
-from bench.rows import Row, number
+from bench.radio_swarm import SIZE, fail_over, long_pace, pace, start, transfer
+from bench.rows import Row
 from sim.slots.parameters import THESIS, Parameters
-from sim.virtual.run import simulate
 from swarm.core.graph import Graph
 
 GRAPHS = {"line 3": 0.017, "line 6": 0.094, "loop 6": 0.113, "thesis-d 6": 0.232, "full 6": 0.887}
@@ -29,6 +30,19 @@ HUB = {"line 3": 0.025, "line 6": 0.05, "loop 6": 0.05, "thesis-d 6": 0.06, "ful
 
 START = 4.0
 """s at most until six robots iterate where links are what suits the radio."""
+
+START_GRAPH = 14.0
+"""The same on the full graph with a link for each edge."""
+
+EIGHT = 0.11
+"""s an iteration at most of eight robots on the full graph."""
+
+FAIL_OVER, ABSENT, BESIDE = 10.0, 1.05, 2.0
+"""s without an iteration at most when the hub is lost; the ratios of an iteration with an absent robot, and beside a
+large message."""
+
+RATE = 176_000.0 / 2
+"""bytes/s of a saturated link, shared by the two hops of one piconet."""
 
 STAYS = (0.05, 0.2, 0.3)
 """s, besides that of the fit."""
@@ -49,10 +63,16 @@ class Sizes:
     seeds: int = 3
     stays: tuple[float, ...] = STAYS
     pings: int = 100
+    starts: int = 200
+    losses: int = 20
+    seconds: float = 200.0
+    """Of runs beside an absent robot, which is called each 100 to 150 s."""
+    size: int = SIZE
+    """Bytes of the large message."""
 
 
 FULL = Sizes()
-SMOKE = Sizes(("line 3", "loop 6"), 20, 10, 1, (0.2,), 5)
+SMOKE = Sizes(("line 3", "loop 6"), 20, 10, 1, (0.2,), 5, 2, 1, 20.0, 20_000)
 
 
 def rows(sizes: Sizes = FULL) -> Iterator[Row]:
@@ -62,42 +82,44 @@ def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     else:
         yield from radio_fit.rows(RECORDINGS, sizes.rivals, sizes.pings, sizes.seeds)
     for name in sizes.graphs:
-        shape, robots = name.split()
-        ours = [_consensus(shape, robots, sizes.iterations, seed, "slots") for seed in range(sizes.seeds)]
-        yield Row(f"iteration, {name}", 1e3 * _mean(ours, "seconds"), "ms", 1e3 * GRAPHS[name], GOAL)
-        hub = [_consensus(shape, robots, sizes.iterations, seed, "slots", links="auto") for seed in range(sizes.seeds)]
-        yield Row(f"iteration, links = auto, {name}", 1e3 * _mean(hub, "seconds"), "ms", 1e3 * HUB[name], 1.0)
-        start = statistics.median(number(run, "started_s") for run in hub)
-        yield Row(f"start, links = auto, {name}", start, "s", START, 1.0)
-        yield Row(f"messages an iteration, {name}", _mean(ours, "messages"), "", 2.0 * len(_edges(name)), None)
-        yield Row(f"start, {name}", statistics.median(number(run, "started_s") for run in ours), "s", 1.0, None)
-        for stay in sizes.stays:
-            runs = [
-                _consensus(shape, robots, sizes.iterations, seed, f"slots:stay={stay}") for seed in range(sizes.seeds)
-            ]
-            yield Row(
-                f"iteration, {name}, stays of {stay:g} s", 1e3 * _mean(runs, "seconds"), "ms", 1e3 * GRAPHS[name], None
-            )
-        original = statistics.fmean(_original(name, sizes.rivals, seed) for seed in range(sizes.seeds))
-        yield Row(f"the original's pattern, {name}", 1e3 * original, "ms", 1e3 * GRAPHS[name], None)
-        for text, parameters, compute in (("one piconet, bundled", Parameters(), COMPUTE), ("least", LEAST, 0.0)):
-            least = _bundled(name, sizes.rivals, parameters, compute)
-            yield Row(f"{text}, {name}", 1e3 * least, "ms", 1e3 * GRAPHS[name], None)
+        yield from _iterations(name, sizes)
+    eight = [pace("full 8", sizes.iterations, seed, links="auto") for seed in range(sizes.seeds)]
+    yield Row("iteration, links = auto, full 8", 1e3 * statistics.fmean(eight), "ms", 1e3 * EIGHT, 1.0)
+    for links, limit in (("auto", START), ("graph", START_GRAPH)):
+        starts = [start("full 6", seed, links=links) for seed in range(sizes.starts)]
+        yield Row(f"start, links = {links}, full 6, median", statistics.median(starts), "s", limit, 1.0)
+        failed = sum(math.isinf(each) for each in starts)
+        # A limit of a half start and a goal of 1: none may fail.
+        yield Row(f"starts that failed, links = {links}, full 6, of {sizes.starts}", failed, "", 0.5, 1.0)
+    lost = max(fail_over("thesis-d 6", seed) for seed in range(sizes.losses))
+    yield Row(f"hub lost, until the others iterate, longest of {sizes.losses}", lost, "s", FAIL_OVER, 1.0)
+    away, without = long_pace("full 6", sizes.seconds, 0, absent="r5"), long_pace("full 5", sizes.seconds, 0)
+    yield Row("iteration with one of six absent, beside five", 1e3 * away, "ms", 1e3 * without, ABSENT)
+    for name in sizes.graphs[-2:]:
+        quiet, busy, took = transfer(name, 90.0, 0, sizes.size)
+        yield Row(f"iteration beside a large message, {name}, beside quiet", 1e3 * busy, "ms", 1e3 * quiet, BESIDE)
+        yield Row(f"large message over two hops, {name}", took, "s", sizes.size / RATE, None)
 
 
-def _consensus(
-    shape: str, robots: str, iterations: int, seed: int, radio: str, *, links: str = "graph"
-) -> dict[str, object]:
-    report, _ = simulate(
-        "consensus", "--robots", robots, "--topology", shape, "--iterations", str(iterations), "--seed", str(seed),
-        "--radio", radio, "--links", links,
-    )  # fmt: skip
-    return report
+def _iterations(name: str, sizes: Sizes) -> Iterator[Row]:
+    """Rows of one graph: our cores with links of the graph and of a hub, swept stays, rivals, bounds."""
+    limit = 1e3 * GRAPHS[name]
 
+    def mean(links: str, radio: str = "slots") -> float:
+        return 1e3 * statistics.fmean(
+            pace(name, sizes.iterations, seed, links=links, radio=radio) for seed in range(sizes.seeds)
+        )
 
-def _mean(runs: list[dict[str, object]], what: str) -> float:
-    """Of a figure of each run, an iteration."""
-    return statistics.fmean(number(run, what) / max(1.0, number(run, "iterations")) for run in runs)
+    yield Row(f"iteration, links = graph, {name}", mean("graph"), "ms", limit, GOAL)
+    yield Row(f"iteration, links = auto, {name}", mean("auto"), "ms", 1e3 * HUB[name], 1.0)
+    for stay in sizes.stays:
+        yield Row(
+            f"depends on stays: {stay:g} s, graph, {name}", mean("graph", f"slots:stay={stay}"), "ms", limit, None
+        )
+    original = statistics.fmean(_original(name, sizes.rivals, seed) for seed in range(sizes.seeds))
+    yield Row(f"the original's pattern, {name}", 1e3 * original, "ms", limit, None)
+    for text, parameters, compute in (("one piconet, bundled", Parameters(), COMPUTE), ("least", LEAST, 0.0)):
+        yield Row(f"{text}, {name}", 1e3 * _bundled(name, sizes.rivals, parameters, compute), "ms", limit, None)
 
 
 def _edges(name: str) -> list[tuple[str, str]]:

@@ -1,10 +1,10 @@
 """Consensus of whole swarms over the slot radio, by the services' own cores in virtual time."""
 
 import math
-import statistics
 from itertools import pairwise
 
 from bench.rows import number
+from services.apps.host.observer import Source, StepRecord
 from sim.scenario.options import parse
 from sim.scenario.scenario import build
 from sim.virtual.bus import VirtualBus
@@ -45,19 +45,19 @@ def start(graph: str, seed: int, *, links: str) -> float:
 
 
 class Watched:
-    """A run of so many virtual seconds from its first iteration on, and when a robot had its iterations."""
+    """A run of so many virtual seconds from its first iteration on, and when r1 had its iterations."""
 
-    def __init__(self, graph: str, seconds: float, seed: int, *more: str, robot: str = "r1") -> None:
+    def __init__(self, graph: str, seconds: float, seed: int, *more: str) -> None:
         shape, robots = graph.split()
         options = parse(["consensus", "--virtual", "--radio", "slots", "--robots", robots, "--topology", shape,
                          "--seconds", str(seconds), "--seed", str(seed), *more])  # fmt: skip
         self.run = VirtualRun(options, build(options, PLACE))
         self.moments: list[float] = []
-        self._robot, self._advanced = robot, self.run.advanced
+        self._advanced = self.run.advanced
         self.run.advanced = self._note  # type: ignore[method-assign]
 
-    def _note(self, source: object, line: object) -> None:
-        if getattr(source, "robot", "") == self._robot:
+    def _note(self, source: Source, line: StepRecord) -> None:
+        if source.robot == "r1":
             self.moments.append(self.run.world.time.now)
         self._advanced(source, line)
 
@@ -68,48 +68,38 @@ class Watched:
 
 
 def fail_over(graph: str, seed: int) -> float:
-    """Return s without an iteration after the hub was switched off for good."""
+    """Return the longest time without an iteration, s, of a run whose hub is switched off for good."""
     watched = Watched(graph, 30.0, seed, *DROP, "--links", "auto", "--off", "r0@10s,1000s")
     watched.run.go()
     return max(after - before for before, after in pairwise(watched.moments))
 
 
-def absent(graph: str, seconds: float, seed: int) -> float:
-    """Return s an iteration while the last robot of a graph has never been there."""
-    last = f"r{int(graph.split()[1]) - 1}"
-    watched = Watched(graph, seconds, seed, *DROP, "--links", "auto", "--off", f"{last}@start,100000s")
-    watched.run.go()
-    return watched.pace(watched.moments[0] + SETTLED)
-
-
-def alone(graph: str, seconds: float, seed: int) -> float:
-    """Return the same of a swarm in which all are there."""
-    watched = Watched(graph, seconds, seed, "--links", "auto")
+def long_pace(graph: str, seconds: float, seed: int, *, absent: str = "") -> float:
+    """Return s an iteration over so many seconds; `absent` is a robot that is never there."""
+    away = (*DROP, "--off", f"{absent}@start,100000s") if absent else ()
+    watched = Watched(graph, seconds, seed, "--links", "auto", *away)
     watched.run.go()
     return watched.pace(watched.moments[0] + SETTLED)
 
 
 def transfer(graph: str, seconds: float, seed: int, size: int) -> tuple[float, float, float]:
     """Return s an iteration in quiet and while r1 sends r2 a large message, and s that the message takes."""
-    watched = Watched(graph, seconds, seed, "--links", "auto", robot="r3")
+    watched = Watched(graph, seconds, seed, "--links", "auto")
     world = watched.run.world
-    ends = {name: Overlays(VirtualBus(world.robots[name].router), name, "bench", now=lambda: world.time.now, prefix=name)
-            for name in ("r1", "r2")}  # fmt: skip
+    r1, r2 = (
+        Overlays(VirtualBus(world.robots[name].router), name, "bench", now=lambda: world.time.now, prefix=name)
+        for name in ("r1", "r2")
+    )
     moments: list[float] = []
     payload = bytes(size)
-    ends["r2"].on_message(lambda sender, data: moments.append(world.time.now))
+    r2.on_message(lambda sender, data: moments.append(world.time.now))
 
     def send() -> None:
         moments.append(world.time.now)
-        ends["r1"].send("r2", payload, timeout=seconds)
+        r1.send("r2", payload, timeout=seconds)
 
     world.time.at(2.0 * SETTLED, send)
     watched.run.go()
     began, *arrived = moments
     ended = arrived[0] if arrived else math.inf
     return watched.pace(SETTLED, began), watched.pace(began, ended), ended - began
-
-
-def mean(figures: list[float]) -> float:
-    """Return the mean of what seeds gave."""
-    return statistics.fmean(figures)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from bench.radio_swarm import SIZE, fail_over, transfer
 from sim.scenario.options import parse
 from sim.scenario.scenario import build
 from sim.virtual.run import PLACE, VirtualRun, simulate
@@ -106,6 +107,18 @@ def test_when_the_hub_is_lost_the_others_go_on_without_it_and_with_it_when_it_is
     assert max(ends.values()) - min(ends.values()) <= 2  # r0, too
     topology = run.world.robots["r1"].mesh.look(lambda overlays, now: overlays.topology(now))
     assert topology.kept == ()
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_successors_of_a_hub_lost_just_after_the_start_are_not_called_by_who_knocks_at_it(seed):
+    assert 2 < fail_over("thesis-d 6", seed) < 10
+
+
+@pytest.mark.slow
+def test_lockstep_takes_at_most_twice_as_long_beside_a_large_message_on_the_slot_radio():
+    quiet, busy, took = transfer("thesis-d 6", 90.0, 0, SIZE)
+    assert quiet < busy <= 2 * quiet
+    assert took < 60
 
 
 def test_a_robot_out_of_the_hubs_range_is_reached_over_another_one():

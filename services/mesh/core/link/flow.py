@@ -168,7 +168,7 @@ GAIN, LOSS = 1.07, 0.95
 COLLAPSE = 0.6
 """Share of the rate below which the link has become slower; the window follows at once."""
 
-SLACK = 0.1
+SLACK = 0.07
 """Seconds by which a round trip may exceed twice the smallest one; above, bytes wait whatever the rate says, as on a
 link much slower than expected. Jitter stays far below it."""
 

@@ -130,4 +130,3 @@ class Pulse:
 
 def _microseconds(now: float) -> int:
     return int(now * 1e6)
-

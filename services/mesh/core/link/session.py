@@ -26,7 +26,6 @@ from services.mesh.core.link import (
 )
 from services.mesh.core.link.calls import Local
 from services.mesh.core.link.clock import ClockSync, decode_claim, encode_claim
-from services.mesh.core.link.flow import Fragment, Reassembly, decode_fragment, encode_fragment
 from services.mesh.core.link.outbox import SENT, Channels, Outbox, OutgoingPart, QueuedMessage, overlay_of
 from services.mesh.core.link.round_trips import Pulse
 from services.mesh.core.wire import frames
@@ -97,7 +96,7 @@ class Session:
         self.window = flow.SendWindow()
         """What is under way."""
         self._receipts = flow.Receipts()
-        self._reassembly = Reassembly(counters)
+        self._reassembly = flow.Reassembly(counters)
         self._channels = Channels()
         self._bound: dict[int, tuple[str, int] | None] = {}
         ids = tuple(sorted(local.keys, reverse=True))
@@ -126,14 +125,16 @@ class Session:
     @property
     def suspect_after(self) -> float:
         """s of silence after which the link is suspect: as configured, or more where its round trips ask for it."""
-        local = self._local
-        return min(max(local.suspect, self.pulse.period(local.heartbeat) + SUSPECT_AFTER * self.pulse.expected), local.patience)
+        return self._silence(self._local.suspect, SUSPECT_AFTER)
 
     @property
     def dead_after(self) -> float:
         """The same for its end."""
-        local = self._local
-        return min(max(local.dead, self.pulse.period(local.heartbeat) + DEAD_AFTER * self.pulse.expected), local.patience)
+        return self._silence(self._local.dead, DEAD_AFTER)
+
+    def _silence(self, least: float, answers: float) -> float:
+        pulse, local = self.pulse, self._local
+        return min(max(least, pulse.period(local.heartbeat) + answers * pulse.expected), local.patience)
 
     @property
     def process(self) -> int:
@@ -218,8 +219,7 @@ class Session:
             if now >= self._heartbeat_at:
                 self._heartbeat_due = True
                 self._heartbeat_at = self.pulse.next_beat(now, self._local.heartbeat, self._local.incarnation)
-            patience = dead if self.state == SUSPECT else suspect
-            self.deadline = min(self._heartbeat_at, self._heard + patience)
+            self.deadline = min(self._heartbeat_at, self._heard + (dead if self.state == SUSPECT else suspect))
 
     def data_to_send(self, now: float, max_bytes: int) -> bytes:
         """Whole frames to be sent next, most urgent first; stops when `max_bytes` are reached or passed."""
@@ -254,7 +254,9 @@ class Session:
                     continue
                 else:
                     total = 0 if part.number else len(message.payload)
-                    chunks.append(encode_fragment(Fragment(channel, part.number, part.last, total, part.data)))
+                    chunks.append(
+                        flow.encode_fragment(flow.Fragment(channel, part.number, part.last, total, part.data))
+                    )
                 size += len(chunks[-1])
                 if part is None or part.last:
                     self._counters[SENT[message.priority]] += 1
@@ -293,7 +295,7 @@ class Session:
             self._events.append(Received(key, payload, frame.priority, overlay))
 
     def _on_fragment(self, frame: Frame, now: float) -> None:
-        fragment = decode_fragment(frame.body)
+        fragment = flow.decode_fragment(frame.body)
         self._receipts.bulk = True
         if fragment.channel not in self._bound:
             raise FrameError(f"FRAGMENT on channel {fragment.channel}, which is not bound")

@@ -137,7 +137,8 @@ def callers(names: Sequence[str], edges: Sequence[Edge]) -> frozenset[Edge]:
     order = sorted(names)
     starts = [first, _by_circle(order, links)]
     starts += [_by_circle([name for name in order if name != last], links) for last in order]
-    return frozenset(min(map(_turned, starts), key=waiting))
+    best = min(map(_turned, starts), key=waiting)
+    return frozenset(best)
 
 
 def _sorted(edge: Edge) -> Edge:
