@@ -90,6 +90,10 @@ class Pulse:
         round trip. More heartbeats would tell little, and each frame takes time of a slow radio."""
         return 2.0 * least if self._usual > least / 2.0 else least
 
+    def silence(self, least: float, answers: float) -> float:
+        """Return the seconds in which a heartbeat and so many answers are expected; `least` as in `period`."""
+        return self.period(least) + answers * self.expected
+
     def next_beat(self, now: float, least: float, incarnation: int) -> float:
         """Return when the next heartbeat is due. Those of all links of a robot leave together: each time it wakes
         costs. Robots have moments of their own, by their incarnation."""

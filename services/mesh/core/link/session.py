@@ -125,16 +125,14 @@ class Session:
     @property
     def suspect_after(self) -> float:
         """s of silence after which the link is suspect: as configured, or more where its round trips ask for it."""
-        return self._silence(self._local.suspect, SUSPECT_AFTER)
+        local = self._local
+        return min(max(local.suspect, self.pulse.silence(local.heartbeat, SUSPECT_AFTER)), local.patience)
 
     @property
     def dead_after(self) -> float:
         """The same for its end."""
-        return self._silence(self._local.dead, DEAD_AFTER)
-
-    def _silence(self, least: float, answers: float) -> float:
-        pulse, local = self.pulse, self._local
-        return min(max(least, pulse.period(local.heartbeat) + answers * pulse.expected), local.patience)
+        local = self._local
+        return min(max(local.dead, self.pulse.silence(local.heartbeat, DEAD_AFTER)), local.patience)
 
     @property
     def process(self) -> int:
