@@ -4,7 +4,6 @@ import argparse
 
 from laptop.fleet import apps
 from laptop.fleet.ssh import everyone, robot_command
-from laptop.fleet.ssh.everyone import ReportProgress
 from laptop.fleet.ssh.ssh import Host
 from laptop.fleet.units import unit
 from sim.control import app_requests
@@ -32,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
     everyone.named(args)
     _, hosts, ssh = everyone.chosen(args)
 
-    async def job(host: Host, _: ReportProgress) -> str:
+    async def job(host: Host, _: everyone.ReportProgress) -> str:
         return await apps.systemctl(ssh, host, args.act, [unit(args.app)])
 
     return everyone.run(args, hosts, job)

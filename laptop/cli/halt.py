@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 from laptop.fleet.ssh import everyone
-from laptop.fleet.ssh.everyone import ReportProgress
 from laptop.fleet.ssh.ssh import Host, HostError, Ssh, hosts, last_words
 from swarm.config import Config, load
 from swarm.errors import LocalError, PayloadError
@@ -126,7 +125,7 @@ def command(robots: tuple[Host, ...], ssh: Ssh, *, stop: bool, reason: str) -> _
     answers = _Answers()
     words = [PROGRAM, "estop", reason] if stop else [PROGRAM, "arm"]
 
-    async def job(host: Host, tell: ReportProgress) -> str:
+    async def job(host: Host, tell: everyone.ReportProgress) -> str:
         there = ["sudo", "-n", "env", f"SWARM_ROBOT={host.robot}", f"SWARM_RUNTIME={DEFAULT_RUNTIME}", *words]
         done = await ssh.run(host, shlex.join([*there, "--json", "--timeout", str(THERE_S)]))
         rows = _rows(done.out)

@@ -4,7 +4,6 @@ import argparse
 import shlex
 
 from laptop.fleet.ssh import everyone, robot_command
-from laptop.fleet.ssh.everyone import ReportProgress
 from laptop.fleet.ssh.ssh import Host
 from swarm.onboard import param
 
@@ -29,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
     param.settings_of(args)  # what is wrong is said here, not by each robot
     _, robots, ssh = everyone.chosen(args)
 
-    async def job(host: Host, tell: ReportProgress) -> str:
+    async def job(host: Host, tell: everyone.ReportProgress) -> str:
         mine = [word.removeprefix(f"{host.robot}.") for word in args.settings]
         words = [word for word in mine if "." not in word.partition("=")[0]]
         if args.settings and not words:

@@ -13,7 +13,6 @@ from urllib.parse import quote
 
 from laptop.fleet.release import versions
 from laptop.fleet.release.install import pack
-from laptop.fleet.release.versions import Versions
 from laptop.fleet.ssh.ssh import Host, HostError, Ssh
 from laptop.fleet.units import SERVICES, unit
 from services.apps import sources
@@ -150,7 +149,7 @@ def check_settings(settings: Sequence[str], config: Config, name: str) -> None:
         raise LocalError(f"--set: {error}") from None
 
 
-async def ask_versions(ssh: Ssh, host: Host) -> Versions:
+async def ask_versions(ssh: Ssh, host: Host) -> versions.Versions:
     """Return the versions on a robot. Raises `HostError`, also where it has no release."""
     try:
         return versions.parse(await ssh.check(host, versions.question(host.robot)))
@@ -158,7 +157,7 @@ async def ask_versions(ssh: Ssh, host: Host) -> Versions:
         raise HostError(str(error)) from None
 
 
-def differences(found: Mapping[str, Versions], config: Config) -> str:
+def differences(found: Mapping[str, versions.Versions], config: Config) -> str:
     """Explain in words which versions differ between robots and this computer; empty where none does."""
     here = hashlib.sha256(config.path.read_bytes()).hexdigest()
     wrong = versions.differences(found, here) if found else []

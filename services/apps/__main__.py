@@ -20,7 +20,6 @@ from services.apps.event_runner import EventRunner
 from services.apps.host import topology
 from services.apps.host.event_host import EventHost
 from services.apps.host.host import LockstepHost, Part
-from services.apps.host.topology import RunPlace
 from services.apps.persistence.claim import AppLock
 from services.apps.persistence.recording import AppRecording, place_of
 from services.apps.persistence.storage import FileStorage
@@ -81,7 +80,7 @@ def main() -> int:
         instance.robot.recording = RecordedValues(service.bus, service.robot, app.name, keep)
         let_speak(instance.robot, service.bus, service.log, *([recorder.said] if recorder is not None else []))
         how = run_options.of(options)
-        place = RunPlace.of(number, app.digest, how, links.config, links.epoch, claim.incarnation)
+        place = topology.RunPlace.of(number, app.digest, how, links.config, links.epoch, claim.incarnation)
         if isinstance(instance, EventApp):
             events = EventRunner(instance, app.source)
             host = EventHost(runtime, app.name, events, place, service.config, storage, recorder)

@@ -21,7 +21,6 @@ from swarm.config.keyfile import read_keys
 from swarm.process import service
 from swarm.process.locked_runtime import LockedRuntime
 from swarm.process.paths import state_dir
-from swarm.process.service import Service
 
 _LOOK_S = 1.0
 """Seconds between two looks whether the reading thread still goes round, and who watches through this robot."""
@@ -48,7 +47,7 @@ def incarnation() -> int:
     return time.time_ns() // 1000
 
 
-def _save(this: Service, data: bytes) -> None:
+def _save(this: service.Service, data: bytes) -> None:
     try:
         topology_file.save(state_dir(), data)
     except OSError as error:
@@ -56,7 +55,7 @@ def _save(this: Service, data: bytes) -> None:
 
 
 def main() -> None:
-    with Service("mesh", direct=True) as this:
+    with service.Service("mesh", direct=True) as this:
         local = local_by_file(this.config, this.robot)
         ground = ground_of(this.config)
         start = InitialLinks(ground, local.dials, topology_file.load(state_dir(), ground), local.pages)

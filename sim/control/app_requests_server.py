@@ -8,7 +8,6 @@ import msgpack
 
 from services.apps.loader import BUILT_IN
 from sim.control import app_requests, datagrams
-from sim.control.app_requests import AppRequest
 from sim.processes.processes import Processes
 from swarm.errors import LocalError, SwarmError
 
@@ -51,7 +50,7 @@ class Orders:
     def close(self) -> None:
         self._socket.close()
 
-    def _carry_out(self, order: AppRequest) -> str:
+    def _carry_out(self, order: app_requests.AppRequest) -> str:
         unknown = [name for name in order.robots if name not in self._names]
         if unknown:
             raise LocalError(f"no robot {unknown[0]}, there are {', '.join(self._names)}")

@@ -31,7 +31,6 @@ from swarm.config.dump import dump
 from swarm.errors import LocalError
 from swarm.recording import folder, trajectory
 from swarm.recording.reader import SUFFIX
-from swarm.recording.trajectory import Trajectory
 
 SERVICE_MODULES = {
     "bus": "services.bus",
@@ -251,7 +250,7 @@ class ProcessRun:
     def _interrupted(self, *_: object) -> None:
         self._stop = True
 
-    def _trajectories(self, app: str) -> dict[str, Trajectory]:
+    def _trajectories(self, app: str) -> dict[str, trajectory.Trajectory]:
         """Return the trajectories by robot. They are whole only where another run is compared: those of a day take
         gigabytes."""
         whole = bool(self._scenario.recorded)

@@ -8,7 +8,6 @@ from services.apps.loader import BUILT_IN
 from sim.core.noise import ERRORS
 from sim.disturbances import SERVICES, Cut, Kill, Off, ScheduledPress, ScheduledPush, cut, kill, off, press, push
 from sim.scenario import commission_report
-from sim.scenario.commission_report import MeasuredRobot
 from sim.scenario.quantities import (
     AppSetting,
     at_least,
@@ -64,7 +63,7 @@ class Options:
     settings: tuple[AppSetting, ...]
     step_size: float | None
     """The thesis' unit, 1/cm^2."""
-    like: MeasuredRobot | None
+    like: commission_report.MeasuredRobot | None
     """What was measured of a real robot, for all simulated ones."""
     latency: float
     jitter: float

@@ -12,7 +12,6 @@ from typing import NamedTuple
 from services.mesh.links.radio_model import MAX_LOSS
 from sim.slots.parameters import Parameters
 from swarm.app import settings
-from swarm.app.settings import Setting
 from swarm.errors import AppError, ConfigError
 from swarm.messages.keys import is_name
 
@@ -69,7 +68,7 @@ class AppSetting(NamedTuple):
 
     app: str
     """Empty: of the first one."""
-    setting: Setting
+    setting: settings.Setting
 
 
 def setting(text: str) -> AppSetting:

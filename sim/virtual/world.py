@@ -17,7 +17,6 @@ from services.apps.host import topology
 from services.apps.host.event_host import EventHost
 from services.apps.host.host import LockstepHost, Part
 from services.apps.host.observer import Observer
-from services.apps.host.topology import RunPlace
 from services.apps.runner import Runner, metrics_of
 from services.dwm.replay import row_of
 from services.mesh.core.routing.link_state import AdvertisedLinks
@@ -149,7 +148,7 @@ class VirtualWorld:
         self._scene_record = scene_record
         self._processes_end = processes_end
         self._launched: dict[tuple[str, str], Launch] = {}
-        self._begin_with: dict[tuple[str, int, int], RunPlace] = {}
+        self._begin_with: dict[tuple[str, int, int], topology.RunPlace] = {}
         self._common = Common(config, bluetooth=slots is not None)
         self.robots = {name: self._robot(name) for name in config.names}
         self.contacts = contacts_of(config)
@@ -257,7 +256,7 @@ class VirtualWorld:
         runtime = VirtualRuntime(robot, there.time, bus)
         begin = app.name, run, epoch
         if begin not in self._begin_with:
-            self._begin_with[begin] = RunPlace.of(run, app.digest, run_options, config, epoch, 1)
+            self._begin_with[begin] = topology.RunPlace.of(run, app.digest, run_options, config, epoch, 1)
         place = self._begin_with[begin]._replace(incarnation=there.starts)
         # Tickets of requests: others in each run, and after each start.
         tickets = f"{run & 0xFFFFFFFFFFFF:012x}" + (f"-{there.starts}" if there.starts > 1 else "")

@@ -23,7 +23,6 @@ from swarm.messages.keys import EVERYTHING
 from swarm.messages.keys import key as key_of
 from swarm.onboard.arguments import add_robots, add_run_dir, number, whole
 from swarm.onboard.buses import buses, samples
-from swarm.onboard.buses.samples import BusSample
 from swarm.onboard.command_line import complain, end_with
 from swarm.process.paths import DEFAULT_RUNTIME, bus_endpoint, runtime_dir
 from swarm.process.simulations import default_run_dir, is_live, robots
@@ -137,7 +136,7 @@ class _Watch:
         self._while_input: bool = options.while_input
         self._end = clock.now() + options.seconds if options.seconds else None
         self._source = _source(options)
-        self._queue: queue.Queue[BusSample] = queue.Queue(_QUEUE)
+        self._queue: queue.Queue[samples.BusSample] = queue.Queue(_QUEUE)
         self._lost = 0
         self._buses: dict[str, _Watched] = {}
         self._layouts: dict[tuple[str, str], dict[str, str]] = {}
@@ -175,7 +174,7 @@ class _Watch:
         if self._queue.empty():
             sys.stdout.flush()
 
-    def _with_layouts(self, sample: BusSample) -> BusSample:
+    def _with_layouts(self, sample: samples.BusSample) -> samples.BusSample:
         """The same with what its app tells of its frames; the app is asked when its first one comes."""
         app = samples.frame_app(sample.key)
         watched = self._buses.get(sample.robot)
@@ -206,7 +205,7 @@ class _Watch:
     def _receiver(self, robot: str) -> Callable[[str, bytes], None]:
         def receive(name: str, payload: bytes) -> None:
             try:
-                self._queue.put_nowait(BusSample(clock.wall(), robot, name, payload))
+                self._queue.put_nowait(samples.BusSample(clock.wall(), robot, name, payload))
             except queue.Full:
                 self._lost += 1
 
@@ -251,7 +250,7 @@ class _Rates:
         self._counts: dict[tuple[str, str], tuple[int, int]] = {}
         self._since = clock.now()
 
-    def count(self, sample: BusSample) -> None:
+    def count(self, sample: samples.BusSample) -> None:
         number, size = self._counts.get((sample.robot, sample.key), (0, 0))
         self._counts[sample.robot, sample.key] = number + 1, size + len(sample.payload)
 

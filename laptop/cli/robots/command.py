@@ -3,7 +3,6 @@
 import argparse
 
 from laptop.fleet.ssh import everyone
-from laptop.fleet.ssh.everyone import ReportProgress
 from laptop.fleet.ssh.ssh import CommandError, Host, HostError
 
 HELP = "run a shell command on every robot, over ssh"
@@ -20,7 +19,7 @@ def run(args: argparse.Namespace) -> int:
     _, robots, ssh = everyone.chosen(args)
     command = " ".join(args.command)
 
-    async def job(host: Host, tell: ReportProgress) -> str:
+    async def job(host: Host, tell: everyone.ReportProgress) -> str:
         try:
             await ssh.follow(host, command, tell)
         except CommandError as error:

@@ -9,7 +9,6 @@ from laptop.fleet.files.calibrations import with_calibration
 from laptop.fleet.release.install import Release, ask_kind, check_name, install, read_files, read_release
 from laptop.fleet.release.release import build
 from laptop.fleet.ssh import everyone
-from laptop.fleet.ssh.everyone import ReportProgress
 from laptop.fleet.ssh.ssh import Host, Ssh
 from swarm.config import Config
 from swarm.errors import LocalError
@@ -49,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
                 "without a release, swarm deploy makes one that has them"
             )
 
-    async def job(host: Host, tell: ReportProgress) -> str:
+    async def job(host: Host, tell: everyone.ReportProgress) -> str:
         if not args.rename:
             await check_name(ssh, host)
         said, sent = await install(ssh, host, releases, whole[host.robot], tell)

@@ -9,7 +9,6 @@ from pathlib import Path
 from laptop.fleet.files.calibrations import bring_back
 from laptop.fleet.files.fetch import RecordingFetch
 from laptop.fleet.ssh import everyone
-from laptop.fleet.ssh.everyone import ReportProgress
 from laptop.fleet.ssh.ssh import Host, HostError
 from swarm.errors import LocalError
 
@@ -34,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         raise LocalError(f"{args.into}: {error.strerror}") from None
 
-    async def job(host: Host, tell: ReportProgress) -> str:
+    async def job(host: Host, tell: everyone.ReportProgress) -> str:
         fetch = RecordingFetch(ssh, host, args.into, tell)
         got = await fetch.recordings(args.runs)
         if got.strange:

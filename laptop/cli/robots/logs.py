@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from laptop.fleet.ssh import everyone, robot_command
-from laptop.fleet.ssh.everyone import ReportProgress
 from laptop.fleet.ssh.ssh import Host
 from laptop.fleet.units import SERVICES, unit
 from sim.processes.progress import said
@@ -57,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     if args.follow:
         command, args.timeout = command + " --follow", FOREVER_S
 
-    async def job(host: Host, tell: ReportProgress) -> str:
+    async def job(host: Host, tell: everyone.ReportProgress) -> str:
         return f"{await ssh.follow(host, command, tell)} lines"
 
     return everyone.run(args, robots, job)

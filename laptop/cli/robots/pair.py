@@ -8,7 +8,6 @@ import time
 from laptop.fleet.core.pairing import check, edges, with_addresses
 from laptop.fleet.pair import Pairing, look
 from laptop.fleet.ssh import everyone
-from laptop.fleet.ssh.everyone import ReportProgress, RobotOutcome
 from swarm.config import Config, parse
 from swarm.errors import ConfigError, LocalError
 from swarm.files import atomic_write
@@ -33,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
     found, looks = everyone.gather(robots, lambda host: look(ssh, host), args.timeout)
     wrong = check(config, {name: answer["address"] for name, answer in looks.items()})
     outcomes = [
-        RobotOutcome(each.robot, False, wrong[each.robot], each.seconds) if each.robot in wrong else each
+        everyone.RobotOutcome(each.robot, False, wrong[each.robot], each.seconds) if each.robot in wrong else each
         for each in found
     ]
     good = {name: answer for name, answer in looks.items() if name not in wrong}
@@ -50,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     return 0 if all(each.ok for each in outcomes) and not any(links.values()) else 1
 
 
-def _tell(quiet: bool) -> ReportProgress:
+def _tell(quiet: bool) -> everyone.ReportProgress:
     def tell(text: str) -> None:
         if not quiet:
             write_lines([text])

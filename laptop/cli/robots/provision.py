@@ -12,7 +12,6 @@ from laptop.fleet.provision import Provisioning, Rig
 from laptop.fleet.release import bundle
 from laptop.fleet.release.install import install, read_files, read_release
 from laptop.fleet.ssh import everyone
-from laptop.fleet.ssh.everyone import ReportProgress
 from laptop.fleet.ssh.ssh import Host, Ssh
 from swarm.config import Config, load
 from swarm.config.keyfile import read_keys
@@ -57,7 +56,7 @@ def run(args: argparse.Namespace, rig: Rig | None = None, architecture: str = "a
         whole = wish(config, host.robot, host.address, time.time(), key=args.key is not None, wifi=wifi)
         return replace(whole, architecture=architecture)
 
-    async def job(host: Host, tell: ReportProgress) -> str:
+    async def job(host: Host, tell: everyone.ReportProgress) -> str:
         robot = Provisioning(ssh, host, asked(host), packages, tell, rig or Rig())
         if args.check:
             return await robot.check()

@@ -6,7 +6,6 @@ from pathlib import Path
 
 from laptop.fleet import apps
 from laptop.fleet.ssh import everyone
-from laptop.fleet.ssh.everyone import ReportProgress
 from laptop.fleet.ssh.ssh import Host
 from services.apps import sources
 from sim.scenario.quantities import setting
@@ -58,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     options = [*([] if args.no_record else ["--record"]), *run_options.of(args).arguments]
     starts = [apps.AppStart(name, files, arguments=options, settings=settings[name]) for name, files in found.items()]
 
-    async def job(host: Host, _: ReportProgress) -> str:
+    async def job(host: Host, _: everyone.ReportProgress) -> str:
         return ", ".join([await start.until_first_state(ssh, host) for start in starts])
 
     return everyone.run(args, robots, job)

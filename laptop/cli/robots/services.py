@@ -7,7 +7,6 @@ from pathlib import Path
 from laptop.cli import hand
 from laptop.fleet import apps
 from laptop.fleet.ssh import everyone, robot_command
-from laptop.fleet.ssh.everyone import ReportProgress
 from laptop.fleet.ssh.ssh import Host
 from laptop.fleet.units import SERVICES, units
 from sim.control import app_requests
@@ -33,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
         return _simulated(args, there)
     _, robots, ssh = everyone.chosen(args)
 
-    async def job(host: Host, _: ReportProgress) -> str:
+    async def job(host: Host, _: everyone.ReportProgress) -> str:
         return await apps.systemctl(ssh, host, args.action, names)
 
     return everyone.run(args, robots, job)

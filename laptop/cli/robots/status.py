@@ -13,7 +13,6 @@ from typing import Any
 
 from laptop.fleet.core.collect import RUNS
 from laptop.fleet.ssh import everyone, robot_command
-from laptop.fleet.ssh.everyone import RobotOutcome
 from laptop.fleet.ssh.ssh import Host, Ssh
 from laptop.fleet.units import SERVICES
 from swarm.config import load
@@ -84,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
             outcomes, rows = everyone.gather(robots, partial(_look, ssh), args.timeout)
         else:
             rows = _simulated(there)
-            outcomes = [RobotOutcome(name, True, "", 0.0) for name in there]
+            outcomes = [everyone.RobotOutcome(name, True, "", 0.0) for name in there]
         if args.json:
             answer = {o.robot: asdict(rows[o.robot]) if o.robot in rows else {"problem": o.text} for o in outcomes}
             sys.stdout.write(json.dumps({"robots": answer}) + "\n")
@@ -206,7 +205,7 @@ def _time(seconds: float) -> str:
     return f"{hours} h {minutes:02} min" if hours else f"{minutes} min"
 
 
-def table(outcomes: list[RobotOutcome], rows: dict[str, StatusRow], budget: float) -> list[str]:
+def table(outcomes: list[everyone.RobotOutcome], rows: dict[str, StatusRow], budget: float) -> list[str]:
     """Return the lines for a terminal; `budget`: bytes that recordings may take."""
     cells: list[tuple[str, ...]] = [
         ("robot", "services", "battery", "body", "links", "pose", "apps", "recordings", "release", "firmware")

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from laptop.plotting import events, journeys, mesh, places, states, style
-from laptop.plotting.style import figure
 from swarm.errors import LocalError
 from swarm.onboard.arguments import add_json, show
 from swarm.recording.run import Run
@@ -78,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     drawing = partial(states.states, columns=args.column, labels=labels) if kind == "states" else KINDS[kind]
     name = "-".join(filter(None, (args.run.resolve().stem, args.app, kind)))
     path = args.output or Path(f"{name}.png")
-    with figure(path, settings=style.RC, layout="constrained") as made:
+    with style.figure(path, settings=style.RC, layout="constrained") as made:
         drawing(made, recorded)
         for axes in made.axes if args.between else ():
             if axes.get_xlabel() == TIME:
@@ -92,7 +91,7 @@ def draw(run: Path, app: str, path: Path, references: Mapping[str, Sequence[plac
     """Draw what is drawn of a recorded run of an app where nothing else is asked for; beside estimates of a target the
     `references`, by robot."""
     recorded = Run(run, app)
-    with figure(path, settings=style.RC, layout="constrained") as made:
+    with style.figure(path, settings=style.RC, layout="constrained") as made:
         if references and _of(recorded) == "map":
             places.scene(made, recorded, references)
         else:

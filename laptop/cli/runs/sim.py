@@ -12,7 +12,6 @@ from pathlib import Path
 
 from sim import report
 from sim.processes.progress import said
-from sim.report import RunOutcome
 from sim.scenario import options as arguments
 from sim.scenario import scenario
 from sim.scenario.options import Options
@@ -80,7 +79,7 @@ def _run(options: Options, run_dir: Path) -> int:
     return _tell(options, plan, options.record or run_dir / "records", outcome)
 
 
-def _tell(options: Options, plan: Scenario, records: Path, outcome: RunOutcome) -> int:
+def _tell(options: Options, plan: Scenario, records: Path, outcome: report.RunOutcome) -> int:
     found = report.summary(outcome)
     print(report.table(found, outcome))
     if options.plot is not None and plan.app is not None:

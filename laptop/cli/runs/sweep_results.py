@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from laptop.plotting import style
-from laptop.plotting.style import figure
 from sim.sweep.limit import Bracket
 from sim.sweep.measure import Summary, SweptRun, summarize
 from sim.sweep.plan import SweepPoint
@@ -76,7 +75,7 @@ def as_json(points: Sequence[SweepPoint], found: Sequence[SweptRun]) -> list[dic
 
 def draw(app: str, points: Sequence[SweepPoint], found: Sequence[SweptRun], path: Path) -> None:
     """Write the picture of a sweep to a file."""
-    with figure(path, settings=style.RC, layout="constrained") as made:
+    with style.figure(path, settings=style.RC, layout="constrained") as made:
         draw_on(made, app, points, found)
 
 

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 
 from laptop.fleet.ssh.ssh import Host, HostError, Ssh
 from services.dwm.core.calibration import calibration_file
-from services.dwm.core.calibration.calibration_file import CalibrationFile
 from services.dwm.localizer import calibration_path
 from swarm.config import Config
 from swarm.errors import ConfigError, LocalError
@@ -71,6 +70,6 @@ async def bring_back(ssh: Ssh, host: Host, config: Config) -> str:
     return f"calibration: {path}"
 
 
-def _made(file: CalibrationFile) -> str:
+def _made(file: calibration_file.CalibrationFile) -> str:
     """Return when its newest part was made, UTC in ISO 8601: earlier ones sort first."""
     return max((part[1].made for part in (file.distance, file.position) if part is not None), default="")

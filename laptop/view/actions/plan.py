@@ -5,7 +5,6 @@ what was decided before.
 """
 
 from laptop.fleet import apps
-from laptop.fleet.apps import StartedApp
 from laptop.fleet.release.versions import Versions
 from laptop.fleet.ssh.ssh import HostError
 from swarm.config import Config
@@ -20,14 +19,14 @@ class Plan:
         self._config = config
         self._alone = alone
         self._versions: dict[str, Versions] = {}
-        self._known: dict[str, StartedApp | None] = {}
+        self._known: dict[str, apps.StartedApp | None] = {}
         self._refused: dict[str, str] = {}
         """What was wrong, and the robot that was told first."""
         self._anew: bool | None = None
-        self._run: StartedApp | None = None
+        self._run: apps.StartedApp | None = None
         """What they go on with."""
 
-    def found(self, robot: str, versions: Versions, known: StartedApp | None) -> None:
+    def found(self, robot: str, versions: Versions, known: apps.StartedApp | None) -> None:
         """Note the versions on a robot, and how the app was started there last."""
         self._versions[robot], self._known[robot] = versions, known
 

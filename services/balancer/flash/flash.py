@@ -20,7 +20,6 @@ from pathlib import Path
 from services.balancer.core.control.controller import BALANCING, LYING_DOWN, STANDING_UP
 from services.balancer.core.devices import balboa
 from services.balancer.core.flashing import avr109, image
-from services.balancer.core.flashing.image import Image
 from services.balancer.flash import usb_port
 from services.balancer.i2c import I2CBus, KernelBus
 from swarm.config import load, who_am_i
@@ -71,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def read_firmware(name: str) -> tuple[bytes, Image]:
+def read_firmware(name: str) -> tuple[bytes, image.Image]:
     """Return a file's bytes, and the firmware in it; raises `LocalError`."""
     try:
         data = sys.stdin.buffer.read() if name == "-" else Path(name).read_bytes()
@@ -82,7 +81,7 @@ def read_firmware(name: str) -> tuple[bytes, Image]:
         raise LocalError(f"{name}: {error}") from None
 
 
-def at_port(firmware: Image, port: str, say: Say) -> None:
+def at_port(firmware: image.Image, port: str, say: Say) -> None:
     """Flash the board at a port of this computer; raises `SwarmError`."""
     if port == "auto":
         say("press reset twice within 0.7 s")
@@ -95,7 +94,7 @@ def at_port(firmware: Image, port: str, say: Say) -> None:
 
 
 def here(
-    firmware: Image,
+    firmware: image.Image,
     say: Say,
     open_bus: Callable[[], I2CBus],
     *,
@@ -123,7 +122,7 @@ def here(
         _systemctl("start")
 
 
-def _flash(firmware: Image, port: str, say: Say) -> None:
+def _flash(firmware: image.Image, port: str, say: Say) -> None:
     told = 0.0
 
     def progress(share: float) -> None:
@@ -137,7 +136,7 @@ def _flash(firmware: Image, port: str, say: Say) -> None:
     say(f"written and read back: revision {firmware.revision} (layout {firmware.layout})")
 
 
-def _check(bus: I2CBus, firmware: Image) -> None:
+def _check(bus: I2CBus, firmware: image.Image) -> None:
     """Whether what was flashed answers over I2C."""
     end = time.monotonic() + START_S
     found = None

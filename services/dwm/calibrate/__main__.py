@@ -10,7 +10,6 @@ from services.dwm.calibrate import making, plots
 from services.dwm.calibrate.making import CalibrationData, LearnedOffset
 from services.dwm.calibrate.session import Hearing, hold
 from services.dwm.core.calibration import calibration_file, fitting, limits, samples
-from services.dwm.core.calibration.calibration_file import CalibrationFile
 from services.dwm.core.calibration.guide import QUARTERS, SAMPLES, Guide, grid
 from services.dwm.core.calibration.samples import Point3, RangeSample, groups, of_recording
 from services.dwm.core.estimation.filters import Place
@@ -141,7 +140,7 @@ def _make(
 ) -> int:
     """Fit, tell, draw, write."""
     made = datetime.now(UTC).isoformat(timespec="seconds")
-    file = CalibrationFile("", "", ())
+    file = calibration_file.CalibrationFile("", "", ())
     if "distance" in parts:
         part, ranged = making.distance_part(data, made)
         file = file.with_parts(part)

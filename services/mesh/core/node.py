@@ -23,7 +23,6 @@ from services.mesh.core.link.calls import REFUSED, UNKNOWN, Caller, Local
 from services.mesh.core.link.outbox import SENT
 from services.mesh.core.link.session import Session
 from services.mesh.core.overlays import carried, flood, robot_overlays, unicast
-from services.mesh.core.overlays.robot_overlays import RobotOverlays
 from services.mesh.core.relay import KeyRelay, RelaySend
 from services.mesh.core.wire import frames
 
@@ -47,7 +46,7 @@ class MeshNode:
         self,
         local: Local,
         relay: KeyRelay,
-        overlays: RobotOverlays,
+        overlays: robot_overlays.RobotOverlays,
         *,
         random: Callable[[], float],
         nonce: Callable[[], bytes],
@@ -101,7 +100,7 @@ class MeshNode:
         if (held := self._relay.next_deadline()) is not None and held < self._deadline:
             self._deadline = held
 
-    def ask(self, step: Callable[[RobotOverlays, float], object], now: float) -> None:
+    def ask(self, step: Callable[[robot_overlays.RobotOverlays, float], object], now: float) -> None:
         """Something for the overlays to do: a request of an app, a stop."""
         step(self.overlays, now)
         self._serve_overlays()

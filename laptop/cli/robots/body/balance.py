@@ -4,7 +4,6 @@ import argparse
 from typing import Any
 
 from laptop.fleet.ssh import everyone, robot_command
-from laptop.fleet.ssh.everyone import ReportProgress
 from laptop.fleet.ssh.ssh import Host, HostError, last_words
 from swarm.errors import PayloadError
 from swarm.messages.json_input import read_json
@@ -27,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
     _, robots, ssh = everyone.chosen(args)
     there, args.timeout = str(args.timeout), args.timeout + SLACK_S
 
-    async def job(host: Host, _: ReportProgress) -> str:
+    async def job(host: Host, _: everyone.ReportProgress) -> str:
         command = robot_command.words(host, ["balance", args.mode, "--json", "--timeout", there])
         done = await ssh.run(host, command)
         row = _row(done.out, host.robot)

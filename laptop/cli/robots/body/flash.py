@@ -7,7 +7,6 @@ import argparse
 
 from laptop.fleet.release.release import FIRMWARE
 from laptop.fleet.ssh import everyone
-from laptop.fleet.ssh.everyone import ReportProgress
 from laptop.fleet.ssh.ssh import Host, HostError
 from services.balancer.flash import flash
 
@@ -28,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     data, read = flash.read_firmware(args.firmware)
     _, robots, ssh = everyone.chosen(args)
 
-    async def job(host: Host, tell: ReportProgress) -> str:
+    async def job(host: Host, tell: everyone.ReportProgress) -> str:
         command = f"sudo -n env SWARM_ROBOT={host.robot} /opt/swarm/current/bin/swarm flash - --here"
         try:
             await ssh.follow(host, command + " --force" * args.force, tell, feed=[data])

@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from services.apps.builtin.localization import gradient, guard
-from services.apps.builtin.localization.gradient import Node
 from services.apps.builtin.localization.place import Judged
 from swarm import float32, parameter
 from swarm.errors import AppError
@@ -58,9 +57,9 @@ class Thesis(Judged):
 
     def step(self, neighbours: Sequence[Any]) -> None:
         """Algorithm 4. The measurement of this step enters with the new gradient (eq 4.6)."""
-        own = Node(*self._own)
+        own = gradient.Node(*self._own)
         weighted = [(self.robot.own_weight, own)]
-        weighted += [(w, Node((n.x, n.y), (n.zx, n.zy), (n.gx, n.gy))) for w, n in self.weighted(neighbours)]
+        weighted += [(w, gradient.Node((n.x, n.y), (n.zx, n.zy), (n.gx, n.gy))) for w, n in self.weighted(neighbours)]
         now = self.robot.measurement
         distance, place = CM * now.distance, (CM * now.x, CM * now.y)
         new = gradient.iterate(own, weighted, self.step_size / CM**2, distance, place)

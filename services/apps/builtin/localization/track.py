@@ -22,7 +22,6 @@ from math import fsum
 from operator import mul
 
 from services.apps.builtin.localization import ranges
-from services.apps.builtin.localization.ranges import TargetEstimate
 from swarm.core.linear import SingularError
 from swarm.core.linear import solve as solved
 from swarm.frozen import frozen
@@ -54,7 +53,7 @@ class TargetMotion:
     vx: float
     """m an iteration."""
     vy: float
-    found: TargetEstimate
+    found: ranges.TargetEstimate
     """What the ranges say of the place, given that velocity: uncertainty, ambiguity."""
 
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 from math import sqrt
 
 from services.dwm.core.calibration import models
-from services.dwm.core.calibration.models import Calibration, RangeModel
 from services.dwm.core.estimation.ekf import EkfNoise
 from services.dwm.core.estimation.filters import PlaceFilter, RangeFilter
 from services.dwm.core.estimation.multilateration import NoFix, multilaterate
@@ -33,13 +32,13 @@ class Pipeline:
         robots: Mapping[str, str] | None = None,
         *,
         kind: str = "average",
-        calibration: Calibration | None = None,
+        calibration: models.Calibration | None = None,
         anchors: Sequence[Anchor] = (),
     ) -> None:
         """`robots`: name of the robot that carries a module, by address. `kind` of filter, as in `Dwm.filter`."""
         self._settings = settings
         self._kind = kind
-        self._models = calibration or Calibration(RangeModel.of(settings.distance), settings.position)
+        self._models = calibration or models.Calibration(models.RangeModel.of(settings.distance), settings.position)
         self._anchors = {anchor.address: (anchor.x, anchor.y, anchor.z) for anchor in anchors}
         self._book = RangeBook(settings.rate, robots or {})
         self._distances: dict[str, tuple[RangeFilter, float]] = {}

@@ -24,7 +24,6 @@ from dataclasses import dataclass, field
 
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.auth import newest_common
-from services.mesh.core.wire.frames import Hello
 from swarm.config.types import RobotConfig
 from swarm.frozen import frozen
 
@@ -345,7 +344,7 @@ def process_of(incarnation: int) -> int:
 
 
 def refusal(
-    hello: Hello,
+    hello: frames.Hello,
     local: Local,
     *,
     dialled: str | None,

@@ -24,7 +24,6 @@ from services.mesh.core.link import (
     calls,
     flow,
 )
-from services.mesh.core.link.calls import Local
 from services.mesh.core.link.clock import ClockSync, decode_claim, encode_claim
 from services.mesh.core.link.outbox import SENT, Channels, Outbox, OutgoingPart, QueuedMessage, overlay_of
 from services.mesh.core.link.round_trips import Pulse
@@ -50,7 +49,7 @@ class Session:
 
     def __init__(
         self,
-        local: Local,
+        local: calls.Local,
         nonce: bytes,
         now: float,
         *,

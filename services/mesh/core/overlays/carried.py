@@ -18,7 +18,6 @@ from services.mesh.core.overlays.unicast import ttl_of
 from services.mesh.core.routing.automatic_topology import places
 from services.mesh.core.routing.topology import Route
 from services.mesh.core.wire import frames
-from services.mesh.core.wire.frames import BULK, UNICAST
 from swarm.errors import FrameError, PayloadError
 from swarm.messages.keys import parse
 
@@ -62,7 +61,7 @@ def decode_carried(data: bytes) -> Carried:
 
 def limit_of(priority: int, robots: Collection[str]) -> int:
     """Bytes that a carried value of a class may have, in a swarm of these robots."""
-    return (frames.MAX_MESSAGE if priority == BULK else frames.MAX_PAYLOAD) - _HEAD.size - (len(robots) + 7) // 8
+    return (frames.MAX_MESSAGE if priority == frames.BULK else frames.MAX_PAYLOAD) - _HEAD.size - (len(robots) + 7) // 8
 
 
 class Carrier:
@@ -149,4 +148,4 @@ class Carrier:
             ways[route.next_hop] = bits | 1 << self._place[robot], ttl or max(hops, ttl_of(route))
         for hop, (bits, hops) in ways.items():
             data = encode_carried(Carried(bits, payload, hops, latest))
-            self._emit(Transmit(hop, UNICAST, key, data, priority, latest))
+            self._emit(Transmit(hop, frames.UNICAST, key, data, priority, latest))

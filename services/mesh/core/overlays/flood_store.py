@@ -19,7 +19,6 @@ from services.mesh.core.actions import Emit, Transmit
 from services.mesh.core.bulk.numbered import SeenNumbers
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import BULK, FLOOD
-from services.mesh.core.wire.packets import Digest, Spread
 from swarm.messages.keys import key as key_of
 from swarm.messages.keys import parse
 
@@ -88,7 +87,7 @@ class Store:
         origin = self._origins[name] = Origin(incarnation)
         return origin
 
-    def take(self, name: str, key: str, packet: Spread, priority: int) -> str:
+    def take(self, name: str, key: str, packet: packets.Spread, priority: int) -> str:
         """Tell what a flood is: new (and noted from now on), a duplicate, or of an earlier incarnation."""
         origin = self._origins.get(name)
         if origin is None or packet.incarnation > origin.incarnation:
@@ -106,7 +105,7 @@ class Store:
                 unseen = True
         return NEW if unseen else DUPLICATE
 
-    def sight(self, name: str, key: str, packet: Spread) -> str:
+    def sight(self, name: str, key: str, packet: packets.Spread) -> str:
         """Tell what an announced message is, as `take` will tell unless it has come meanwhile. Latest values are not
         noted."""
         if not packet.latest:
@@ -276,7 +275,7 @@ class CatchUp:
         if total != self._store.summary():
             self._answer(peer, now, answer=True)
 
-    def on_digest(self, peer: str, digest: Digest, now: float) -> None:
+    def on_digest(self, peer: str, digest: packets.Digest, now: float) -> None:
         """Compare a neighbour's digest with our own."""
         theirs, _ = digest.origins.get(peer, (0, 0))
         if theirs > self._store.incarnation(peer):
@@ -336,7 +335,7 @@ class CatchUp:
             del link.missing[origin, key]
             kept = self._store.one(origin, key)
             if kept is not None:
-                spread = Spread(self._store.incarnation(origin), kept.sequence, kept.payload, latest=True)
+                spread = packets.Spread(self._store.incarnation(origin), kept.sequence, kept.payload, latest=True)
                 if len(kept.payload) > packets.MAX_SPREAD:
                     spread = spread._replace(payload=b"", size=len(kept.payload))
                 data = packets.encode_spread(spread)

@@ -9,7 +9,6 @@ from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterable, Mapping
 
 from services.mesh.core.overlays import flood
-from services.mesh.core.overlays.flood import FloodOverlay
 from services.mesh.core.overlays.unicast import Hop, Unicast
 from services.mesh.core.routing.topology import Route
 from services.mesh.core.routing.wanted_links import Linking
@@ -64,7 +63,7 @@ class OverlayRequests:
         self._me = me
         self._to_bus = to_bus
         self._now = now
-        self.flood: FloodOverlay
+        self.flood: flood.FloodOverlay
         self.unicast: Unicast
         self.routes: Callable[[], Mapping[str, Route]]
         self.linking: Linking | None = None

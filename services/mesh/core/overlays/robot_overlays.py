@@ -14,7 +14,6 @@ from services.mesh.core.link import Received
 from services.mesh.core.overlays import carried, flood, flood_store, large_messages, unicast
 from services.mesh.core.overlays.carried import CARRY, Carrier
 from services.mesh.core.overlays.flood import FloodOverlay
-from services.mesh.core.overlays.large_messages import Large
 from services.mesh.core.overlays.requests import OverlayRequests, Request
 from services.mesh.core.overlays.stop import Register, Stops
 from services.mesh.core.overlays.unicast import Unicast
@@ -106,7 +105,7 @@ class RobotOverlays:
         self._requests.flood = self._flood
         self._requests.unicast = self._unicast
         self._requests.routes = self._map.routes
-        self._large = Large(
+        self._large = large_messages.Large(
             me, self._unicast.transfers, self._flood.large,
             emit=self._unicast.carry, neighbours=self._map.neighbours, counters=counters,
         )  # fmt: skip
