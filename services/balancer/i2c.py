@@ -76,7 +76,7 @@ class KernelBus:
         try:
             import smbus2
         except ImportError:
-            raise LocalError("the I2C bus needs smbus2: install the extra `balboa-swarm[robot]`") from None
+            raise LocalError("the I2C bus needs smbus2: pip install 'balboa-swarm[robot]'") from None
         if not device.exists():
             raise NoDeviceError(f"{device} is missing: switch I2C on (dtparam=i2c_arm=on in config.txt) and reboot")
         try:

@@ -65,7 +65,7 @@ class PortLine:
         try:
             import serial
         except ImportError:
-            raise LocalError("a serial port needs pyserial: pip install balboa-swarm[lab]") from None
+            raise LocalError("a serial port needs pyserial: pip install 'balboa-swarm[lab]'") from None
         self.name = path
         try:
             # exclusive: two processes at one module would read each other's answers

@@ -33,7 +33,7 @@ def serve(service: Service, path: Path) -> None:
         import serial
     except ImportError:
         raise LocalError(
-            "[dwm] source is a serial port, which needs pyserial: pip install balboa-swarm[robot]"
+            "[dwm] source is a serial port, which needs pyserial: pip install 'balboa-swarm[robot]'"
         ) from None
     localizer = Localizer(service, clock.now())
     wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)

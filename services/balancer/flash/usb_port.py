@@ -67,7 +67,7 @@ def converse(port: str, conversation: Conversation) -> str:
     try:
         import serial
     except ImportError:
-        raise LocalError("a USB port needs pyserial: install the extra `balboa-swarm[lab]`") from None
+        raise LocalError("a USB port needs pyserial: pip install 'balboa-swarm[lab]'") from None
     try:
         line = serial.Serial(port, BAUD, exclusive=True)
     except (serial.SerialException, OSError) as error:

@@ -19,7 +19,7 @@ def draw(data: CalibrationData, ranges: RangeModel | None, places: Affine | None
     try:
         import matplotlib as mpl
     except ImportError:
-        raise LocalError("plots need matplotlib: pip install balboa-swarm[lab], or use --no-plot") from None
+        raise LocalError("plots need matplotlib: pip install 'balboa-swarm[lab]', or use --no-plot") from None
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
