@@ -71,7 +71,7 @@ def test_no_plain_link_that_carries_is_given_up(graph, latency, jitter, bandwidt
 
 
 @pytest.mark.parametrize("graph", TRIED)
-@pytest.mark.parametrize("stay", [0.05, 0.1])
+@pytest.mark.parametrize("stay", [0.05, 0.1, 0.2])
 def test_no_link_of_the_slot_radio_that_carries_is_given_up(graph, stay):
     iterations = 100
     ran = Ran(graph, iterations, "--radio", f"slots:stay={stay}", "--links", "graph")
@@ -80,7 +80,7 @@ def test_no_link_of_the_slot_radio_that_carries_is_given_up(graph, stay):
     assert ran.outcome.messages <= 1.3 * needed(graph, iterations)
 
 
-HUBS = [("4", "full"), pytest.param(("6", "thesis-d"), marks=pytest.mark.slow)]
+HUBS = [("4", "full"), *(pytest.param(("6", shape), marks=pytest.mark.slow) for shape in ("thesis-d", "full"))]
 SLOW = [
     ("--latency", "0.2s", "--jitter", "0.2s", "--bandwidth", "20kB", "--loss", "5%"),
     ("--latency", "3s", "--bandwidth", "2kB", "--loss", "5%"),
