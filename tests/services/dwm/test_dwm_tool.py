@@ -92,7 +92,8 @@ def test_a_module_as_it_comes_is_set_up_over_the_bus(run, service, board):
     assert code == 1
     assert [finding["code"] for finding in told["r0"] if finding["fatal"]] == ["still"]
     code, told, _ = run("configure", "--json")
-    assert (code, told["r0"]["missing"]) == (0, [])
+    assert code == 0, told
+    assert told["r0"]["missing"] == []
     assert len(told["r0"]["changes"]) == 2
     assert (module.settings, module.flash.rate) == (Settings(anchor=False), UpdateRate(1, 1))
     code, said, _ = run("configure")
@@ -247,9 +248,9 @@ def test_a_tag_is_carried_from_anchor_to_anchor(run, service, board, processes):
         board.update_pose("r0", *place, 0.0)
         process.stdin.write("\n")
         process.stdin.flush()
-    told = json.loads(process.communicate(timeout=60)[0])
-    assert process.returncode == 0
-    assert told["anchors"]["D003"] == pytest.approx((1.0, 1.94), abs=0.1)
+    said, error = process.communicate(timeout=60)
+    assert process.returncode == 0, error
+    assert json.loads(said)["anchors"]["D003"] == pytest.approx((1.0, 1.94), abs=0.1)
     code, _, error = run("anchors", "--auto", "--seconds", "0.8")
     assert code == 2
     assert "asks for each anchor" in error
