@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from services.balancer.bridge.link import LoopCommand, LoopMessage
+from services.balancer.bridge.orders import moves
 from services.balancer.core.control.controller import CALIBRATING, COMMANDS, FAULT, STARTING
 from services.balancer.core.devices.requests import check
 from swarm.bus.protocol import Now
@@ -30,6 +31,7 @@ from swarm.messages import (
     SetDisplay,
     SetMode,
     Stop,
+    Stopped,
     Uwb,
     read,
 )
@@ -91,12 +93,15 @@ class BusSide:
         """The keys used so far, by the message's type: the simulations have many robots, which use few of them."""
         self._throttle = Throttle(process.bus, self.key(BalancerState), THROTTLED_STATE_S)
         self._mode = ""
+        self._stopped = False
+        """Whether the swarm is stopped: since a stop was heard, until the mesh tells that all stops are taken back."""
 
     def listen(self, put: Callable[[str, bytes], None]) -> None:
         """Hear stops, which go to the loop at once, and commands: `put(key, payload)` is to see to it that `command` is
         called for each. Both are called by the bus's thread: whatever `put` does, the next stop waits for it."""
         robot, bus = self._process.robot, self._process.bus
         bus.subscribe(STOP, self._stop)
+        bus.subscribe(key(robot, "mesh", "stopped"), self._take_stopped)
         bus.subscribe([key(robot, "balancer", "set", what) for what in _COMMANDS], put)
 
     def key(self, kind: type) -> str:
@@ -141,7 +146,9 @@ class BusSide:
         except LocalError as error:
             self.refuse(name, "refused", f"{name}: {error}")
             return
-        if isinstance(message, SetDisplay):
+        if self._stopped and moves(message):
+            self.refuse(name, "refused", f"{name}: the swarm is stopped: swarm arm takes that back")
+        elif isinstance(message, SetDisplay):
             self._loop.show(message)
         elif isinstance(message, LoopCommand) and not self._loop.take(message, heard):
             self.refuse(name, "dropped", f"{name}: the control loop does not take commands")
@@ -165,4 +172,16 @@ class BusSide:
         """Pass a sample of `swarm/stop` to the loop at once, whatever its payload is."""
         stop = read(name, payload)
         assert isinstance(stop, Stop)
+        self._stopped = True
         self._loop.halt(stop)
+
+    def _take_stopped(self, name: str, payload: bytes) -> None:
+        """Let the robot move again where the mesh tells that no stop holds. A sample that cannot be read changes
+        nothing."""
+        try:
+            message = read(name, payload)
+        except PayloadError as error:
+            self.refuse(name, "refused", str(error))
+            return
+        assert isinstance(message, Stopped)
+        self._stopped = message.stopped

@@ -9,7 +9,7 @@ from conftest import Processes, wait_until
 from test_balancer_processes import Watcher, watcher
 
 from services.balancer.bridge.link import COMMANDS_A_TICK
-from swarm.messages import SetLeds, SetMode, SetVelocity, Stop, read
+from swarm.messages import SetLeds, SetMode, SetVelocity, Stop, Stopped, TryMotors, read
 
 __all__ = ["watcher"]
 
@@ -31,6 +31,11 @@ def lying(processes: Processes, watcher: Watcher) -> "subprocess.Popen[str]":
     body = processes.start_ready("-m", "sim.body", SWARM_SIM_LYING="front")
     watcher.wait_mode("idle")
     return body
+
+
+def take_back(watcher: Watcher) -> None:
+    """Tell what r0's mesh tells when all stops are taken back."""
+    watcher.bus.publish("swarm/r0/mesh/stopped", Stopped(1.0, False, {}))
 
 
 class Held:
@@ -74,9 +79,43 @@ def test_a_command_from_before_a_stop_moves_nothing_after_it(processes: Processe
     watcher.command("leds", SetLeds(True, True, False, 60.0))
     watcher.bus.publish("swarm/stop", Stop(0.0, "test", "enough"))
     held.go_on()
-    wait_until(lambda: sum("void" in notice.text for notice in watcher.heard["notice"]) == 2, what="both are told of")
+    void = ("is void", "the swarm is stopped")  # the loop says the one, the bridge the other
+    wait_until(
+        lambda: sum(notice.text.count(why) for notice in watcher.heard["notice"] for why in void) == 2,
+        what="both are told of",
+    )
     assert watcher.wait_mode("fault").fault == "stopped: enough (by test)"
-    # What is given after the stop counts, and orders that move nothing are kept.
+    # What is given after the stop was taken back counts.
+    take_back(watcher)
+    watcher.command("mode", SetMode("stand"))
+    watcher.wait_mode("standing_up")
+
+
+def test_nothing_moves_while_the_swarm_is_stopped(processes: Processes, watcher: Watcher) -> None:
+    lying(processes, watcher)
+    watcher.bus.publish("swarm/stop", Stop(0.0, "test", "enough"))
+    watcher.wait_mode("fault")
+    watcher.command("mode", SetMode("stand"))
+    watcher.command("velocity", SetVelocity(0.1, 0.0, 10.0))
+    watcher.command("motors", TryMotors(0.1, 0.1, 1.0))
+    watcher.command("leds", SetLeds(True, True, False, 60.0))
+    refused = "refused: swarm/r0/balancer/set/{}: the swarm is stopped: swarm arm takes that back"
+    wait_until(
+        lambda: (
+            {notice.text for notice in watcher.heard["notice"]}
+            >= {refused.format(what) for what in ("mode", "velocity", "motors")}
+        ),
+        what="each command that moves is refused",
+    )
+    assert watcher.last().mode == "fault"
+    wait_until(lambda: watcher.heard["leds"] and watcher.heard["leds"][-1].yellow, what="LEDs are obeyed")
+    # Another robot's mesh, or a damaged sample, takes nothing back.
+    watcher.bus.publish("swarm/r1/mesh/stopped", Stopped(1.0, False, {}))
+    watcher.bus.publish("swarm/r0/mesh/stopped", b"\x00")
+    watcher.command("mode", SetMode("stand"))
+    wait_until(lambda: sum("stopped: swarm arm" in each.text for each in watcher.heard["notice"]) == 4)
+    assert watcher.last().mode == "fault"
+    take_back(watcher)
     watcher.command("mode", SetMode("stand"))
     watcher.wait_mode("standing_up")
 
@@ -84,6 +123,7 @@ def test_a_command_from_before_a_stop_moves_nothing_after_it(processes: Processe
 def test_any_sample_of_the_stop_key_stops_the_robot(processes: Processes, watcher: Watcher) -> None:
     lying(processes, watcher)
     for payload, why in PAYLOADS.values():
+        take_back(watcher)
         watcher.command("mode", SetMode("stand"))
         wait_until(lambda: watcher.last() is not None and watcher.last().mode in ("standing_up", "balancing"))
         watcher.bus.publish("swarm/stop", payload)
