@@ -29,7 +29,7 @@ from swarm.messages import Clock, EchoRequest, HoldLink, Links, LinkState
 from swarm.messages.keys import key
 
 REPORT_PERIOD = 1.0
-"""Seconds between two publications of `mesh/links`, `mesh/clock` and `mesh/topology` when nothing changes."""
+"""Seconds between two publications of the mesh's own state (links, clock, topology, stops) when nothing changes."""
 
 CLOSED = "closed by the other end"
 """The reason of a connection's end where the transport knows no better one."""
@@ -160,6 +160,7 @@ class Mesh:
         self._links_key = key(robot, "mesh", "links")
         self._clock_key = key(robot, "mesh", "clock")
         self._topology_key = key(robot, "mesh", "topology")
+        self._stopped_key = key(robot, "mesh", "stopped")
         surroundings.soon(self.carry_out)
         # Robots are not switched on in the same microsecond: their reports do not all fall on one moment.
         surroundings.at(surroundings.now + REPORT_PERIOD * chance.random(), self._report_regularly)
@@ -295,6 +296,8 @@ class Mesh:
                 bus.publish(self._topology_key, self._look(lambda node, now: node.overlays.topology(now)))
             if bus.wanted(self._links_key):
                 bus.publish(self._links_key, self._look(lambda node, now: self.links()))
+            if bus.wanted(self._stopped_key):  # a balancer may have heard of a stop that no mesh knows any more
+                bus.publish(self._stopped_key, self._look(lambda node, now: node.overlays.stopped(now)))
             if bus.wanted(self._clock_key):
                 bus.publish(self._clock_key, self._look(lambda node, now: Clock(*node.connections.clock.state(now))))
 

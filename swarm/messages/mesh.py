@@ -106,8 +106,8 @@ class Arm:
 
 @frozen
 class Stopped:
-    """The stop's state, on `swarm/<robot>/mesh/stopped`: when the mesh starts, on change, and each second while the
-    swarm is stopped. Changes are flooded, so every robot's bus has the state of every robot."""
+    """The stop's state, on `swarm/<robot>/mesh/stopped`: on change, and each second. Changes are flooded,
+    so every robot's bus has the state of every robot."""
 
     t: float
     stopped: bool

@@ -93,8 +93,8 @@ class BusSide:
         """The keys used so far, by the message's type: the simulations have many robots, which use few of them."""
         self._throttle = Throttle(process.bus, self.key(BalancerState), THROTTLED_STATE_S)
         self._mode = ""
-        self._stopped = False
-        """Whether the swarm is stopped: since a stop was heard, until the mesh tells that all stops are taken back."""
+        self._stopped_at: float | None = None
+        """When a stop was heard last, s; None from the time on at which the mesh tells that no stop holds."""
 
     def listen(self, put: Callable[[str, bytes], None]) -> None:
         """Hear stops, which go to the loop at once, and commands: `put(key, payload)` is to see to it that `command` is
@@ -146,7 +146,7 @@ class BusSide:
         except LocalError as error:
             self.refuse(name, "refused", f"{name}: {error}")
             return
-        if self._stopped and moves(message):
+        if self._stopped_at is not None and isinstance(message, LoopCommand) and moves(message):
             self.refuse(name, "refused", f"{name}: the swarm is stopped: swarm arm takes that back")
         elif isinstance(message, SetDisplay):
             self._loop.show(message)
@@ -172,7 +172,7 @@ class BusSide:
         """Pass a sample of `swarm/stop` to the loop at once, whatever its payload is."""
         stop = read(name, payload)
         assert isinstance(stop, Stop)
-        self._stopped = True
+        self._stopped_at = self._now()
         self._loop.halt(stop)
 
     def _take_stopped(self, name: str, payload: bytes) -> None:
@@ -184,4 +184,6 @@ class BusSide:
             self.refuse(name, "refused", str(error))
             return
         assert isinstance(message, Stopped)
-        self._stopped = message.stopped
+        # What the mesh told before the stop says nothing about it.
+        if self._stopped_at is not None and not message.stopped and message.t > self._stopped_at:
+            self._stopped_at = None

@@ -9,6 +9,7 @@ from conftest import Processes, wait_until
 from test_balancer_processes import Watcher, watcher
 
 from services.balancer.bridge.link import COMMANDS_A_TICK
+from swarm import clock
 from swarm.messages import SetLeds, SetMode, SetVelocity, Stop, Stopped, TryMotors, read
 
 __all__ = ["watcher"]
@@ -35,7 +36,7 @@ def lying(processes: Processes, watcher: Watcher) -> "subprocess.Popen[str]":
 
 def take_back(watcher: Watcher) -> None:
     """Tell what r0's mesh tells when all stops are taken back."""
-    watcher.bus.publish("swarm/r0/mesh/stopped", Stopped(1.0, False, {}))
+    watcher.bus.publish("swarm/r0/mesh/stopped", Stopped(clock.now(), False, {}))
 
 
 class Held:
@@ -109,8 +110,9 @@ def test_nothing_moves_while_the_swarm_is_stopped(processes: Processes, watcher:
     )
     assert watcher.last().mode == "fault"
     wait_until(lambda: watcher.heard["leds"] and watcher.heard["leds"][-1].yellow, what="LEDs are obeyed")
-    # Another robot's mesh, or a damaged sample, takes nothing back.
-    watcher.bus.publish("swarm/r1/mesh/stopped", Stopped(1.0, False, {}))
+    # Another robot's mesh, what was told before the stop, or a damaged sample takes nothing back.
+    watcher.bus.publish("swarm/r1/mesh/stopped", Stopped(clock.now(), False, {}))
+    watcher.bus.publish("swarm/r0/mesh/stopped", Stopped(1.0, False, {}))
     watcher.bus.publish("swarm/r0/mesh/stopped", b"\x00")
     watcher.command("mode", SetMode("stand"))
     wait_until(lambda: sum("stopped: swarm arm" in each.text for each in watcher.heard["notice"]) == 4)

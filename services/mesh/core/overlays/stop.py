@@ -244,12 +244,14 @@ class Stops:
         self._to_bus = to_bus
         self._key = key(me, "mesh", "stopped")
         self._confirmed: dict[str, str] = {}
-        self._tell_at = 0.0  # at the start, too: this robot's balancer may wait for a mesh that knows of no stop
+        self._tell_at = _NEVER
         self._confirm_at = _NEVER
 
     def changed(self, now: float) -> None:
         """The register has changed."""
         self._tell(now)
+        if self._tell_at == _NEVER:
+            self._to_bus(self._key, encode(self.stopped(now)), CONTROL)
         self._confirm_at = min(self._confirm_at, now + CONFIRM_AFTER)
 
     def handle_timer(self, now: float) -> None:
@@ -275,6 +277,7 @@ class Stops:
     def _tell(self, now: float) -> None:
         stops = self._register.stops
         self._tell_at = now + STOP_PERIOD if stops else _NEVER
-        self._to_bus(self._key, encode(self.stopped(now)), CONTROL)
+        if stops:
+            self._to_bus(self._key, encode(self.stopped(now)), CONTROL)
         for origin, reason in stops.items():
             self._to_bus(STOP, encode(Stop(now, origin, reason)), CONTROL)
