@@ -149,13 +149,19 @@ def paths(run: Run, topics: Sequence[str] = PLACED) -> dict[str, list[tuple[Plac
 
 def _target(run: Run, swarm: Config | None) -> list[tuple[float, Place]]:
     """Return the places of the simulated target over time; of real robots they are unknown."""
-    if swarm is None or "localization" not in run.apps:
+    if swarm is None or _seeker(run) is None:
         return []
     topics = sorted(topic for topic in run.topics if topic.endswith("/sim/target"))
     if topics:  # all robots have the same
         return [(sample.t, (sample.message["x"], sample.message["y"])) for sample in run.samples(topics[0])]
     simulated = any(topic.endswith("/sim/truth") for topic in run.topics)
     return [(0.0, swarm.simulation.target)] if simulated else []
+
+
+def _seeker(run: Run) -> str | None:
+    """Return the name of the app that looks for a target: localization, or an app that gets ranges to it."""
+    measured = {topic.split("/")[3] for topic in run.topics if topic.endswith("/measurement") and "/app/" in topic}
+    return next((app for app in run.apps if app == "localization" or app in measured), None)
 
 
 def _at(way: Sequence[tuple[float, Place]], t: float) -> Place:
@@ -171,15 +177,15 @@ def _at(way: Sequence[tuple[float, Place]], t: float) -> Place:
 def _estimates(run: Run) -> dict[str, list[_Estimate]]:
     """Return each robot's estimates of the target, with variances and covariance where it tells them."""
     found: dict[str, list[_Estimate]] = {}
-    if "localization" not in run.apps:
-        return found
-    for name, path in run.trajectories("localization").items():
-        if {"result.x", "result.y"} - set(path.columns):
+    app = _seeker(run)
+    for name, path in run.trajectories(app).items() if app is not None else ():
+        x, y = ("result.x", "result.y") if "result.x" in path.columns else ("x", "y")
+        if {x, y} - set(path.columns):
             continue
         spread = ("result.var_x", "result.cov_xy", "result.var_y")
         track: list[_Estimate] = []
         for k in sorted(path.rows):
-            place = path.value(k, "result.x"), path.value(k, "result.y")
+            place = path.value(k, x), path.value(k, y)
             if all(map(math.isfinite, place)):
                 xx, xy, yy = (path.value(k, column) if column in path.columns else math.nan for column in spread)
                 track.append(_Estimate(k, path.times[k], place, (xx, xy, yy)))

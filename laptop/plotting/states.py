@@ -30,15 +30,12 @@ def states(figure: Any, run: Run, columns: Sequence[str] = (), labels: Mapping[s
     `labels`: what stands at the axis of a column, with its unit; default: its name.
     """
     every = _columns(run)
-    if columns:  # in the order in which they are asked for; a vector by its name alone
-        panels = [each for name in columns for each in every if name in (each[0], each[0].partition("[")[0])]
+    if columns:  # in the order in which they are asked for
+        panels = [panel for name in columns for panel in _named(run, name, every)]
+    elif every:
+        panels = (_marked(run, every) or _chosen(every))[:PANELS]
     else:
-        panels = every
-    if not panels:
-        known = ", ".join(label for label, _, _ in _columns(run)) or "none"
-        raise LocalError(f"{run.path}: no such column of states; there are: {known}")
-    if not columns:
-        panels = (_marked(run, panels) or _chosen(panels))[:PANELS]
+        raise LocalError(f"{run.path}: no column of states can be drawn")
     figure.set_size_inches(7.2, max(2.9, 2.3 * len(panels)))
     grid = figure.add_gridspec(len(panels), 2)
     for row, (label, column, paths) in enumerate(panels):
@@ -63,6 +60,17 @@ def states(figure: Any, run: Run, columns: Sequence[str] = (), labels: Mapping[s
         right.tick_params(labelleft=False)
         if row == 0:
             style.legend(left, len(paths))
+
+
+def _named(run: Run, name: str, panels: Sequence[_Panel]) -> list[_Panel]:
+    """Return the panels of a column: a vector has one name or one for each entry. A result needs no `result.` before
+    its name unless a shared state has the same. Raises `LocalError` where there is none."""
+    plain = [(panel[0].replace("result.", ""), panel) for panel in panels]
+    for known in ([(panel[0], panel) for panel in panels], plain):
+        if found := [panel for label, panel in known if name in (label, label.partition("[")[0])]:
+            return found
+    there = ", ".join(dict.fromkeys(label for label, _ in plain)) or "none"
+    raise LocalError(f"{run.path}: no such column of states; there are: {there}; got {name!r}")
 
 
 def _marked(run: Run, panels: Sequence[_Panel]) -> list[_Panel]:

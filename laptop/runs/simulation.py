@@ -132,6 +132,8 @@ def arguments_of(
         words += ["--robots", str(robots), "--topology", topology]
     for name, value in (("iterations", iterations), ("seconds", seconds)):
         words += [] if value is None else [f"--{name}", str(value)]
+    if isinstance(faults, str):
+        raise ConfigError(f"faults: expected a list of texts, got the text {faults!r}")
     for fault in faults:
         kind, _, text = fault.partition(" ")
         if kind not in EVENTS or not text:

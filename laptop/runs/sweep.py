@@ -91,6 +91,9 @@ def sweep(
     by_class = not isinstance(app, str | Path)
     if jobs > 1 and by_class:
         raise ConfigError("jobs: a class cannot go to other processes; put it into a file, and give its path")
+    for name, choices in over.items():
+        if isinstance(choices, str) or not hasattr(choices, "__iter__"):
+            raise ConfigError(f"over: {name}: expected a list of values, got {choices!r}")
     points = points_of([(name, [_text(value) for value in choices]) for name, choices in over.items()])
     if not points:
         empty = ", ".join(name for name, choices in over.items() if not choices)

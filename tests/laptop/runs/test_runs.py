@@ -127,6 +127,7 @@ def test_periodic_apps_and_channels_are_runs_too() -> None:
         ({"values": {"x": object()}}, "x: expected numbers"),
         ({"values": {"gain": True}}, "gain: expected a finite number, got True"),
         ({"faults": ["burn r0@1s"]}, "no fault such as .* there are cut"),
+        ({"faults": "cut r0-r1@1s,2s"}, "faults: expected a list of texts, got the text 'cut"),
         ({"faults": ["cut r0-r1"]}, "--cut: 'r0-r1' is not a cut"),
         ({"topology": "ring"}, "--topology ring"),
         ({"iterations": 3, "seconds": 2.0}, "not allowed with"),
@@ -210,6 +211,10 @@ def test_a_sweep_refuses_what_no_run_can_be_made_of() -> None:
         sweep(Mean, {"gain": [1.0]}, jobs=2)
     with pytest.raises(ConfigError, match="a list is empty"):
         sweep(Mean, {"gain": []})
+    with pytest.raises(ConfigError, match=r"over: gain: expected a list of values, got 0.5"):
+        sweep(Mean, {"gain": 0.5})  # type: ignore[dict-item]
+    with pytest.raises(ConfigError, match="over: topology: expected a list of values, got 'line'"):
+        sweep(Mean, {"topology": "line"})
     with pytest.raises(ConfigError, match="there is no option 'sped'"):
         sweep(Mean, {"gain": [1.0]}, sped=3)
 

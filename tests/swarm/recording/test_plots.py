@@ -76,6 +76,25 @@ def test_a_column_is_drawn_by_its_name_and_unknown_ones_are_said(runs, tmp_path,
     assert "no such column of states; there are: q[0], q[1]" in capsys.readouterr().err
 
 
+def test_a_result_is_drawn_by_its_plain_name_and_one_unknown_column_among_known_ones_is_said(runs, tmp_path, capsys):
+    path = tmp_path / "x.svg"
+    assert plot(runs / "localization", "--column", "x", "-o", path) == 0
+    assert re.search(r">x</text>", path.read_text())
+    assert plot(runs / "localization", "--column", "x", "--column", "colour", "-o", path) == 2
+    assert "got 'colour'" in capsys.readouterr().err
+
+
+def test_the_map_of_an_authors_app_has_the_target_that_it_ranges_to_and_its_estimates(tmp_path):
+    finder = Path(__file__).parents[3] / "examples" / "find_target.py"
+    words = ("--robots", "3", "--iterations", "15", "--target-velocity", "0.05,0.02")
+    simulate(str(finder), *words, "--record", str(tmp_path / "run"))
+    path = tmp_path / "map.svg"
+    assert plot(tmp_path / "run", "--kind", "map", "-o", path) == 0
+    text = path.read_text()
+    for label in ("target's way", "estimate", "distance to the true target / cm"):
+        assert label in text
+
+
 def test_an_axis_says_what_it_was_told(runs, tmp_path, capsys):
     path = tmp_path / "x.svg"
     assert plot(runs / "localization", "--column", "result.x", "--label", "result.x=target x / m", "-o", path) == 0
