@@ -146,8 +146,9 @@ def test_one_file_for_all_robots(tmp_path):
     assert swarm("export", tmp_path / "run", "--mcap", tmp_path / "all.mcap") == 0
     before, after = Run(tmp_path / "run"), Run(tmp_path / "all.mcap")
     said = [(sample.topic, sample.data) for sample in after.samples()]
-    assert [each for each in said if each[0] not in ("/scene", "/tf")] == [(s.topic, s.data) for s in before.samples()]
-    assert {"/scene", "/tf"} <= {topic for topic, _ in said}
+    added = {"/scene", "/tf", "/log"}
+    assert [each for each in said if each[0] not in added] == [(s.topic, s.data) for s in before.samples()]
+    assert added <= {topic for topic, _ in said}
     assert after.trajectories()["r1"].rows == before.trajectories()["r1"].rows
     assert after.damage == []
 
