@@ -110,12 +110,16 @@ def text(found: Mapping[str, Any]) -> str:
         lines += [
             f"app         {found['app']}: {found['class']}, {found['kind']}{algorithms}",
             f"state       {found['bytes']} bytes ({fields}), {found['bytes_on_air']} on the air with the frame's",
-            f"step        {here:.0f} us here, about {there:.1f} ms on a Pi Zero 2 W, by an estimated factor of "
-            f"{found['pi_factor']:g}",
-            "",
-            f"{'graph':<10} {'iterations':>10} {'settles at':>10} {'spread at the end':>18}",
         ]
-        for entry in found["graphs"]:
+        ran = [entry for entry in found["graphs"] if entry["iterations"]]
+        if found["step_s"]:
+            lines += [
+                f"step        {here:.0f} us here, about {there:.1f} ms on a Pi Zero 2 W, by an estimated factor of "
+                f"{found['pi_factor']:g}"
+            ]
+        if ran:
+            lines += ["", f"{'graph':<10} {'iterations':>10} {'settles at':>10} {'spread at the end':>18}"]
+        for entry in ran:
             trend = entry["trend"]
             settles, spread = trend.get("settles"), trend.get("spread")
             word = "diverges" if trend.get("grows") else "-" if settles is None else str(settles)

@@ -322,7 +322,10 @@ def parse(arguments: list[str], *, ends: bool = True) -> Options:
     if options.noise is not None and options.replay is not None:
         raise ConfigError("--noise makes the measurements, --replay has recorded ones: leave out one of them")
     if options.target_velocity is not None and (options.noise is not None or options.replay is not None):
-        raise ConfigError("--target-velocity moves what simulated modules range to: leave out --noise and --replay")
+        raise ConfigError(
+            "--target-velocity: --noise and --replay have measurements of a target that stands still: leave them out, "
+            "and simulated UWB modules measure the moving one"
+        )
     if options.target_velocity is not None and options.clock_skew:
         raise ConfigError("--target-velocity and --clock-skew: each robot would have another time, leave out one")
     if options.clock_skew and not options.virtual:

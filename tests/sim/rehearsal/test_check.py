@@ -46,6 +46,15 @@ def short(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         signal.signal(number, handler)
 
 
+def test_an_app_that_took_no_step_has_no_step_time_and_no_table_of_graphs(tmp_path: Path, short: None) -> None:
+    app, *graphs = findings(write(tmp_path, STEP + "        self.value = 1 / 0\n"))
+    found = check.judge([app, *graphs], [])
+    assert not found["ok"]
+    assert "ZeroDivisionError" in check.text(found)
+    assert "\nstep " not in check.text(found)
+    assert "settles at" not in check.text(found)
+
+
 def test_new_says_what_its_test_needs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
