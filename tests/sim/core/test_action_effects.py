@@ -416,6 +416,7 @@ COMMISSIONED = {
 @pytest.mark.timeout(300)
 def test_a_robot_of_real_processes_is_commissioned(robot: Robot, tmp_path: Path) -> None:
     (robot.run / "swarm.toml").write_text(robot.processes.config.read_text())
+    robot.processes.start_ready("-m", "services.mesh", SWARM_RUNTIME=str(robot.robot))  # it takes back the stop
     words = ("-m", "laptop.cli", "commission", "r0", "--run-dir", str(robot.run), "--json")
     command = robot.processes.start(*words)
     reports = []
