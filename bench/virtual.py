@@ -21,7 +21,7 @@ from sim.scenario.options import parse
 from sim.scenario.scenario import build
 from sim.virtual.run import PLACE, VirtualRun
 
-SIX_S, THOUSAND_S, TEN_THOUSAND_S = 1.0, 60.0, 120.0
+SIX_S, THOUSAND_S, TEN_THOUSAND_S = 1.0, 8.0, 120.0
 NOTEBOOK_S = 2.0
 NOTEBOOK = Path(__file__).parents[1] / "examples" / "consensus.ipynb"
 FLAT = 1.3
