@@ -48,7 +48,7 @@ NOTE = """(() => {
     for (const [name, place] of swarmView.store.places) {
       if (seen.get(name) === place.at) continue;
       seen.set(name, place.at);
-      swarmView.ages.push((Math.max(now, place.at) + place.span) / 1000 - place.to.t);
+      swarmView.ages.push(Math.max(now, place.at + place.span) / 1000 - place.to.t);
     }
   };
 })()"""
