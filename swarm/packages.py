@@ -9,6 +9,8 @@ from pathlib import Path
 NAMES = ("laptop", "services", "sim", "swarm")
 HOME = Path(__file__).resolve().parents[1]
 """The folder that holds the packages."""
+PARTS = HOME if (HOME / "deploy" / "install").is_file() else HOME / "balboa_swarm_parts"
+"""Where `deploy`, `examples` and `firmware` lie: in a checkout its root, else beside our packages (pyproject.toml)."""
 
 
 def rename(path: Path) -> str:

@@ -1,7 +1,8 @@
-"""`swarm new FILE`: a commented app that runs, and its test beside it."""
+"""`swarm new FILE`: a commented app that runs, and its test beside it; or an example (`--from NAME`)."""
 
 import argparse
 import importlib.util
+import shutil
 import sys
 from pathlib import Path
 
@@ -12,18 +13,29 @@ from swarm.errors import LocalError
 from swarm.messages.keys import is_name
 from swarm.process import service
 
+EXAMPLES = packages.PARTS / "examples"
+
 
 def main() -> int:
-    """Write both files, or none."""
+    """Write both files, or none; or copy an example."""
     parser = argparse.ArgumentParser(prog="swarm new", description=__doc__.partition("\n")[0])
-    parser.add_argument("file", type=Path, metavar="FILE.py", help="its name without .py is the app's name on the bus")
+    what = parser.add_mutually_exclusive_group(required=True)
+    help_file = "its name without .py is the app's name on the bus"
+    what.add_argument("file", type=Path, nargs="?", metavar="FILE.py", help=help_file)
+    what.add_argument("--from", dest="example", metavar="NAME", help=f"copy an example here: {', '.join(examples())}")
     kinds = "sync: all robots step together (default); periodic: each by its own clock; event: handlers"
-    parser.add_argument("--kind", choices=list(KINDS), default="sync", help=kinds)
+    parser.add_argument("--kind", choices=list(KINDS), help=kinds)
     options = parser.parse_args()
-    for path in write(options.file, options.kind):
+    if options.example is not None:
+        if options.kind is not None:
+            parser.error("--kind goes with FILE.py: an example has the kind it has")
+        sys.stdout.write(f"wrote {copy(options.example, Path())}\n")
+        return 0
+    kind = options.kind or "sync"
+    for path in write(options.file, kind):
         sys.stdout.write(f"wrote {path}\n")
     file, test = options.file, beside(options.file)
-    start = " --set r2.value=6" if options.kind == "sync" else ""  # all begin at zero otherwise: nothing would move
+    start = " --set r2.value=6" if kind == "sync" else ""  # all begin at zero otherwise: nothing would move
     install = "" if importlib.util.find_spec("pytest") else "pip install pytest; "
     sys.stdout.write(f"next: swarm check {file}; {install}pytest {test}; swarm sim {file} --robots 6{start}\n")
     return 0
@@ -47,6 +59,30 @@ def write(path: Path, kind: str) -> tuple[Path, Path]:
     for file, text in zip(files, KINDS[kind], strict=True):
         file.write_text(fill(text, name))
     return files
+
+
+def examples() -> list[str]:
+    """Names of the files and folders that `copy` knows."""
+    return sorted(path.name for path in EXAMPLES.iterdir() if not path.name.startswith((".", "_")))
+
+
+def copy(name: str, folder: Path) -> Path:
+    """Copy an example into `folder`; returns its path there. The suffix .py may be left out.
+
+    Raises `LocalError` where there is no such example, or something of its name is there already.
+    """
+    known = examples()
+    found = next((each for each in (name, f"{name}.py") if each in known), None)
+    if found is None:
+        raise LocalError(f"there is no example {name!r}; there are {', '.join(known)}")
+    source, target = EXAMPLES / found, folder / found
+    if target.exists():
+        raise LocalError(f"{target}: is there already; it is not written over")
+    if source.is_dir():
+        shutil.copytree(source, target, ignore=shutil.ignore_patterns("__pycache__"))
+    else:
+        shutil.copyfile(source, target)
+    return target
 
 
 def beside(path: Path) -> Path:

@@ -32,15 +32,12 @@ from pathlib import Path
 import swarm
 from swarm.errors import LocalError
 from swarm.onboard.command_line import end_with
+from swarm.packages import HOME, PARTS
 
 MACHINES = ("aarch64", "x86_64")
 
-_LIBRARY = Path(swarm.__file__).parents[1]
-"""Where our packages lie."""
-_PARTS = _LIBRARY if (_LIBRARY / "deploy" / "install").is_file() else _LIBRARY / "balboa_swarm_parts"
-"""Where `deploy`, the lock and the licence lie: in a checkout its root, else beside our packages (pyproject.toml)."""
 LOCK = "requirements-robot.lock"
-FIRMWARE = _PARTS / "firmware" / "balboa.hex"
+FIRMWARE = PARTS / "firmware" / "balboa.hex"
 """The Balboa's firmware, made from its sources (firmware/Makefile)."""
 
 _PLATFORMS = ("manylinux_2_28", "manylinux_2_27", "manylinux2014", "manylinux_2_17")
@@ -50,7 +47,7 @@ _TAR_TIME = 315532800
 """Seconds since 1970: the same moment, so that equal sources give equal bytes."""
 
 
-def build(folder: Path, machine: str, python: str, packages: Sequence[str] = (), *, lock: Path = _PARTS / LOCK) -> Path:
+def build(folder: Path, machine: str, python: str, packages: Sequence[str] = (), *, lock: Path = PARTS / LOCK) -> Path:
     """Make the release for robots with this processor and Python (like 3.11) in `folder`; returns its path.
 
     `packages`: further ones as pip names them, with all that they need. Raises `LocalError` where it cannot be made.
@@ -59,7 +56,7 @@ def build(folder: Path, machine: str, python: str, packages: Sequence[str] = (),
     name, data = robot_wheel()
     files = {f"wheels/{path.name}": path.read_bytes() for path in wheels}
     files |= {f"wheels/{name}": data, LOCK: locked.encode(), "FOR": f"{machine} {python}\n".encode()}
-    deploy = _PARTS / "deploy"
+    deploy = PARTS / "deploy"
     paths = [deploy / "install", deploy / "uninstall", *sorted((deploy / "systemd").rglob("*"))]
     files |= {str(path.relative_to(deploy)): path.read_bytes() for path in paths if path.is_file()}
     sums = "".join(f"{hashlib.sha256(files[name]).hexdigest()}  {name}\n" for name in sorted(files))
@@ -75,12 +72,12 @@ def build(folder: Path, machine: str, python: str, packages: Sequence[str] = (),
 
 def robot_wheel() -> tuple[str, bytes]:
     """The wheel of what a robot carries, by `deploy/robot/pyproject.toml`: its file name and content."""
-    whole = tomllib.loads((_PARTS / "deploy/robot/pyproject.toml").read_text())
+    whole = tomllib.loads((PARTS / "deploy/robot/pyproject.toml").read_text())
     project = whole["project"]
     files = {
-        str(path.relative_to(_LIBRARY)): path.read_bytes()
+        str(path.relative_to(HOME)): path.read_bytes()
         for package in whole["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
-        for path in sorted((_LIBRARY / package).rglob("*"))
+        for path in sorted((HOME / package).rglob("*"))
         if path.is_file() and "__pycache__" not in path.parts
     }
     stem = f"balboa_swarm-{swarm.__version__}"
@@ -94,7 +91,7 @@ def robot_wheel() -> tuple[str, bytes]:
         f"{stem}.dist-info/WHEEL": b"Wheel-Version: 1.0\nGenerator: balboa-swarm\n"
         b"Root-Is-Purelib: true\nTag: py3-none-any\n",
         f"{stem}.dist-info/entry_points.txt": f"[console_scripts]\n{scripts}".encode(),
-        f"{stem}.dist-info/licenses/LICENSE": (_PARTS / "LICENSE").read_bytes(),
+        f"{stem}.dist-info/licenses/LICENSE": (PARTS / "LICENSE").read_bytes(),
     }
     record = "".join(f"{name},sha256={_record_hash(data)},{len(data)}\n" for name, data in files.items())
     files[f"{stem}.dist-info/RECORD"] = f"{record}{stem}.dist-info/RECORD,,\n".encode()

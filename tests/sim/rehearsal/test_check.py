@@ -65,6 +65,32 @@ def test_new_says_what_its_test_needs(
         assert said in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("name", new.examples())
+def test_new_copies_an_example_and_never_over_a_file(tmp_path: Path, name: str) -> None:
+    made = new.copy(name, tmp_path)
+    assert made == tmp_path / name
+    source = new.EXAMPLES / name
+    for file in [source] if source.is_file() else [each for each in source.iterdir() if each.is_file()]:
+        assert (tmp_path / file.relative_to(new.EXAMPLES)).read_bytes() == file.read_bytes()
+    with pytest.raises(LocalError, match="is there already; it is not written over"):
+        new.copy(name, tmp_path)
+
+
+def test_an_example_that_does_not_exist_names_those_that_do(tmp_path: Path) -> None:
+    with pytest.raises(LocalError, match=r"no example 'findtarget'; there are .*find_target\.py, .*foxglove, .*mocap"):
+        new.copy("findtarget", tmp_path)
+    assert not list(tmp_path.iterdir())
+    assert new.copy("find_target", tmp_path).name == "find_target.py"
+
+
+def test_an_example_has_no_kind_to_choose(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    for words, said in ((["--from", "mocap", "--kind", "event"], "--kind goes with FILE.py"), ([], "is required")):
+        monkeypatch.setattr(sys, "argv", ["swarm new", *words])
+        with pytest.raises(SystemExit) as ended:
+            new.main()
+        assert (ended.value.code, said in capsys.readouterr().err) == (2, True)
+
+
 BAD = {
     "raises": ("        self.value = 1 / 0\n", "ZeroDivisionError: division by zero", 8),
     "no number": ("        self.value = float('nan') * mean\n", "value: nan is not a finite number", 8),
