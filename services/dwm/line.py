@@ -7,6 +7,7 @@ import os
 import queue
 import select
 import termios
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
@@ -57,6 +58,23 @@ class ModuleConnection(Protocol):
         """Release the module."""
 
 
+def _persist(exchange: Callable[[], Answer[T] | Trouble], before_retry: Callable[[Trouble], None] | None = None) -> T:
+    """Return the answer of the first of a few exchanges that has one; a request that is refused is not repeated.
+
+    `before_retry(trouble)` is called between two of them. Raises `NoAnswerError` with the last trouble.
+    """
+    outcome = exchange()
+    for _ in range(_ATTEMPTS - 1):
+        if isinstance(outcome, Answer) or outcome.kind.startswith("refused"):
+            break
+        if before_retry is not None:
+            before_retry(outcome)
+        outcome = exchange()
+    if isinstance(outcome, Trouble):
+        raise NoAnswerError(outcome)
+    return outcome.result
+
+
 class PortLine:
     """A module at a serial port of this machine. A module in shell mode is told to leave it."""
 
@@ -76,17 +94,12 @@ class PortLine:
             raise LocalError(f"{path}: {os.strerror(error.errno) if error.errno else error}{hint}") from None
 
     def ask(self, call: ModuleCall[T]) -> T:
-        outcome = self._exchange(call)
-        for _ in range(_ATTEMPTS - 1):
-            if isinstance(outcome, Answer) or outcome.kind.startswith("refused"):
-                break
-            if outcome.kind != "layout":
+        def leave_shell(trouble: Trouble) -> None:
+            if trouble.kind != "layout":
                 for _ in range(shell.LEAVE_TIMES):
                     self._exchange(ModuleCall("leave the shell", shell.LEAVE, (), lambda _: None), TIMEOUT)
-            outcome = self._exchange(call)
-        if isinstance(outcome, Trouble):
-            raise NoAnswerError(outcome)
-        return outcome.result
+
+        return _persist(lambda: self._exchange(call), leave_shell)
 
     def close(self) -> None:
         self._port.close()
@@ -122,14 +135,7 @@ class BusLine:
     def ask(self, call: ModuleCall[T]) -> T:
         if not self.bus.wait_connected(_PATIENCE):
             raise NoAnswerError(Trouble("silent", f"{self.name}: its bus does not answer: does it run?"))
-        outcome = self._exchange(call)
-        for _ in range(_ATTEMPTS - 1):
-            if isinstance(outcome, Answer) or outcome.kind.startswith("refused"):
-                break
-            outcome = self._exchange(call)
-        if isinstance(outcome, Trouble):
-            raise NoAnswerError(outcome)
-        return outcome.result
+        return _persist(lambda: self._exchange(call))
 
     def close(self) -> None:
         self.bus.close()
