@@ -249,9 +249,8 @@ class Stops:
 
     def changed(self, now: float) -> None:
         """The register has changed."""
+        self._to_bus(self._key, encode(self.stopped(now)), CONTROL)
         self._tell(now)
-        if self._tell_at == _NEVER:
-            self._to_bus(self._key, encode(self.stopped(now)), CONTROL)
         self._confirm_at = min(self._confirm_at, now + CONFIRM_AFTER)
 
     def handle_timer(self, now: float) -> None:
@@ -277,7 +276,5 @@ class Stops:
     def _tell(self, now: float) -> None:
         stops = self._register.stops
         self._tell_at = now + STOP_PERIOD if stops else _NEVER
-        if stops:
-            self._to_bus(self._key, encode(self.stopped(now)), CONTROL)
         for origin, reason in stops.items():
             self._to_bus(STOP, encode(Stop(now, origin, reason)), CONTROL)
