@@ -18,6 +18,15 @@ class RemoteError(SwarmError):
     """The other side sent something wrong: drop it, count it, go on."""
 
 
+class MissingPackageError(LocalError):
+    """A package is not installed; the message names the extra of pyproject.toml that installs it."""
+
+    def __init__(self, what: str, package: str, extra: str, robot: str = "") -> None:
+        """Say that `what` needs `package`: the extra `extra` has it, and the extra `robot` where this is a robot."""
+        on_a_robot = f' (on a robot: "balboa-swarm[{robot}]")' if robot else ""
+        super().__init__(f'{what} needs {package}: pip install "balboa-swarm[{extra}]"{on_a_robot}')
+
+
 class ConfigError(LocalError):
     """An entry of swarm.toml is wrong; names file, table, key and what was expected."""
 

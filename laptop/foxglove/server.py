@@ -13,13 +13,13 @@ from laptop.foxglove import scene
 from laptop.foxglove.messages import Message, frames, log, sample
 from laptop.view.actions.control import Control
 from laptop.view.feeds.feed import LiveFeed
-from swarm.errors import LocalError
+from swarm.errors import LocalError, MissingPackageError
 
 try:
     import foxglove
     from foxglove.websocket import Capability, Parameter
 except ModuleNotFoundError:
-    raise LocalError("swarm foxglove needs foxglove-sdk: pip install 'balboa-swarm[foxglove]'") from None
+    raise MissingPackageError("swarm foxglove", "foxglove-sdk", "foxglove") from None
 
 PERIOD = 0.05
 """Seconds between two looks at what is new."""

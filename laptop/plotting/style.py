@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarm.errors import LocalError
+from swarm.errors import LocalError, MissingPackageError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -133,7 +133,7 @@ def figure(path: Path, *, settings: Any = None, **options: Any) -> Iterator[Any]
     try:
         import matplotlib as mpl
     except ImportError:
-        raise LocalError('--plot needs matplotlib: pip install "balboa-swarm[lab]"') from None
+        raise MissingPackageError("--plot", "matplotlib", "lab") from None
     mpl.use("Agg")  # no display is needed
     from matplotlib import pyplot as plt
 
@@ -155,7 +155,7 @@ def shown_figure(path: Path | None) -> Iterator["Figure"]:
     try:
         from matplotlib import pyplot as plt
     except ImportError:
-        raise LocalError('plot needs matplotlib: pip install "balboa-swarm[lab]"') from None
+        raise MissingPackageError("plot", "matplotlib", "lab") from None
     settings: Any = RC
     with plt.rc_context(settings):
         made = plt.figure(layout="constrained")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from swarm import config as configuration
-from swarm.errors import LocalError, RecordingError
+from swarm.errors import LocalError, MissingPackageError, RecordingError
 from swarm.recording import folder
 from swarm.recording.reader import OUTCOME, SHAPES
 from swarm.recording.run import Run
@@ -17,7 +17,7 @@ from swarm.recording.trajectory import Trajectory
 try:
     import numpy as np
 except ImportError:
-    raise LocalError('runs are numpy arrays: pip install "balboa-swarm[lab]"') from None
+    raise MissingPackageError("a run", "numpy", "lab") from None
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -245,7 +245,7 @@ def table_of(columns: Any) -> "pd.DataFrame":
     try:
         import pandas as pd
     except ImportError:
-        raise LocalError('to_pandas needs pandas: pip install "balboa-swarm[notebook]"') from None
+        raise MissingPackageError("to_pandas", "pandas", "notebook") from None
     return pd.DataFrame(columns)
 
 

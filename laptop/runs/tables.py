@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from swarm.errors import LocalError, RecordingError
+from swarm.errors import LocalError, MissingPackageError, RecordingError
 from swarm.recording.run import Run
 
 FORMATS = ("csv", "npz", "mat", "parquet")
@@ -46,7 +46,7 @@ def write(path: Path, table: Table) -> None:
         _WRITERS[kind](path, table)
     except ImportError:
         needed, extra = _EXTRA[kind]
-        raise LocalError(f'{kind} files need {needed}: pip install "balboa-swarm[{extra}]"') from None
+        raise MissingPackageError(f"--format {kind}", needed, extra) from None
 
 
 def _flat(name: str, value: Any) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from sim.report import RunOutcome
 from sim.scenario.options import Options
 from sim.scenario.scenario import Scenario
 from sim.virtual.run import VirtualRun
-from swarm.errors import LocalError
+from swarm.errors import MissingPackageError
 
 
 def watched(run: VirtualRun, plan: Scenario, options: Options, tell: Callable[[RunOutcome], int]) -> int:
@@ -18,7 +18,7 @@ def watched(run: VirtualRun, plan: Scenario, options: Options, tell: Callable[[R
     try:
         from laptop.view import server
     except ModuleNotFoundError as error:
-        raise LocalError(f"--view needs {error.name}: pip install 'balboa-swarm[lab]'") from None
+        raise MissingPackageError("--view", str(error.name), "lab") from None
     feed = VirtualFeed(run.world, plan.config, 1.0 if options.speed is None else options.speed)
 
     async def main() -> int:

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
-from swarm.errors import LocalError
+from swarm.errors import LocalError, MissingPackageError
 
 NOBODY = 0x7F
 """An address that no device has (reserved by the I2C specification, UM10204 table 4). Read, it is a byte of ones: nine
@@ -71,12 +71,12 @@ class KernelBus:
     """
 
     def __init__(self, number: int = 1) -> None:
-        """Raises `LocalError` where smbus2 is missing, `NoDeviceError` where the device is."""
+        """Raises `MissingPackageError` where smbus2 is missing, `NoDeviceError` where the device is."""
         device = Path(f"/dev/i2c-{number}")
         try:
             import smbus2
         except ImportError:
-            raise LocalError("the I2C bus needs smbus2: pip install 'balboa-swarm[robot]'") from None
+            raise MissingPackageError("the I2C bus", "smbus2", "robot") from None
         if not device.exists():
             raise NoDeviceError(f"{device} is missing: switch I2C on (dtparam=i2c_arm=on in config.txt) and reboot")
         try:

@@ -16,7 +16,7 @@ from services.dwm.core.module.exchange import SLOW_TIMEOUT, TIMEOUT, Answer, Mod
 from services.dwm.core.module.tlv import ModuleCall
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus
-from swarm.errors import LocalError, PayloadError, RemoteError
+from swarm.errors import LocalError, MissingPackageError, PayloadError, RemoteError
 from swarm.messages import ModuleAnswer, ModuleRequest
 from swarm.messages.codec import decode
 from swarm.messages.keys import key
@@ -83,7 +83,7 @@ class PortLine:
         try:
             import serial
         except ImportError:
-            raise LocalError("a serial port needs pyserial: pip install 'balboa-swarm[lab]'") from None
+            raise MissingPackageError("a serial port", "pyserial", "lab", "robot") from None
         self.name = path
         try:
             # exclusive: two processes at one module would read each other's answers

@@ -13,7 +13,7 @@ from services.dwm.core.module.poller import Answered, ModuleHealth, Poller
 from services.dwm.localizer import Localizer
 from services.dwm.requests import ModuleRequests
 from swarm import clock
-from swarm.errors import LocalError
+from swarm.errors import MissingPackageError
 from swarm.process.service import Service
 
 if TYPE_CHECKING:
@@ -32,9 +32,7 @@ def serve(service: Service, path: Path) -> None:
     try:
         import serial
     except ImportError:
-        raise LocalError(
-            "[dwm] source is a serial port, which needs pyserial: pip install 'balboa-swarm[robot]'"
-        ) from None
+        raise MissingPackageError("the serial port of [dwm] source", "pyserial", "lab", "robot") from None
     localizer = Localizer(service, clock.now())
     wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
     requests = ModuleRequests(service, lambda: os.eventfd_write(wake, 1))

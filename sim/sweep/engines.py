@@ -10,7 +10,7 @@ from typing import Any, Protocol
 from services.apps.loader import LoadedApp
 from sim.sweep.measure import SweptRun, measure
 from sim.sweep.plan import Job
-from swarm.errors import LocalError
+from swarm.errors import MissingPackageError
 
 ENGINES = ("local", "dask")
 
@@ -55,7 +55,7 @@ def dask(processes: int, scheduler: str | None) -> Iterator[Engine]:
     try:
         from dask import distributed
     except ImportError:
-        raise LocalError('--engine dask needs Dask: pip install "balboa-swarm[dask]"') from None
+        raise MissingPackageError("--engine dask", "distributed", "dask") from None
     with contextlib.ExitStack() as held:
         if scheduler is None:
             cluster = distributed.LocalCluster(

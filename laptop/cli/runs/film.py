@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from swarm.errors import LocalError
+from swarm.errors import LocalError, MissingPackageError
 from swarm.onboard.arguments import add_json, number, show
 from swarm.onboard.command_line import UNIX_MODULES
 from swarm.process.terminal import bar
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         if error.name in UNIX_MODULES:
             raise
-        raise LocalError(f"swarm film needs {error.name}: pip install 'balboa-swarm[lab]'") from None
+        raise MissingPackageError("swarm film", str(error.name), "lab") from None
     from laptop.view.recording import ViewedRecording
 
     # What is missing is said before the recording is read, which may take a while.

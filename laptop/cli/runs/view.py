@@ -7,7 +7,7 @@ import webbrowser
 from pathlib import Path
 
 from laptop.view import live
-from swarm.errors import LocalError
+from swarm.errors import LocalError, MissingPackageError
 
 HELP = "show the running swarm, or a recorded run, in the browser"
 
@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         from laptop.view import server
     except ModuleNotFoundError as error:
-        raise LocalError(f"swarm view needs {error.name}: pip install 'balboa-swarm[lab]'") from None
+        raise MissingPackageError("swarm view", str(error.name), "lab") from None
     from laptop.view.feeds.feed import SimulationFeed
     from laptop.view.feeds.robots import Robots
     from laptop.view.recording import ViewedRecording

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from services.balancer.core.flashing.avr109 import BAUD, Conversation
-from swarm.errors import LocalError, RemoteError
+from swarm.errors import LocalError, MissingPackageError, RemoteError
 
 POLOLU = 0x1FFB
 BOOTLOADER = (POLOLU, 0x0101)
@@ -67,7 +67,7 @@ def converse(port: str, conversation: Conversation) -> str:
     try:
         import serial
     except ImportError:
-        raise LocalError("a USB port needs pyserial: pip install 'balboa-swarm[lab]'") from None
+        raise MissingPackageError("a USB port", "pyserial", "lab", "robot") from None
     try:
         line = serial.Serial(port, BAUD, exclusive=True)
     except (serial.SerialException, OSError) as error:

@@ -9,17 +9,17 @@ from services.dwm.core.calibration.fitting import error_of, place_error
 from services.dwm.core.calibration.models import RangeModel, position
 from services.dwm.core.estimation.filters import inliers, inlying_places
 from swarm.config.types import Affine
-from swarm.errors import LocalError
+from swarm.errors import MissingPackageError
 
 _RAW, _FILTERED, _MODEL, _TRUTH, _OUTLIER = "0.7", "black", "#d55e00", "#0072b2", "#cc3311"
 
 
 def draw(data: CalibrationData, ranges: RangeModel | None, places: Affine | None, path: Path) -> None:
-    """Write the picture of what was fitted; raises `LocalError` where matplotlib is missing."""
+    """Write the picture of what was fitted; raises `MissingPackageError` where matplotlib is missing."""
     try:
         import matplotlib as mpl
     except ImportError:
-        raise LocalError("plots need matplotlib: pip install 'balboa-swarm[lab]', or use --no-plot") from None
+        raise MissingPackageError("a plot (left out with --no-plot)", "matplotlib", "lab") from None
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 

@@ -61,7 +61,7 @@ def test_what_is_not_installed_is_named(
     recorded: Path, tmp_path: Path, kind: str, needs: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, needs, None)
-    with pytest.raises(LocalError, match=f'{kind} files need {needs}: pip install "balboa-swarm'):
+    with pytest.raises(LocalError, match=f'--format {kind} needs {needs}: pip install "balboa-swarm'):
         exported(recorded, "--table", str(tmp_path), "--topic", "sim/truth", "--format", kind)
 
 
