@@ -77,10 +77,10 @@ def end_with(program: str, run: Callable[[], int], *, interrupted: int = 130, un
     except SwarmError as error:
         complain(program, str(error))
         code = 2
-    except ModuleNotFoundError as error:
-        if error.name not in UNIX_MODULES:
+    except (ModuleNotFoundError, AttributeError) as error:
+        if not _is_of_linux(error):
             raise
-        complain(program, f"this command needs Linux or macOS (on Windows: WSL): Python has no {error.name} here")
+        complain(program, f"this command needs Linux (on Windows: WSL): Python has no {error.name} here")
         code = 2
     except KeyboardInterrupt:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second one must not disturb the end
@@ -94,6 +94,13 @@ def end_with(program: str, run: Callable[[], int], *, interrupted: int = 130, un
         code = 2
         _leave_output()
     sys.exit(code)
+
+
+def _is_of_linux(error: ModuleNotFoundError | AttributeError) -> bool:
+    """Return whether something is missing that Python has on Linux, and not on every system."""
+    if isinstance(error, ModuleNotFoundError):
+        return error.name in UNIX_MODULES
+    return getattr(error.obj, "__name__", "") in ("os", "signal", "socket", "time")
 
 
 def complain(program: str, text: str) -> None:

@@ -6,7 +6,6 @@ file itself stays and says nothing.
 """
 
 import os
-import socket
 import time
 from pathlib import Path
 
@@ -21,8 +20,12 @@ CONFIG = "swarm.toml"
 _ATTEMPTS = 20
 
 
-HAS_PROCESSES = hasattr(socket, "AF_UNIX") and hasattr(os, "getuid")
-"""Whether this system can run the processes of robots: they talk over Unix sockets."""
+HAS_PROCESSES = hasattr(os, "eventfd")
+"""Whether this system can run the processes of robots: what they wait with only Linux has."""
+_LINUX = (
+    "simulations of real processes need Linux (on Windows: WSL): `swarm sim --virtual` and `swarm.simulate` run "
+    "everywhere"
+)
 
 
 def default_run_dir() -> Path:
@@ -30,11 +33,8 @@ def default_run_dir() -> Path:
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     if runtime:
         return Path(runtime) / "swarm-sim"
-    if not HAS_PROCESSES:
-        raise LocalError(
-            "simulations of real processes need Linux (on Windows: WSL): `swarm sim --virtual` and "
-            "`swarm.simulate` run everywhere"
-        )
+    if not hasattr(os, "getuid"):
+        raise LocalError(_LINUX)
     return Path(f"/tmp/swarm-sim-{os.getuid()}")  # noqa: S108
 
 
@@ -58,11 +58,14 @@ class _RunLock:
 
 
 def claim(directory: Path) -> _RunLock:
-    """Make `directory` and hold it for one simulation; `BusError` where that cannot be.
+    """Make `directory` and hold it for one simulation; `BusError` where that cannot be, and `LocalError` on a system
+    that cannot run one.
 
     It is open to its owner alone: whoever reaches the sockets in it drives the robots. Since a simulation clears
     its run directory, one that holds anything but an earlier run is refused.
     """
+    if not HAS_PROCESSES:
+        raise LocalError(_LINUX)
     try:
         directory.mkdir(mode=0o700, parents=True, exist_ok=True)
         if directory.stat().st_uid != os.getuid():

@@ -1,7 +1,7 @@
 """What a system other than Linux lacks, taken away before anything of the project is imported: a test's own program.
 
-python other_systems.py COMMAND...     the command line of a laptop
-python other_systems.py                a run from Python
+python other_systems.py SYSTEM COMMAND...     the command line of a laptop; SYSTEM: windows or macos
+python other_systems.py SYSTEM                a run from Python
 """
 
 import asyncio
@@ -9,18 +9,29 @@ import os
 import signal
 import socket
 import sys
+import time
 from importlib.abc import MetaPathFinder
 
-MODULES = {"fcntl", "tty", "termios", "resource", "pwd", "grp", "pty", "syslog", "readline", "curses"}
-NAMES = {
-    signal: "SIGALRM SIGHUP SIGPIPE SIGUSR1 SIGUSR2 SIGQUIT pthread_sigmask pthread_kill setitimer sigtimedwait",
-    socket: "AF_UNIX AF_BLUETOOTH AF_NETLINK",
+NEITHER = {
+    signal: "sigtimedwait pidfd_send_signal",
+    socket: "AF_BLUETOOTH AF_NETLINK SOCK_CLOEXEC SOCK_NONBLOCK",
     os: (
-        "forkpty geteuid getuid getgid getegid eventfd EFD_NONBLOCK EFD_CLOEXEC sched_setscheduler SCHED_FIFO mkfifo "
-        "O_CLOEXEC O_DIRECTORY O_NONBLOCK O_NOFOLLOW pidfd_open posix_fallocate fchmod killpg setsid getpgid statvfs "
-        "fdatasync nice fchown chown pread pwrite"
+        "eventfd eventfd_read eventfd_write EFD_NONBLOCK EFD_CLOEXEC sched_setscheduler SCHED_FIFO sched_getaffinity "
+        "pidfd_open posix_fallocate fdatasync pipe2 memfd_create"
+    ),
+    time: "CLOCK_BOOTTIME",
+}
+"""What Python has on Linux alone, by its modules."""
+NOT_ON_WINDOWS = {
+    signal: "SIGALRM SIGHUP SIGPIPE SIGUSR1 SIGUSR2 SIGQUIT pthread_sigmask pthread_kill setitimer",
+    socket: "AF_UNIX",
+    os: (
+        "forkpty geteuid getuid getgid getegid mkfifo O_CLOEXEC O_DIRECTORY O_NONBLOCK O_NOFOLLOW fchmod killpg setsid "
+        "getpgid statvfs nice fchown chown pread pwrite"
     ),
 }
+MODULES = {"fcntl", "tty", "termios", "resource", "pwd", "grp", "pty", "syslog", "readline", "curses"}
+"""Modules that Windows lacks."""
 
 
 class Missing(MetaPathFinder):
@@ -29,15 +40,6 @@ class Missing(MetaPathFinder):
     def find_spec(self, name, path, target=None):
         if name in MODULES:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-
-
-sys.meta_path.insert(0, Missing())
-for module in MODULES:
-    sys.modules.pop(module, None)
-for place, names in NAMES.items():
-    for each in names.split():
-        if hasattr(place, each):
-            delattr(place, each)
 
 
 def loopback_pair(*_):
@@ -53,13 +55,24 @@ def no_handler(*_):
     raise NotImplementedError
 
 
-socket.socketpair = loopback_pair
-asyncio.SelectorEventLoop.add_signal_handler = no_handler
+WINDOWS = sys.argv[1] == "windows"
 
-if __name__ == "__main__" and sys.argv[1:]:
+for lacking in (NEITHER, NOT_ON_WINDOWS) if WINDOWS else (NEITHER,):
+    for place, names in lacking.items():
+        for each in names.split():
+            if hasattr(place, each):
+                delattr(place, each)
+if WINDOWS:
+    sys.meta_path.insert(0, Missing())
+    for module in MODULES:
+        sys.modules.pop(module, None)
+    socket.socketpair = loopback_pair
+    asyncio.SelectorEventLoop.add_signal_handler = no_handler
+
+if __name__ == "__main__" and sys.argv[2:]:
     from laptop.cli import main
 
-    main(sys.argv[1:])
+    main(sys.argv[2:])
 elif __name__ == "__main__":
     from swarm import SyncApp, load, simulate
 

@@ -2,6 +2,7 @@
 
 import argparse
 import signal
+import time
 
 from laptop.view import live
 
@@ -33,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
             )
             signal.signal(signal.SIGTERM, signal.default_int_handler)
             while feed.kind == "robots" or feed.live:
-                signal.sigtimedwait((), 0.5)
+                time.sleep(0.5)  # the signal ends it
         finally:
             server.close()
     finally:

@@ -38,7 +38,10 @@ def bootloaders(sysfs: Path = SYSFS) -> list[str]:
 
 
 def wait_for_bootloader(seconds: float, sysfs: Path = SYSFS, sleep: Callable[[float], None] = time.sleep) -> str:
-    """The one bootloader's port; raises `RemoteError` where none comes, `LocalError` where there are several."""
+    """The one bootloader's port; raises `RemoteError` where none comes, `LocalError` where there are several, or
+    where this system does not list its ports as Linux does."""
+    if not sysfs.is_dir():
+        raise LocalError("looking for a bootloader needs Linux (on Windows: WSL): name its port with --port")
     for _ in range(max(1, round(seconds / _LOOK_S))):
         found = bootloaders(sysfs)
         if len(found) > 1:
