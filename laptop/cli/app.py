@@ -14,7 +14,9 @@ from swarm.process.simulations import robots, running
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare `start|stop NAME [ROBOT...]`. The act is part of the command's name."""
     parser.add_argument("act", choices=app_requests.ACTS, help=argparse.SUPPRESS)
-    parser.add_argument("app", help="a built-in app; on real robots also an app that swarm run has copied")
+    parser.add_argument(
+        "app", metavar="APP", help="a built-in app; on real robots also an app that swarm run has copied"
+    )
     parser.add_argument("which", nargs="*", metavar="ROBOT", help="names of robots (default: all)")
     robot_command.add_simulation(parser)
     everyone.add_arguments(parser, timeout_s=60)

@@ -1,7 +1,7 @@
 """The commands of `swarm` on a laptop: those of a robot (`swarm.onboard.commands`), and what a robot does not carry."""
 
 from swarm.onboard import commands as robot
-from swarm.onboard.command_line import Command, CommandGroup, Sections
+from swarm.onboard.command_line import MORE, Command, CommandGroup, Sections
 
 FAR = "laptop.cli.far"
 
@@ -10,19 +10,16 @@ SECTIONS: Sections = {
         "new": Command("sim.rehearsal.new", help="write a commented app and its test"),
         "check": Command("sim.rehearsal.check", help="check an app before any robot moves: size, time, convergence"),
         "sim": Command("laptop.cli.runs.sim", help="simulate a swarm of real service processes, or in virtual time"),
-        "demo": Command("laptop.cli.runs.sim", ("--demo",), "three simulated robots find a target, in under a minute"),
+        "demo": Command("laptop.cli.runs.demo", help="let three simulated robots find a target, in under a minute"),
         "sweep": Command("laptop.cli.runs.sweep", help="run an app over parameters, topologies and seeds"),
         "plot": Command("laptop.cli.runs.plot"),
         "view": Command("laptop.cli.runs.view"),
         "film": Command("laptop.cli.runs.film"),
-        "foxglove": Command("laptop.cli.runs.foxglove"),
-        "replay": Command("laptop.cli.runs.replay"),
         "export": Command("laptop.cli.runs.export"),
-        "import": Command("laptop.cli.runs.import_csv"),
     },
     "a running swarm": {
         "hand": CommandGroup(
-            "in simulations",
+            "act on a simulated robot",
             {
                 "press": Command("laptop.cli.hand", ("press",), "press a button of a simulated robot"),
                 "push": Command("laptop.cli.hand", ("push",), "push a simulated robot"),
@@ -46,7 +43,6 @@ SECTIONS: Sections = {
             }
         ),
         "drive": Command("laptop.cli.robots.body.drive"),
-        "pad": Command("laptop.cli.robots.body.pad"),
         "commission": Command("laptop.cli.robots.body.commission"),
         "mesh": robot.MESH._replace(
             commands={name: each._replace(far=FAR) for name, each in robot.MESH.commands.items()}
@@ -64,7 +60,7 @@ SECTIONS: Sections = {
             }
         ),
         "app": CommandGroup(
-            "running apps",
+            "act on running apps",
             {
                 "start": Command("laptop.cli.app", ("start",), "start a further app"),
                 "stop": Command("laptop.cli.app", ("stop",), "stop an app"),
@@ -78,7 +74,6 @@ SECTIONS: Sections = {
     "real robots, over ssh": {
         "provision": Command("laptop.cli.robots.provision"),
         "pair": Command("laptop.cli.robots.pair"),
-        "bundle": Command("laptop.cli.robots.bundle"),
         "deploy": Command("laptop.cli.robots.deploy"),
         "run": Command("laptop.cli.robots.run"),
         "status": Command("laptop.cli.robots.status"),
@@ -88,7 +83,7 @@ SECTIONS: Sections = {
         "doctor": Command("laptop.cli.robots.doctor"),
         "command": Command("laptop.cli.robots.command"),
         "services": CommandGroup(
-            "services and apps",
+            "act on services and apps",
             {
                 "start": Command(
                     "laptop.cli.robots.services", ("--action=start",), "start services or apps of all robots"
@@ -103,11 +98,16 @@ SECTIONS: Sections = {
         ),
     },
     "safety": {
-        "estop": Command("laptop.cli.halt", ("stop",), "stop every robot, and list the robots that confirmed"),
-        "stop": Command("laptop.cli.halt", ("stop",), "the same as estop"),
+        "estop": Command("laptop.cli.halt", ("stop",), robot.ESTOP),
         "arm": Command("laptop.cli.halt", ("arm",), "take back all stops, and list the robots that confirmed"),
     },
-    "this shell": {
+    MORE: {
+        "stop": Command("laptop.cli.halt", ("stop",), "the same as estop"),
+        "replay": Command("laptop.cli.runs.replay"),
+        "pad": Command("laptop.cli.robots.body.pad"),
+        "foxglove": Command("laptop.cli.runs.foxglove"),
+        "import": Command("laptop.cli.runs.import_csv"),
+        "bundle": Command("laptop.cli.robots.bundle"),
         "completion": Command("laptop.cli.completion"),
     },
 }

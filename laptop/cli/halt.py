@@ -46,10 +46,12 @@ class _Answers:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what a robot's command takes, and the way by ssh."""
-    halt.add_arguments(parser)
-    parser.add_argument("--no-ssh", action="store_true", help="use only bus and mesh, not ssh")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="swarm.toml with the robots to reach by ssh")
-    parser.add_argument("--ssh-config", type=Path, metavar="FILE", help="ssh configuration, in place of ~/.ssh/config")
+    for each in halt.add_arguments(parser):
+        each.add_argument("--no-ssh", action="store_true", help="use only bus and mesh, not ssh")
+        each.add_argument("--config", type=Path, metavar="FILE", help="swarm.toml with the robots to reach by ssh")
+        each.add_argument(
+            "--ssh-config", type=Path, metavar="FILE", help="ssh configuration, in place of ~/.ssh/config"
+        )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -69,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
 
     def by_ssh() -> None:
         nonlocal answers
-        answers = command(*far, stop=stop, reason=halt.reason_of(args))
+        answers = command(*far, stop=stop, reason=getattr(args, "reason", ""))
 
     thread = threading.Thread(target=by_ssh, name="ssh")
     thread.start()

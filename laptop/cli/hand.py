@@ -25,21 +25,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     def act(name: str) -> argparse.ArgumentParser:
         found = acts.add_parser(name, prog=parser.prog, description=parser.description)
-        found.add_argument("robot", help="name of a simulated robot, e.g. r0")
+        found.add_argument("robot", metavar="ROBOT", help="name of a simulated robot, e.g. r0")
         add_run_dir(found)
         add_json(found)
         return found
 
     press = act("press")
-    press.add_argument("button", choices=actions.BUTTONS)
+    press.add_argument("button", choices=actions.BUTTONS, help="button on the robot's board")
     press.add_argument("--hold", type=float, default=0.2, metavar="S", help="seconds that the button is held (0.2)")
     push = act("push")
     text = "N s, negative from the front (0.1; 0.5 topples the robot)"
     push.add_argument("--impulse", type=float, default=0.1, metavar="NS", help=text)
-    act("lay").add_argument("side", choices=actions.SIDES)
+    act("lay").add_argument("side", choices=actions.SIDES, help="side on which the robot lies then")
     place = act("place")
     for axis in ("x", "y"):
-        place.add_argument(axis, type=number(-1e3, 1e3), help="new place of the robot, m")
+        text = f"{axis} of the robot's new place, m"
+        place.add_argument(axis, metavar=axis.upper(), type=number(-1e3, 1e3), help=text)
     place.add_argument(
         "--heading", type=number(-10, 10, "rad"), default=0.0, metavar="RAD", help="new heading, 0 = along x (0)"
     )
@@ -50,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     lift.add_argument("--turn", type=number(-720, 720, "deg"), default=0.0, metavar="DEG", help="turn to the left (0)")
     lift.add_argument("--down", action="store_true", help="put it down upright, and hold it until its motors run")
     roll = act("roll")
-    roll.add_argument("wheel", choices=actions.WHEELS)
+    roll.add_argument("wheel", choices=actions.WHEELS, help="wheel to turn")
     roll.add_argument(
         "--degrees",
         type=number(-1440, 1440, "deg"),
@@ -59,17 +60,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="turn forward, negative: backward (360)",
     )
     miswire = act("miswire")
-    miswire.add_argument("part", choices=actions.MISWIRINGS)
+    miswire.add_argument("part", metavar="PART", choices=actions.MISWIRINGS, help=", ".join(actions.MISWIRINGS))
     miswire.add_argument("--back", action="store_true", help="mount the part correctly again")
     unplug = act("unplug")
-    unplug.add_argument("device", choices=actions.DEVICES)
+    unplug.add_argument("device", choices=actions.DEVICES, help="device to disconnect")
     unplug.add_argument("--back", action="store_true", help="connect the device again")
     kill = act("kill")
-    kill.add_argument("service", help=f"{', '.join(SERVICES)}, app or app/NAME")
+    kill.add_argument("service", metavar="SERVICE", help=f"{', '.join(SERVICES)}, app or app/NAME")
     text = "KILL (default): ends at once; TERM: stops cleanly; STOP and CONT: freezes and continues"
     kill.add_argument("--signal", choices=SIGNALS, default="KILL", help=text)
     cut = act("cut")
-    cut.add_argument("peer", help="the robot at the other end")
+    cut.add_argument("peer", metavar="PEER", help="the robot at the other end")
     text = f"length of the cut, at most {MAX_CUT_S:g} (10)"
     cut.add_argument("--seconds", type=number(0, MAX_CUT_S, "s"), default=10.0, metavar="S", help=text)
     cut.add_argument("--mend", dest="seconds", action="store_const", const=0.0, help="end the cut now")

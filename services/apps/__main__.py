@@ -101,14 +101,15 @@ def main() -> int:
 
 
 def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="services.apps", description="Run one app on this robot.")
-    parser.add_argument("app", help=f"{' or '.join(loader.BUILT_IN)}, or the path of a Python file with an app")
+    parser = argparse.ArgumentParser(prog="python -m services.apps", description="Run one app on this robot.")
+    text = f"{', '.join(loader.BUILT_IN)}, or the path of a Python file with an app"
+    parser.add_argument("app", metavar="APP", help=text)
     parser.add_argument("--iterations", type=_iterations, metavar="K", help="end after K iterations (default: no end)")
     run_options.add_arguments(parser)
     parser.add_argument(
         "--run",
         metavar="HEX",
-        help="number of the run, the same on all robots (SWARM_RUN; default: by app and config)",
+        help="number of the run, the same on all robots (default: SWARM_RUN, else by app and config)",
     )
     parser.add_argument(
         "--set",
@@ -117,17 +118,16 @@ def _options() -> argparse.Namespace:
         type=_setting,
         default=[],
         metavar="[ROBOT.]NAME=VALUE",
-        help="a parameter, above swarm.toml; the same ones on all robots",
+        help="a parameter in place of that in swarm.toml; give the same ones on all robots",
     )
-    parser.add_argument(
-        "--escaped", dest="settings", action="append", type=_escaped, help="the same, written with %%XX (swarm run)"
-    )
+    escaped = "settings of --set with special characters as %%XX, as swarm run writes them"
+    parser.add_argument("--escaped", dest="settings", action="append", type=_escaped, metavar="SETTINGS", help=escaped)
     parser.add_argument(
         "--record", action="store_true", help="record the run (default: only if SWARM_RECORD names a folder)"
     )
     options = parser.parse_args()
-    text = options.run or os.environ.get("SWARM_RUN")
-    options.run = None if not text else _number("--run or SWARM_RUN", text, 16)
+    given: str | None = options.run or os.environ.get("SWARM_RUN")
+    options.run = None if not given else _number("--run or SWARM_RUN", given, 16)
     return options
 
 

@@ -36,4 +36,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    run(main)
+    run(main, "Run the bus of this robot: a Zenoh router that listens on a Unix socket, and not on the network.")

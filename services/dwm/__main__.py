@@ -22,4 +22,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    run(main)
+    run(main, "Run the UWB service of this robot, which reads the DWM1001 module and publishes ranges and the pose.")

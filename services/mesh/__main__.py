@@ -90,4 +90,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    service.run(main)
+    service.run(
+        main, "Run the mesh of this robot, which carries chosen keys between its bus and the buses of other robots."
+    )

@@ -15,7 +15,9 @@ from swarm.process.terminal import guard, write_lines
 
 def main() -> None:
     """Print what answers an inquiry."""
-    parser = argparse.ArgumentParser(prog="swarm discover", description="Bluetooth devices in range, by PyBluez.")
+    parser = argparse.ArgumentParser(
+        prog="swarm discover", description="List the Bluetooth devices in range, and which of them are robots."
+    )
     parser.add_argument(
         "--seconds", type=float, default=8 * pybluez.INQUIRY_UNIT, metavar="S", help="length of the search (10.24)"
     )

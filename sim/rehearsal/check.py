@@ -29,12 +29,17 @@ PATIENCE = 120.0
 SEEDS = ("1", "2")
 """Of Python's hashing, one for each process: sets and dicts of text come in another order."""
 
+DESCRIPTION = (
+    "Examine an app before any robot moves: what it declares, the size of its messages, the time of a step, and "
+    "how it behaves on five graphs."
+)
+
 Json = dict[str, Any]
 
 
 def main() -> int:
     """Exit code 0: nothing is wrong; 1: something is; 2: it could not be looked at."""
-    parser = argparse.ArgumentParser(prog="swarm check", description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(prog="swarm check", description=DESCRIPTION)
     parser.add_argument("app", metavar="APP", help=f"a file with an app, or {', '.join(BUILT_IN)}")
     parser.add_argument("--robots", type=int, default=6, metavar="N", help="robots in the rehearsal (6)")
     parser.add_argument("--iterations", type=int, default=300, metavar="K", help="iterations on each graph (300)")

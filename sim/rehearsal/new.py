@@ -18,7 +18,9 @@ EXAMPLES = packages.PARTS / "examples"
 
 def main() -> int:
     """Write both files, or none; or copy an example."""
-    parser = argparse.ArgumentParser(prog="swarm new", description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(
+        prog="swarm new", description="Write a commented app that runs, and its test beside it, or copy an example."
+    )
     what = parser.add_mutually_exclusive_group(required=True)
     help_file = "its name without .py is the app's name on the bus"
     what.add_argument("file", type=Path, nargs="?", metavar="FILE.py", help=help_file)

@@ -31,7 +31,8 @@ from swarm.frozen import frozen
 
 FROM_START, SETTLED, DELAY = "start", "settled", "delay"
 MESHES = (FROM_START, SETTLED, DELAY)
-"""Under virtual time: real mesh cores from power-on; such that know all links already; the delay of links alone."""
+"""Models of the mesh under virtual time: the mesh's own code from power-on; the same code, which knows all links
+already; or no mesh, so that messages reach neighbours alone, after the latency of the link."""
 
 EVENTS = ("cut", "kill", "off", "press", "push")
 """Options that say what happens to a link or a robot at a time of the run."""
@@ -97,7 +98,6 @@ class Options:
     """Where the trajectories are kept; without it they go with the run."""
     run_options: RunOptions
     """When its lockstep ends but for `iterations`, and what becomes of robots that stay away."""
-    demo: bool
     virtual: bool
     """Whether the run is in one process under a virtual clock."""
     body: str
@@ -279,8 +279,8 @@ def parser(kind: type[argparse.ArgumentParser] = argparse.ArgumentParser) -> arg
     p.add_argument(
         "--mesh",
         choices=MESHES,
-        help="model of the mesh under virtual time: the whole mesh from its start, the settled mesh "
-        "(above 50 robots), or delays only",
+        help="model of the mesh under virtual time: the whole mesh from its start; the settled mesh, which knows all "
+        "links already (default above 50 robots); or no mesh: messages reach neighbours alone, after a delay",
     )
     p.add_argument(
         "--view", action="store_true", help="under virtual time: show the run in the browser, as swarm view does"
@@ -292,7 +292,6 @@ def parser(kind: type[argparse.ArgumentParser] = argparse.ArgumentParser) -> arg
         help="with --view: X s of the robots' time a second (1), or as fast as it computes",
     )
     p.add_argument("--no-open", action="store_true", help="with --view: only print the page's address")
-    p.add_argument("--demo", action="store_true", help=argparse.SUPPRESS)
     return p
 
 

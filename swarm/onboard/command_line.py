@@ -33,6 +33,8 @@ class Command(NamedTuple):
     """One line; empty where the module has it as `HELP`."""
     far: str = ""
     """Module that runs it on robots elsewhere, by `run(name, words)`, which returns None where it is meant here."""
+    alone: str = ""
+    """The verb that is meant where none is named, as `show` of `swarm mesh topology`; empty: none is added."""
 
 
 class CommandGroup(NamedTuple):
@@ -56,6 +58,9 @@ _ROOT = Path(__file__).parents[2]
 
 _WIDTH = 100
 """Characters of a line of the help; of a group with more commands the first ones are listed."""
+
+MORE = "more"
+"""Title of the section whose commands share one line of the help, without a text for each."""
 
 _HELP = re.compile(r'^HELP = (".*")$', re.MULTILINE)
 
@@ -138,9 +143,14 @@ def help_of(command: Command | CommandGroup) -> str:
 def parser_of(name: str, command: Command) -> argparse.ArgumentParser:
     """Return the parser of a command whose module has `add_arguments`."""
     epilog = "Real robots, over ssh: --real, --config FILE, --ssh-config FILE." if command.far else None
-    parser = argparse.ArgumentParser(prog=f"swarm {name}", description=help_of(command), epilog=epilog)
+    parser = argparse.ArgumentParser(prog=f"swarm {name}", description=sentence(help_of(command)), epilog=epilog)
     importlib.import_module(command.module).add_arguments(parser)
     return parser
+
+
+def sentence(text: str) -> str:
+    """Return a line of the help as a sentence: with a capital letter and a full stop."""
+    return f"{text[:1].upper()}{text[1:]}" + ("" if text.endswith((".", "...")) else ".")
 
 
 def _main(sections: Sections, argv: list[str]) -> int:
@@ -170,6 +180,8 @@ def _main(sections: Sections, argv: list[str]) -> int:
 
 def _call(name: str, command: Command, rest: list[str]) -> int:
     """Run a command with the arguments that the user gave; returns the exit code."""
+    if command.alone and (not rest or (rest[0].startswith("-") and rest[0] not in ("-h", "--help"))):
+        rest = [command.alone, *rest]
     if command.far and (there := importlib.import_module(command.far).run(name, rest)) is not None:
         return int(there)
     module = importlib.import_module(command.module)
@@ -189,11 +201,13 @@ def _hint(name: str, commands: Commands) -> str:
 
 
 def _usage(sections: Sections) -> str:
-    """Return what `swarm --help` prints: one line for each command, at most 100 characters wide."""
+    """Return what `swarm --help` prints: one line for each command, at most 100 characters wide, on one screen."""
     lines = ["usage: swarm COMMAND ...   (swarm COMMAND --help, swarm --version)"]
     for title, section in sections.items():
-        lines += ["", f"{title}:"]
-        lines += [_line(name, each) for name, each in section.items()]
+        if title == MORE:
+            lines.append(f"{title}: {', '.join(section)}")
+        else:
+            lines += [f"{title}:", *(_line(name, each) for name, each in section.items())]
     return "\n".join([*lines, ""])
 
 

@@ -7,22 +7,26 @@ from typing import NoReturn
 
 from swarm.onboard.command_line import Command, CommandGroup, Sections, main
 
+ESTOP = "stop every robot, and list the robots that confirmed (also: swarm stop)"
+
 MESH = CommandGroup(
-    "the robots and their links, the topology, the members of runs",
+    "show robots and links; change topology or members",
     {
         "show": Command("swarm.onboard.mesh.show"),
-        "topology": Command("swarm.onboard.mesh.topology"),
-        "epoch": Command("swarm.onboard.mesh.epoch"),
+        "topology": Command("swarm.onboard.mesh.topology", alone="show"),
+        "epoch": Command("swarm.onboard.mesh.epoch", alone="show"),
     },
     alone="show",
 )
 
 MEASURE = CommandGroup(
-    "links, paths and the I2C bus",
+    "measure links, paths and the I2C bus",
     {
-        "rtt": Command("swarm.onboard.measure.links", ("rtt",), "round-trip times by payload size and overlay"),
+        "rtt": Command("swarm.onboard.measure.links", ("rtt",), "measure round-trip times by payload size and overlay"),
         "throughput": Command(
-            "swarm.onboard.measure.links", ("throughput",), "throughput of links and paths, in bytes a second"
+            "swarm.onboard.measure.links",
+            ("throughput",),
+            "measure the throughput of links and paths, in bytes a second",
         ),
         "radio": Command("swarm.onboard.measure.radio"),
         "i2c": Command("services.balancer.measure_i2c"),
@@ -33,8 +37,10 @@ BALANCE = CommandGroup(
     "make robots stand or lie, by name or all",
     {
         "stand": Command("swarm.onboard.body.balance", ("stand",), "stand up and balance, from lying or held upright"),
-        "rest": Command("swarm.onboard.body.balance", ("rest",), "motors off at once; this also ends a fault"),
-        "lie": Command("swarm.onboard.body.balance", ("lie",), "lie down gently, then motors off"),
+        "rest": Command(
+            "swarm.onboard.body.balance", ("rest",), "switch the motors off at once; this also ends a fault"
+        ),
+        "lie": Command("swarm.onboard.body.balance", ("lie",), "lie down gently, then switch the motors off"),
         "zero": Command("swarm.onboard.body.balance", ("zero",), "measure the gyro's zero again, at rest"),
     },
 )
@@ -54,12 +60,12 @@ SECTIONS: Sections = {
         "commission": Command("swarm.onboard.commission.command"),
         "mesh": MESH,
         "measure": MEASURE,
-        "app": CommandGroup("running apps", {"param": Command("swarm.onboard.param")}),
+        "app": CommandGroup("act on running apps", {"param": Command("swarm.onboard.param")}),
         **TOOLS,
         "flash": Command("services.balancer.flash.flash", help="write new firmware to the Balboa, over its USB cable"),
     },
     "safety": {
-        "estop": Command("swarm.onboard.halt", ("stop",), "stop every robot, and list the robots that confirmed"),
+        "estop": Command("swarm.onboard.halt", ("stop",), ESTOP),
         "stop": Command("swarm.onboard.halt", ("stop",), "the same as estop"),
         "arm": Command("swarm.onboard.halt", ("arm",), "take back all stops, and list the robots that confirmed"),
     },

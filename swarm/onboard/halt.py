@@ -14,7 +14,7 @@ from pathlib import Path
 
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus
-from swarm.errors import LocalError, PayloadError
+from swarm.errors import PayloadError
 from swarm.frozen import frozen
 from swarm.messages import Arm, BalancerState, GraphRobot, Stop, read
 from swarm.messages.keys import STOP, key, parse
@@ -32,6 +32,8 @@ ANSWER = 2.0
 MOVING = ("standing_up", "balancing", "testing")
 """Modes of a balancer whose motors are on."""
 
+
+DEFAULT_REASON = "swarm estop"
 
 NEXT = "nothing moves by that; to make robots stand: swarm balance stand"
 """Said after `swarm arm`."""
@@ -51,13 +53,21 @@ class Row:
     confirmed: bool
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare `stop [REASON]` or `arm`, then options. Which of the two is part of the command's name."""
-    parser.add_argument("act", choices=("stop", "arm"), help=argparse.SUPPRESS)
-    parser.add_argument("reason", nargs="?", help="reason of a stop, for the robots' logs and faults")
-    parser.add_argument("--timeout", type=number(0.1, 600, "s"), default=5.0, metavar="S", help="seconds to wait (5)")
-    add_json(parser)
-    buses.add_arguments(parser)
+def add_arguments(parser: argparse.ArgumentParser) -> list[argparse.ArgumentParser]:
+    """Declare `stop [REASON]` and `arm` with their options, and return the parsers of the two.
+
+    Which of them is meant is part of the command's name.
+    """
+    acts = parser.add_subparsers(dest="act", required=True, prog=parser.prog)
+    parsers = [acts.add_parser(name, prog=parser.prog, description=parser.description) for name in ("stop", "arm")]
+    text = "why the robots stop; their logs and faults show it (swarm estop)"
+    parsers[0].add_argument("reason", nargs="?", metavar="REASON", default=DEFAULT_REASON, help=text)
+    for each in parsers:
+        text = "seconds to wait for all robots to confirm (5)"
+        each.add_argument("--timeout", type=number(0.1, 600, "s"), default=5.0, metavar="S", help=text)
+        add_json(each)
+        buses.add_arguments(each)
+    return parsers
 
 
 def run(args: argparse.Namespace) -> int:
@@ -66,13 +76,6 @@ def run(args: argparse.Namespace) -> int:
     done = all(row.confirmed for row in reached(rows))
     show(args, report(args, rows, done), table(rows, stop=args.act == "stop"))
     return 0 if done else 1
-
-
-def reason_of(args: argparse.Namespace) -> str:
-    """Return why robots are to stop."""
-    if args.reason and args.act == "arm":
-        raise LocalError(f"swarm arm takes no reason: {args.reason!r}")
-    return args.reason or "swarm estop"
 
 
 def reached(rows: list[Row]) -> list[Row]:
@@ -88,7 +91,7 @@ def report(args: argparse.Namespace, rows: list[Row], done: bool) -> dict[str, o
 def give(args: argparse.Namespace, directories: Mapping[str, Path]) -> list[Row]:
     """Stop or arm over the buses with these runtime directories; returns what each robot has confirmed."""
     with opened(directories) as found:
-        return _command(found, stop=args.act == "stop", reason=reason_of(args), timeout=args.timeout)
+        return _command(found, stop=args.act == "stop", reason=getattr(args, "reason", ""), timeout=args.timeout)
 
 
 def rows_of(

@@ -24,7 +24,7 @@ Known = Mapping[str, Mapping[str, AppParameter]]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("app", help="name of the app, e.g. consensus")
+    parser.add_argument("app", metavar="APP", help="name of the app, e.g. consensus")
     parser.add_argument(
         "settings", nargs="*", metavar="[ROBOT.]NAME=VALUE", help="values to set (default: show the parameters)"
     )

@@ -12,6 +12,7 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import NoReturn
 
 from swarm.errors import LocalError, SwarmError
 from swarm.process.terminal import guard
@@ -27,6 +28,11 @@ _ends_on_defects = threading.Event()
 
 _SHOWN = 200
 """Characters of an error that its line in the log shows; its traceback shows all."""
+
+_ENVIRONMENT = (
+    "A service takes no arguments. The variables SWARM_CONFIG, SWARM_ROBOT and SWARM_RUNTIME name the configuration "
+    "file, this robot, and the directory of the robot's sockets."
+)
 
 _log = logging.getLogger("service")
 
@@ -84,12 +90,15 @@ def defect(error: BaseException, where: str) -> None:
         os._exit(DEFECT)
 
 
-def run(main: Callable[[], int | None]) -> None:
+def run(main: Callable[[], int | None], about: str | None = None) -> None:
     """Run a process' main function: our own errors become one line on stderr and exit code 2.
 
-    Whatever else ends a thread of this process, the main one included, ends the process (see `defect`).
+    Whatever else ends a thread of this process, the main one included, ends the process (see `defect`). `about` is what
+    `--help` prints of a service that takes no arguments.
     """
     guard()
+    if about is not None and len(sys.argv) > 1:
+        _refuse_arguments(about)
     threading.excepthook = _thread_ended
     end_on_defects(True)
     try:
@@ -110,6 +119,16 @@ def run(main: Callable[[], int | None]) -> None:
         sys.stderr.flush()
         os._exit(code)
     sys.exit(code or 0)
+
+
+def _refuse_arguments(about: str) -> NoReturn:
+    """Print the help of a service without arguments where it is asked for, else what is wrong; end the process."""
+    import argparse  # no service needs it otherwise
+
+    package = Path(sys.argv[0]).parent.name
+    parser = argparse.ArgumentParser(prog=f"python -m services.{package}", description=about, epilog=_ENVIRONMENT)
+    parser.parse_args()
+    sys.exit(0)
 
 
 def _thread_ended(arguments: threading.ExceptHookArgs) -> None:

@@ -4,6 +4,8 @@ MkDocs calls these functions while it builds the site (`hooks` of mkdocs.yml). T
 commands' own help, that of swarm.toml from `swarm config --example`, so neither can tell what is no longer so.
 """
 
+import contextlib
+import io
 import os
 import posixpath
 import re
@@ -92,10 +94,14 @@ def _command(name: str, command: Command, heading: str) -> list[str]:
 
 def _help_text(name: str, command: Command) -> str:
     try:
-        return parser_of(name, command).format_help().strip()
+        parser = parser_of(name, command)
     except AttributeError:  # a program of its own
         words = [sys.executable, "-P", "-m", "laptop.cli", *name.split(), "--help"]
         return subprocess.run(words, check=True, capture_output=True, text=True).stdout.strip()
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
+        parser.parse_args([*command.first, "--help"])
+    return out.getvalue().strip()
 
 
 def _fenced(text: str, language: str = "text") -> list[str]:

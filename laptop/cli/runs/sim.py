@@ -21,16 +21,15 @@ from swarm.messages import AppLog
 from swarm.process import log, service
 from swarm.process.simulations import claim, default_run_dir
 
-DEMO_ITERATIONS = 300
-DEMO_PLOT = Path("swarm-demo.png")
-
 
 def main() -> int:
     """Run one simulation; the exit code is 0 only when it did what was asked."""
     log.setup("sim")
-    options = arguments.parse(sys.argv[1:])
-    if options.demo:
-        options = _demo(options)
+    return simulate(arguments.parse(sys.argv[1:]))
+
+
+def simulate(options: Options) -> int:
+    """Run one simulation with these options; returns the exit code."""
     if options.virtual:
         with tempfile.TemporaryDirectory(prefix="swarm-sim-") as place:
             # What is drawn is what was recorded.
@@ -101,17 +100,6 @@ def _clear(run_dir: Path) -> None:
         elif entry.name != "sim.lock":
             with contextlib.suppress(FileNotFoundError):
                 entry.unlink()
-
-
-def _demo(options: Options) -> Options:
-    """Three robots find the target, with a picture at the end."""
-    sys.stderr.write("Three simulated robots, each six processes as on a Pi, find a target together.\n")
-    return replace(
-        options,
-        app=options.app or "localization",
-        iterations=options.iterations or (None if options.seconds else DEMO_ITERATIONS),
-        plot=options.plot or DEMO_PLOT,
-    )
 
 
 if __name__ == "__main__":

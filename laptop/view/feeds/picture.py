@@ -355,7 +355,7 @@ def _news(topic: str, value: object) -> Iterator[tuple[str, str, str]]:
         yield {"fault": "error", "waiting": waits}.get(str(phase), "info"), text, f"{service} phase"
     elif topic == "balancer/fault":
         name = value.get("name")
-        yield "error" if name else "info", f"fault {name}: {value.get('reason')}" if name else "no fault", "fault"
+        yield "error" if name else "info", f"fault: {value.get('reason')}" if name else "no fault", "fault"
     elif topic == REACH:
         by, why = value.get("by"), value.get("why")
         yield ("info", f"seen by {by}", "reach") if by else ("warning", f"out of reach: {why}", "reach")

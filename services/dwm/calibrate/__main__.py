@@ -21,9 +21,12 @@ from swarm.config import Config
 from swarm.errors import BusError, LocalError
 from swarm.files import atomic_write, make_folder
 from swarm.onboard.buses import buses
+from swarm.onboard.command_line import sentence
 from swarm.process import log, service
 from swarm.process.simulations import CONFIG, default_run_dir, is_live
 from swarm.recording.thesis_ranges import read_recording
+
+DESCRIPTION = "Calibrate the UWB module of a robot, check a calibration, or fit one to recorded samples."
 
 EPILOG = """\
 distance and position lead you through a session: put the robot at the named place and orientation (0 degrees = along
@@ -230,12 +233,15 @@ def _config(options: argparse.Namespace) -> Config:
 def options_of(argv: list[str]) -> argparse.Namespace:
     """The arguments of one command; ends the process where they are wrong."""
     parser = argparse.ArgumentParser(
-        prog="swarm calibrate", description=__doc__, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="swarm calibrate",
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     def command(name: str, run: object, text: str) -> argparse.ArgumentParser:
-        found = commands.add_parser(name, help=text, description=text)
+        found = commands.add_parser(name, help=text, description=sentence(text))
         buses.add_arguments(found)
         found.set_defaults(run=run)
         found.add_argument("--target", nargs=2, type=float, metavar=("X", "Y"), help="where the target stands, m")
@@ -249,17 +255,21 @@ def options_of(argv: list[str]) -> argparse.Namespace:
     _session_arguments(found, 0.5, "file for the samples")
     found = command("check", check, "measure at a few known places and compare with the calibration in use")
     _session_arguments(found, 1.0, "a file of samples to check, or the file for new samples")
-    found = command("fit", fit, "fit samples recorded before: ours, or in the thesis' layout")
-    found.add_argument("samples", type=Path, help="a file, or a folder of *.csv")
+    found = command("fit", fit, "fit samples that were recorded before, in our layout or in that of the thesis")
+    found.add_argument("samples", type=Path, metavar="SAMPLES", help="a file, or a folder of *.csv")
     found.add_argument(
         "--places", metavar="LIST", help="places of files in the thesis' layout: 'x,y x,y ...' in m, or thesis"
     )
     found.add_argument("--only", choices=("distance", "position"), help="fit one of the two")
     found.add_argument("--thesis", action="store_true", help="print the thesis' figures from its own samples")
     _file_arguments(found)
-    found = command("offset", offset, "a robot's own range offset, from its commissioning or a run at a known place")
-    found.add_argument("recording", type=Path, help="report of swarm commission, or folder of a run")
-    found.add_argument("--index", type=int, default=0, help="number of the robot's file in it (0)")
+    found = command(
+        "offset", offset, "find a robot's own range offset, from its commissioning or from a run at a known place"
+    )
+    found.add_argument(
+        "recording", type=Path, metavar="RECORDING", help="report of swarm commission, or folder of a run"
+    )
+    found.add_argument("--index", type=int, default=0, metavar="N", help="number of the robot's file in a run (0)")
     found.add_argument("--place", nargs=2, type=float, metavar=("X", "Y"), help="place of the robot in that run, m")
     found.add_argument("--write", action="store_true", help="add it to the robot's calibration file")
     options = parser.parse_args(argv)
@@ -272,9 +282,16 @@ def _session_arguments(parser: argparse.ArgumentParser, step: float, samples: st
     parser.add_argument("--places", metavar="LIST", help="'x,y x,y ...' in m, or a file (a grid over the anchors)")
     parser.add_argument("--step", type=float, default=step, metavar="M", help=f"spacing of the grid ({step})")
     parser.add_argument(
-        "--orientations", type=int, default=4, choices=(1, 2, 3, 4), help="orientations at each place (4)"
+        "--orientations",
+        type=int,
+        default=4,
+        choices=(1, 2, 3, 4),
+        metavar="N",
+        help="1 to 4 orientations at each place (4)",
     )
-    parser.add_argument("--count", type=int, default=SAMPLES, help=f"reports for each orientation ({SAMPLES})")
+    parser.add_argument(
+        "--count", type=int, default=SAMPLES, metavar="N", help=f"reports for each orientation ({SAMPLES})"
+    )
     parser.add_argument("--samples", type=Path, metavar="FILE", help=samples)
 
 

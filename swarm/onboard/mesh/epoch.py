@@ -12,6 +12,7 @@ from swarm.messages.keys import is_name, key
 from swarm.onboard.arguments import add_json, number, show
 from swarm.onboard.buses import buses
 from swarm.onboard.buses.ask import PATIENCE, Answers, new_ticket, opened
+from swarm.onboard.command_line import sentence
 
 HELP = "show or change which robots an app's lockstep runs on"
 
@@ -19,12 +20,16 @@ HELP = "show or change which robots an app's lockstep runs on"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """`show`, `drop ROBOT...`, `add ROBOT...` or `renew`, then options."""
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="show|drop|add|renew")
-    look = verbs.add_parser("show", help="show the members as each robot knows them; exit code 1 if they differ")
-    drop = verbs.add_parser("drop", help="continue without these robots until they are added again")
-    add = verbs.add_parser("add", help="admit robots again that were dropped by this command")
-    renew = verbs.add_parser("renew", help="form a new epoch of all robots that are present, with the links in force")
-    for each in (drop, add):
-        each.add_argument("which", nargs="+", metavar="ROBOT")
+
+    def verb(name: str, text: str) -> argparse.ArgumentParser:
+        return verbs.add_parser(name, help=text, description=sentence(text), epilog=parser.epilog)
+
+    look = verb("show", "show the members of the run as each robot knows them; exit code 1 if they differ")
+    drop = verb("drop", "continue the run without these robots until they are added again")
+    add = verb("add", "admit robots again that `drop` has removed")
+    renew = verb("renew", "form a new epoch of all robots that are present, with the links in force")
+    for each, text in ((drop, "robot to continue without"), (add, "robot to admit again")):
+        each.add_argument("which", nargs="+", metavar="ROBOT", help=text)
     for each in (drop, add, renew):
         each.add_argument(
             "--force",
@@ -36,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "--timeout", type=number(0), default=10.0, metavar="S", help="seconds to wait for the result (10)"
         )
     for each in (look, drop, add, renew):
-        each.add_argument("--app", required=True, metavar="NAME")
+        each.add_argument("--app", required=True, metavar="NAME", help="name of the app, e.g. consensus")
         buses.add_arguments(each)
         add_json(each)
 

@@ -16,6 +16,7 @@ from swarm.messages.keys import is_name
 from swarm.onboard.arguments import add_json, number, show
 from swarm.onboard.buses import buses
 from swarm.onboard.buses.ask import PATIENCE, Answers, new_ticket, opened, request
+from swarm.onboard.command_line import sentence
 from swarm.onboard.mesh.tables import pairs
 from swarm.process.terminal import columns
 
@@ -27,8 +28,12 @@ AUTO = "auto"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """`show` or `set WANTED...`, then options."""
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="show|set")
-    look = verbs.add_parser("show", help="show the topology in force on each robot; exit code 1 if a link is not up")
-    change = verbs.add_parser("set", help="change the topology of the whole swarm")
+
+    def verb(name: str, text: str) -> argparse.ArgumentParser:
+        return verbs.add_parser(name, help=text, description=sentence(text), epilog=parser.epilog)
+
+    look = verb("show", "show the topology in force on each robot; exit code 1 if a link is not up")
+    change = verb("set", "change the topology of the whole swarm, and wait for its links")
     change.add_argument(
         "wanted",
         nargs="+",

@@ -93,6 +93,15 @@ def test_a_command_has_the_words_of_all_others(name: str, text: str) -> None:
     assert ("--json" in text) != (name in NOTHING_FOR_PROGRAMS)
 
 
+@pytest.mark.parametrize(("name", "text"), TABLE)
+def test_the_help_of_a_command_has_a_description_and_upper_case_arguments(name: str, text: str) -> None:
+    _, description, *rest = text.split("\n\n")
+    assert description[0].isupper(), name
+    arguments = next((part for part in rest if part.startswith("positional arguments:")), "")
+    named = re.findall(r"^  ([^ {]+)", arguments, re.MULTILINE)
+    assert [each for each in named if not each.partition(".")[0].isupper()] == [], name
+
+
 def test_what_has_no_output_for_programs_is_a_command() -> None:
     assert set(NOTHING_FOR_PROGRAMS) <= {param.values[0] for param in TABLE}
 

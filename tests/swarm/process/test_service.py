@@ -301,3 +301,15 @@ def test_no_thread_is_left(processes: Processes, runtime: Path) -> None:
     # A thread of Zenoh's that has called back stays known to Python, as a dummy.
     wait_until(lambda: sum(not thread.name.startswith("Dummy") for thread in threading.enumerate()) <= before)
     assert stop(router) == 0
+
+
+@pytest.mark.parametrize("service", ["apps", "balancer", "bus", "dwm", "mesh"])
+def test_a_service_tells_what_it_is_by_help_and_refuses_unknown_arguments(service: str) -> None:
+    def run(argument: str) -> subprocess.CompletedProcess[str]:
+        words = [sys.executable, "-m", f"services.{service}", argument]
+        return subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+
+    told, refused = run("--help"), run("--wrong")
+    assert told.returncode == 0
+    assert told.stdout.startswith(f"usage: python -m services.{service}")
+    assert (refused.returncode, "error:" in refused.stderr) == (2, True)

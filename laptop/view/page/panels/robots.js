@@ -176,7 +176,7 @@ export class Robots {
   fault(name, progress) {
     if (progress?.phase === "fault") return [String(progress.reason), "bad text"];
     const fault = this.store.get(name, "balancer/fault");
-    if (fault?.name) return [`${fault.name}: ${fault.reason}`, "bad text"];
+    if (fault?.name) return [String(fault.reason), "bad text"];
     const last = this.store.faults.get(name);
     return [last ? `${last.text} (at ${last.t.toFixed(1)} s)` : "none", "text muted"];
   }

@@ -31,7 +31,7 @@ def ready(desk: Desk) -> Script:
         if robot.state is None:
             raise StepError("the balancer says nothing", "swarm doctor tells why; swarm services start balancer")
         if robot.fault.name:
-            raise StepError(f"fault {robot.fault.name}: {robot.fault.reason}", robot.fault.recovery)
+            raise StepError(f"fault: {robot.fault.reason}", robot.fault.recovery)
         raise StepError(f"the balancer stays {robot.mode}", "leave the robot alone; swarm logs balancer tells more")
     if robot.firmware is not None:
         desk.figures["firmware"] = f"{robot.firmware.layout}.{robot.firmware.revision}"

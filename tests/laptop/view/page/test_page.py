@@ -149,7 +149,7 @@ def test_hands_are_laid_on_a_robot(page: Any) -> None:
     page.get_by_role("button", name="push").click()
     expect(page.locator("#said")).to_contain_text("r3: pushed", timeout=PATIENCE_MS)
     page.get_by_role("button", name="lay on back").click()
-    expect(event(page, "r3", "fault fell")).to_be_visible(timeout=PATIENCE_MS)
+    expect(event(page, "r3", "fault: fell")).to_be_visible(timeout=PATIENCE_MS)
     expect(row(page, "r3").locator("td").last).to_contain_text("fell", timeout=PATIENCE_MS)
 
 

@@ -1,0 +1,51 @@
+"""`swarm demo`: three simulated robots find a target together, with a picture at the end."""
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+from laptop.cli.runs import sim
+from sim.scenario import options as arguments
+from sim.scenario.options import Options
+from swarm.process import log, service
+
+ITERATIONS = 300
+PLOT = Path("swarm-demo.png")
+
+
+def main() -> int:
+    """Run the demo; the exit code is 0 only when it did what was asked."""
+    log.setup("sim")
+    _, rest = parser().parse_known_args()
+    options = arguments.parse(rest)
+    sys.stderr.write("Three simulated robots, each six processes as on a Pi, find a target together.\n")
+    return sim.simulate(_completed(options))
+
+
+def parser() -> argparse.ArgumentParser:
+    """The argument parser of `swarm demo`: it only has a help of its own, other options are those of `swarm sim`."""
+    return argparse.ArgumentParser(
+        prog="swarm demo",
+        usage="swarm demo [-h] [OPTION ...]",
+        allow_abbrev=False,
+        description="Start three simulated robots with the processes that run on a Pi, let them find a target by "
+        f"their UWB ranges in {ITERATIONS} iterations of the app localization, print a report, and draw {PLOT}. It "
+        "takes less than a minute.",
+        epilog="Every option of swarm sim is allowed as well, for example --json, --virtual or --robots N: see "
+        "swarm sim --help.",
+    )
+
+
+def _completed(options: Options) -> Options:
+    """Return the options with the app, the number of iterations and the picture of the demo where none is given."""
+    return replace(
+        options,
+        app=options.app or "localization",
+        iterations=options.iterations or (None if options.seconds else ITERATIONS),
+        plot=options.plot or PLOT,
+    )
+
+
+if __name__ == "__main__":
+    service.run(main)
