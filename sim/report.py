@@ -21,6 +21,10 @@ MOST_ROWS = 50
 
 REPLAY_BOUND_CM = 0.1
 """By so much a replay may differ from what was recorded: the thesis' own recordings are followed to 0.001 cm."""
+END_BOUND_CM = 10.0
+"""By so much another algorithm's last estimates may differ from the recorded ones: 6 cm in the thesis' recordings."""
+SETTLED_CM = 20.0
+"""Estimates that have moved by less over their last third have settled: in the thesis' recordings by up to 12 cm."""
 
 TARGET_COLUMNS = ("result.x", "result.y")
 
@@ -122,9 +126,11 @@ def summary(outcome: RunOutcome) -> Json:
     if scenario.recorded:
         last = {name: rec.estimates[min(iterations, len(rec.estimates) - 1)] for name, rec in scenario.recorded.items()}
         report["recorded_error_cm"] = target_error_cm(outcome, last)
-        if scenario.algorithm == "thesis":  # another algorithm is not meant to follow the recorded one
-            report["replay_deviation_cm"] = replay_deviation_cm(scenario, paths)
-            report["problems"] = [*outcome.problems, *_mismatch(scenario, paths, report["replay_deviation_cm"])]
+        # Another algorithm is not meant to follow the recorded one, but to end where it ended.
+        thesis = scenario.algorithm == "thesis"
+        deviation = (replay_deviation_cm if thesis else end_deviation_cm)(scenario, paths)
+        report["replay_deviation_cm"] = deviation
+        report["problems"] = [*outcome.problems, *(_mismatch if thesis else _other_end)(scenario, paths, deviation)]
     return report
 
 
@@ -219,9 +225,32 @@ def replay_deviation_cm(scenario: Scenario, paths: Mapping[str, Trajectory]) -> 
     return 100 * max(distances)
 
 
-def _mismatch(scenario: Scenario, paths: Mapping[str, Trajectory], deviation: object) -> list[str]:
+def end_deviation_cm(scenario: Scenario, paths: Mapping[str, Trajectory]) -> float | None:
+    """Largest distance of a robot's last estimate to the recorded one of the same iteration, cm; None where a robot has
+    none, or the recorded ones have not settled by then."""
+    distances = []
+    for name, path in paths.items():
+        recorded = scenario.recorded[name].estimates[: path.last + 1]
+        if not recorded or math.dist(recorded[-1], recorded[2 * len(recorded) // 3]) * 100 > SETTLED_CM:
+            return None
+        distances.append(math.dist(estimate(path), recorded[-1]))
+    return 100 * max(distances) if distances and not any(map(math.isnan, distances)) else None
+
+
+def _other_end(_: Scenario, __: Mapping[str, Trajectory], deviation: float | None) -> list[str]:
+    """Return the complaint about a replay with another algorithm that does not end where the recording does."""
+    if deviation is None or deviation <= END_BOUND_CM:
+        return []
+    reason = (
+        "likely the measurements are not those of the recorded estimates (a robot's file is missing, or lengths are in "
+        "another unit), or this algorithm has not settled yet"
+    )
+    return [f"the replay ends {deviation:.3g} cm from where the recording ends: {reason}"]
+
+
+def _mismatch(scenario: Scenario, paths: Mapping[str, Trajectory], deviation: float | None) -> list[str]:
     """Return the complaint about a replay that does not follow the recording."""
-    if not isinstance(deviation, float) or deviation <= REPLAY_BOUND_CM:
+    if deviation is None or deviation <= REPLAY_BOUND_CM:
         return []
     first, name = min(
         (k, name)
@@ -328,7 +357,8 @@ def _sentences(report: Json, outcome: RunOutcome) -> list[str]:
         recorded = f" (recorded: {_short(report['recorded_error_cm'])} cm)" if outcome.scenario.recorded else ""
         lines.append(f"error       {_short(report['error_cm'])} cm mean distance to the true target{recorded}")
     if "replay_deviation_cm" in report:
-        lines.append(f"deviation   {_short(report['replay_deviation_cm'])} cm from the recorded trajectory at most")
+        of = "trajectory at most" if outcome.scenario.algorithm == "thesis" else "last estimates at most"
+        lines.append(f"deviation   {_short(report['replay_deviation_cm'])} cm from the recorded {of}")
     if outcome.missing:
         lines.append(f"missing     {', '.join(outcome.missing)}: the others have gone on without")
     lines += [f"never       {each}" for each in outcome.never]

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from swarm.core.random_numbers import RandomNumbers
-from swarm.recording.thesis_ranges import ThesisRecording, ThesisRow
+from swarm.recording.thesis_ranges import ThesisRecording, ThesisRow, cost
 
 ERRORS = {"none": (0.0, 0.0), "bias": (0.05, 0.0), "thesis": (0.05, 0.02)}
 """Share of the bias and share of the noise, by name. Figure 4.9 (a) and (b), (c), (d)."""
@@ -51,5 +51,7 @@ def as_csv(recording: ThesisRecording) -> str:
     """The recording in the layout of `swarm.recording.thesis_ranges`; the columns of estimates are zero."""
     lines = ["0.0" + ",0.0" * 6]
     for t, row in zip(recording.times, recording.rows, strict=True):
-        lines.append(",".join([repr(t), *["0.0"] * 6, "0", "0.0", *(repr(100.0 * value) for value in row)]))
+        distance, own_x, own_y = (100.0 * value for value in row)
+        cells = (cost(distance, 0.0, 0.0, own_x, own_y), distance, own_x, own_y)
+        lines.append(",".join([repr(t), *["0.0"] * 6, "0", *map(repr, cells)]))
     return "\n".join(lines) + "\n"

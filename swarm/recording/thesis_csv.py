@@ -15,7 +15,7 @@ from pathlib import PurePosixPath
 from typing import NamedTuple
 
 from swarm.errors import RecordingError
-from swarm.recording.thesis_ranges import finite
+from swarm.recording.thesis_ranges import cost, finite
 
 FOLDERS = ("consensus", "led_sync", "localization", "flooding", "unicast", "async", "standup", "latency", "calibration")
 """Names of the thesis' folders: what was measured."""
@@ -101,8 +101,8 @@ def _line(cells: Sequence[float | bool], kind: str, k: int, *, metres: bool) -> 
             return _Line(t, k + 1, state, {**result, "cost": cells[7]}, None)
         new = k < 0 or (len(cells) > 7 and cells[7] == 0)
         measured = (cells[9] / _CM, cells[10] / _CM, cells[11] / _CM) if len(cells) == 12 else None
-        cost = cells[8] / _CM**4 if len(cells) == 12 else 0.0
-        return _Line(t, k + 1 if new else None, state, {**result, "cost": cost}, measured if new else None)
+        result["cost"] = cells[8] / _CM**4 if len(cells) == 12 else 0.0
+        return _Line(t, k + 1 if new else None, state, result, measured if new else None)
     if len(cells) not in (2, 3):
         raise ValueError(f"{len(cells)} columns are none of {kind}, expected 2 or 3")
     new = k < 0 or len(cells) == 2 or cells[2] == 0 or kind not in ("consensus", "led_sync")
@@ -131,7 +131,6 @@ def localization(
             text += f"{line}\n"
         elif k in measurements:
             distance, px, py = (_CM * value for value in measurements[k])
-            cost = (distance**2 - (_CM * x - px) ** 2 - (_CM * y - py) ** 2) ** 2
-            rest = ",".join(map(repr, (cost, distance, px, py)))
+            rest = ",".join(map(repr, (cost(distance, _CM * x, _CM * y, px, py), distance, px, py)))
             text += f"{line},0,{rest}\n{line},1,{rest}\n"
     return text

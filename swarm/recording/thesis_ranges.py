@@ -29,8 +29,14 @@ _CM = 100.0
 FARTHEST_CM = 1e5
 """UWB reaches no farther, nor is an estimate of any use there."""
 
+LARGEST = 1e22
+"""More than any cell holds, in use or not: the cost of such lengths, in cm^4."""
+
 SHORT_M = 0.05
 """Distances that are all below are none of UWB modules, whose error is as large."""
+
+COST_SHARE = 1e-3
+"""Share of the squared lengths by which the cost of a line may differ from theirs: cells rounded to 1 mm keep it."""
 
 _MARK = "\ufffd\ufffd\ufffd"
 """What a byte-order mark is, read as ASCII."""
@@ -135,6 +141,7 @@ def read_recording(directory: Path, index: int) -> ThesisRecording:
                 _expect(values[9] >= 0, f"a distance of {values[9]:g} cm, expected 0 or more in column 10")
                 far = max(abs(value) for value in (*values[1:3], *values[9:12]))
                 _expect(far <= FARTHEST_CM, f"a length of {far:g} cm: expected at most {FARTHEST_CM:g}")
+                _fits(values)
                 rows.append(ThesisRow(values[9] / _CM, values[10] / _CM, values[11] / _CM))
                 times.append(values[0] - start)
                 estimates.append((values[1] / _CM, values[2] / _CM))
@@ -148,12 +155,30 @@ def read_recording(directory: Path, index: int) -> ThesisRecording:
     return ThesisRecording(path, tuple(rows), tuple(times), tuple(estimates))
 
 
+def cost(distance: float, x: float, y: float, own_x: float, own_y: float) -> float:
+    """Return column 9 of a new state's line, (phi^2 - |x - p|^2)^2, in the fourth power of the lengths' unit."""
+    return (distance**2 - (x - own_x) ** 2 - (y - own_y) ** 2) ** 2
+
+
+def _fits(values: list[float]) -> None:
+    """Raise `ValueError` where the cost of a new state's line is not that of its lengths."""
+    x, y, told, distance, own_x, own_y = values[1], values[2], *values[8:12]
+    found = cost(distance, x, y, own_x, own_y)
+    slack = COST_SHARE * (distance**2 + (x - own_x) ** 2 + (y - own_y) ** 2)
+    _expect(
+        told >= 0 and abs(math.sqrt(told) - math.sqrt(found)) <= slack,
+        f"a cost of {told:.6g} in column 9, the line's lengths give {found:.6g}: distances, places or estimates were "
+        "changed, or are in different units",
+    )
+
+
 def _numbers(line: str) -> list[float]:
     values = []
     for column, text in enumerate(line.split(","), 1):
         value = finite(text)
         if value is None:
             raise ValueError(f"column {column} is {text[:40]!r}, expected a number")
+        _expect(abs(value) <= LARGEST, f"column {column} is {value:g}, no number here is above {LARGEST:g}")
         values.append(value)
     return values
 

@@ -5,16 +5,16 @@ from pathlib import Path
 import pytest
 
 from swarm.errors import RecordingError
-from swarm.recording.thesis_ranges import read_folder, read_recording
+from swarm.recording.thesis_ranges import cost, read_folder, read_recording
 
 DATA = Path(os.environ.get("SWARM_THESIS_DATA") or Path(__file__).parents[3].parent / "shared/thesis-data")
 START = "100.5,0.0,0.0,0.0,0.0,0.0,0.0"
 GOOD = f"""\
 {START}
 100.6,0.0,0.0,0.0,0.0,0.0,0.0,1
-101.5,0.0,1.0,0.0,0.0,-3.7,-13.0,0,45.1,62.4,43.9,152.6
-101.6,0.0,1.0,0.0,0.0,-3.7,-13.0,1,45.1,62.4,43.9,152.6
-102.5,14.97,52.06,1.2,22.9,-8.1,-28.3,0,49.7,62.5,44.0,152.7
+101.5,0.0,1.0,0.0,0.0,-3.7,-13.0,0,{cost(62.4, 0.0, 1.0, 43.9, 152.6)},62.4,43.9,152.6
+101.6,0.0,1.0,0.0,0.0,-3.7,-13.0,1,{cost(62.4, 0.0, 1.0, 43.9, 152.6)},62.4,43.9,152.6
+102.5,14.97,52.06,1.2,22.9,-8.1,-28.3,0,{cost(62.5, 14.97, 52.06, 44.0, 152.7)},62.5,44.0,152.7
 """
 
 
@@ -65,6 +65,9 @@ def test_reads_rows_times_and_states(tmp_path):
         (GOOD + line(103, 0, 0, 0, 0, 0, 0, 0, 1, -62, 43, 152), 6, "a distance of -62 cm"),
         (GOOD + line(103, 0, 0, 0, 0, 0, 0, 0, 1, 62, 43), 6, "11 columns"),
         (GOOD + "\x00\xff\n", 6, "column 1 is"),
+        (GOOD + line(103, 0, 0, 0, "1e300", 0, 0, 0, 1, 62, 43, 152), 6, "column 5 is 1e+300, no number here is above"),
+        (GOOD + line(103, 0, 0, 0, 0, 0, 0, 0, 45, 0.62, 43, 152), 6, "the line's lengths give 6.2"),
+        (GOOD + line(103, 0, 0, 0, 0, 0, 0, 0, -45, 62, 43, 152), 6, "a cost of -45 in column 9"),
     ],
 )
 def test_what_is_wrong_is_named_with_file_and_line(tmp_path, text, number, words):
