@@ -172,7 +172,13 @@ def test_a_bootloader_is_found_by_its_ids(tmp_path: Path) -> None:
         usb_port.wait_for_bootloader(0.3, sysfs, lambda _: None)
 
 
+def test_a_system_that_does_not_list_its_ports_wants_one_named(tmp_path: Path) -> None:
+    with pytest.raises(LocalError, match="name its port with --port"):
+        usb_port.wait_for_bootloader(5.0, tmp_path / "tty", lambda _: None)
+
+
 def test_a_bootloader_that_comes_late_is_waited_for(tmp_path: Path) -> None:
+    (tmp_path / "tty").mkdir()
     looks = iter(range(100))
 
     def sleep(_: float) -> None:
