@@ -130,10 +130,7 @@ def _edges(name: str) -> list[tuple[str, str]]:
 
 def _original(name: str, iterations: int, seed: int) -> float:
     poll, lock = radio_fit.MARCH
-    run = Original(_edges(name), THESIS, seed, poll=poll, lock=lock)
-    while min(map(len, run.times.values())) < iterations:
-        run.time.run(run.time.now + 10.0)
-    return run.iteration()
+    return Original(_edges(name), THESIS, seed, poll=poll, lock=lock).paced(iterations)
 
 
 def _bundled(name: str, iterations: int, parameters: Parameters, compute: float) -> float:

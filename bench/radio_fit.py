@@ -104,10 +104,7 @@ def _starts(folder: Path) -> tuple[list[float], float]:
 
 def _iteration(run: Recorded, iterations: int, seed: int) -> float:
     poll, lock = run.program
-    original = Original(run.links(), THESIS, seed, poll=poll, lock=lock, delay=run.delay)
-    while min(map(len, original.times.values())) < iterations:
-        original.time.run(original.time.now + 10.0)
-    return original.iteration()
+    return Original(run.links(), THESIS, seed, poll=poll, lock=lock, delay=run.delay).paced(iterations)
 
 
 def _start(run: Recorded, begun: Sequence[float], seed: int) -> float:

@@ -1,10 +1,11 @@
-"""What robots say to each other over the slot radio, in place of our services: the thesis' round-trip test, its
-original lockstep, and the least that any lockstep can do. Seeded, in virtual time."""
+"""What robots say to each other over the slot radio or emulated links, in place of our services: the thesis' round-trip
+test, its original lockstep, and the least that any lockstep can do. Seeded, in virtual time."""
 
 import random
 import statistics
 from collections.abc import Callable, Generator, Iterable, Sequence
 from functools import partial
+from typing import Any
 
 from sim.slots.parameters import Parameters
 from sim.slots.radio import SlotRadio
@@ -20,14 +21,33 @@ VALUE, HEAD = 24, 48
 WARM_UP = 0.15
 
 
-class Pattern:
-    """Robots on a radio, and when each began its iterations."""
+class FixedLinks:
+    """Emulated links that take so many seconds one way, in place of the slot radio."""
 
-    def __init__(self, links: Edges, parameters: Parameters, seed: object) -> None:
+    def __init__(self, time: EventQueue, latency: float) -> None:
+        self._time, self._latency = time, latency
+
+    def connect(self, a: str, b: str) -> None:
+        """Links are always up."""
+
+    def send(self, link: None, sender: str, size: int, heard: Callable[[], None]) -> None:
+        """Call `heard` when the message arrives."""
+        self._time.at(self._time.now + self._latency, heard)
+
+
+class Pattern:
+    """Robots on a radio, and when each began its iterations.
+
+    `air`: parameters of the slot radio, or the one-way latency of emulated links in seconds.
+    """
+
+    def __init__(self, links: Edges, air: Parameters | float, seed: object) -> None:
         self.time = EventQueue()
         self.random = random.Random(f"{seed} pattern")
         self.names = sorted({name for link in links for name in link})
-        self.radio = SlotRadio(self.time, self.names, parameters, seed)
+        self.radio: Any = (
+            FixedLinks(self.time, air) if isinstance(air, float) else SlotRadio(self.time, self.names, air, seed)
+        )
         self.links = {frozenset(link): self.radio.connect(*link) for link in links}
         self.times: dict[str, list[float]] = {name: [] for name in self.names}
 
@@ -67,15 +87,21 @@ class Original(Pattern):
     twice an iteration. A message has to wait up to `lock` s for the interpreter of who receives it."""
 
     def __init__(
-        self, links: Edges, parameters: Parameters, seed: object, *, poll: float, delay: float = 0.0, lock: float
+        self, links: Edges, air: Parameters | float, seed: object, *, poll: float, delay: float = 0.0, lock: float
     ) -> None:
-        super().__init__(links, parameters, seed)
+        super().__init__(links, air, seed)
         self._poll, self._delay, self._lock = poll, delay, lock
         self._near = neighbours(links)
         self._box: dict[tuple[str, str], tuple[int, int]] = {}
         """The newest data and acknowledgement, by receiver and sender."""
         for name in self.names:
             self.after(0.3 * self.random.random(), partial(self._step, self._robot(name)))
+
+    def paced(self, iterations: int) -> float:
+        """Run until each robot has had so many iterations, and return s an iteration."""
+        while min(map(len, self.times.values())) < iterations:
+            self.time.run(self.time.now + 10.0)
+        return self.iteration()
 
     def _step(self, robot: Generator[float]) -> None:
         self.after(next(robot), partial(self._step, robot))

@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench import lockstep_model
+from bench import lockstep, lockstep_model
 from bench.lockstep_model import Outage
 from services.mesh.links.radio_model import AirModel
 from swarm.core.graph import Graph
@@ -53,3 +53,13 @@ def test_one_seed_gives_one_run() -> None:
     graph = Graph.of_shape("thesis-d", NAMES)
     runs = [lockstep_model.run(graph, AirModel(0.03, 0.01, seed=seed), 50) for seed in (1, 1, 2)]
     assert runs[0] == runs[1] != runs[2]
+
+
+@pytest.mark.parametrize(
+    ("shape", "robots", "latency", "code"),
+    [("full", 6, 0.03, 0.301), ("line", 3, 0.03, 0.201), ("line", 3, 0.0, 0.201)],
+)
+def test_the_pattern_of_the_thesis_takes_what_its_code_took(
+    shape: str, robots: int, latency: float, code: float
+) -> None:
+    assert lockstep.thesis_pattern(shape, NAMES[:robots], latency) == pytest.approx(code, rel=0.15)
