@@ -10,6 +10,7 @@ from sim.scenario import options as arguments
 from sim.scenario.options import Options
 from swarm.process import log, service
 
+APP = "localization"
 ITERATIONS = 300
 PLOT = Path("swarm-demo.png")
 
@@ -18,7 +19,7 @@ def main() -> int:
     """Run the demo; the exit code is 0 only when it did what was asked."""
     log.setup("sim")
     _, rest = parser().parse_known_args()
-    options = arguments.parse(rest)
+    options = arguments.parse([APP, *rest])
     sys.stderr.write("Three simulated robots, each six processes as on a Pi, find a target together.\n")
     return sim.simulate(_completed(options))
 
@@ -30,7 +31,7 @@ def parser() -> argparse.ArgumentParser:
         usage="swarm demo [-h] [OPTION ...]",
         allow_abbrev=False,
         description="Start three simulated robots with the processes that run on a Pi, let them find a target by "
-        f"their UWB ranges in {ITERATIONS} iterations of the app localization, print a report, and draw {PLOT}. It "
+        f"their UWB ranges in {ITERATIONS} iterations of the app {APP}, print a report, and draw {PLOT}. It "
         "takes less than a minute.",
         epilog="Every option of swarm sim is allowed as well, for example --json, --virtual or --robots N: see "
         "swarm sim --help.",
@@ -38,10 +39,9 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _completed(options: Options) -> Options:
-    """Return the options with the app, the number of iterations and the picture of the demo where none is given."""
+    """Return the options with the number of iterations and the picture of the demo where none is given."""
     return replace(
         options,
-        app=options.app or "localization",
         iterations=options.iterations or (None if options.seconds else ITERATIONS),
         plot=options.plot or PLOT,
     )
