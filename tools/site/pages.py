@@ -11,6 +11,7 @@ import posixpath
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
@@ -23,6 +24,7 @@ from swarm.config.example import EXAMPLE
 from swarm.onboard.command_line import Command, CommandGroup, parser_of
 
 ROOT = Path(__file__).parents[2]
+PROJECT = ROOT / "pyproject.toml"
 WIDTH = "84"
 """Columns of the help texts."""
 ELSEWHERE = {"firmware/README.md": "reference/firmware.md"}
@@ -33,8 +35,15 @@ _LINK = re.compile(r"\]\((\.\./[^)#\s]+)(#[^)\s]*)?\)")
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Show the version on every page."""
+    """Show the version on every page, and in the footer the address of the source where pyproject.toml has one.
+
+    A `repo_url` would do that too, but then each page asks the host of the source for its stars.
+    """
     config.site_name = f"Balboa Swarm {__version__}"
+    urls = tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"]["urls"]
+    config.site_url = urls.get("Documentation")
+    if "Repository" in urls:
+        config.extra["social"] = [{"icon": "fontawesome/brands/git-alt", "link": urls["Repository"], "name": "Source"}]
     return config
 
 
