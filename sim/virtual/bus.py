@@ -19,11 +19,15 @@ from swarm.messages.keys import MAX_KEY_LENGTH
 
 class _Subscription(NamedTuple):
     expression: str
+    stem: str
+    """The chunks before its first wildcard. Most keys do not begin with them."""
     session: "VirtualBus"
     callback: OnSample
 
     def takes(self, key: str) -> bool:
-        return self.expression == key or ("*" in self.expression and matches(self.expression, key))
+        if not key.startswith(self.stem):
+            return False
+        return matches(self.expression, key) if len(self.stem) < len(self.expression) else key == self.stem
 
 
 @dataclass
@@ -111,7 +115,8 @@ class VirtualBus:
 
     def subscribe(self, keys: str | Iterable[str], callback: OnSample) -> VirtualSubscription:
         """Call `callback(key, payload)` for every sample of other sessions, until what is returned is closed."""
-        entries = [_Subscription(key, self, callback) for key in ((keys,) if isinstance(keys, str) else keys)]
+        expressions = (keys,) if isinstance(keys, str) else keys
+        entries = [_Subscription(each, each.partition("*")[0].rstrip("/"), self, callback) for each in expressions]
         self._router.subscriptions += entries
         self._router.changed()
         return VirtualSubscription(self._router, entries)

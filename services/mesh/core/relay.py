@@ -67,7 +67,7 @@ def may_cross(key: str, robot: str) -> bool:
         parsed = parse(key)
     except PayloadError:
         return False
-    return parsed.robot == robot and "set" not in (parsed.service, *parsed.topic.split("/"))
+    return parsed.robot == robot and "set" not in key.split("/")[2:]
 
 
 @dataclass(slots=True)

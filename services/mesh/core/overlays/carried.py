@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from services.mesh.core.actions import Emit, Transmit
 from services.mesh.core.overlays.unicast import ttl_of
-from services.mesh.core.routing.automatic_topology import places
+from services.mesh.core.routing.automatic_topology import place_of, places
 from services.mesh.core.routing.topology import Route
 from services.mesh.core.wire import frames
 from swarm.errors import FrameError, PayloadError
@@ -83,7 +83,7 @@ class Carrier:
         own bus, `passes(key)` whether one may be handed on at all."""
         self._me = me
         self._names = names
-        self._place = {name: place for place, name in enumerate(names)}
+        self._place = place_of(tuple(names))
         self._emit = emit
         self._route = route
         self._admits = admits

@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 from services.mesh.core.actions import Emit, Transmit
 from services.mesh.core.overlays.echo import LIFE, MAX_WAVES, FloodId
+from services.mesh.core.routing.automatic_topology import place_of
 from services.mesh.core.wire.frames import FLOOD
 from services.mesh.core.wire.packets import KNOWN, PacketReader, packed_bits
 from swarm.errors import FrameError
@@ -98,7 +99,7 @@ class Completion:
         that there is a way to; `graph()` all links. `complete(id, key, now)` is called once, when all have a flood."""
         self._me = me
         self._names = names
-        self._place = {name: place for place, name in enumerate(names)}
+        self._place = place_of(tuple(names))
         self._emit = emit
         self._links = links
         self._expected = expected

@@ -17,7 +17,8 @@ Links with a robot that is away stay as far as there is room: who comes back fin
 """
 
 import heapq
-from collections.abc import Collection, Iterable, Sequence, Set
+from collections.abc import Collection, Iterable, Mapping, Sequence, Set
+from functools import lru_cache
 
 from services.mesh.core.routing.link_state import LinkStateMap
 from services.mesh.core.routing.topology import MAX_LINKS, Ground
@@ -248,6 +249,12 @@ def _farthest(graph: _Graph, pairs: Sequence[Pair]) -> tuple[int, Pair]:
 
     best = max(pairs, key=merit)
     return merit(best)[0], best
+
+
+@lru_cache(maxsize=1)
+def place_of(names: tuple[str, ...]) -> Mapping[str, int]:
+    """Return the place of each name; of the robots of a simulation the same table for all."""
+    return {name: place for place, name in enumerate(names)}
 
 
 def places(bits: int, count: int) -> list[int]:

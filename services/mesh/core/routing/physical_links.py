@@ -88,7 +88,7 @@ class Succession:
 
     def __init__(self, names: Sequence[str], me: str) -> None:
         """`names`: all robots in the order of the configuration."""
-        self._earlier = frozenset(names[: names.index(me)])
+        self._earlier = names[: names.index(me)]
         self._pause = PAUSE * len(self._earlier)
         self._lost: dict[str, float] = {}
         """Robots out of reach, and since when; the time for one that was never there is `UNSEEN` later."""
@@ -108,7 +108,7 @@ class Succession:
         self._back = {name: self._back.get(name, now) for name in self._lost.keys() - set(far)}
         for name in [name for name, since in self._back.items() if now >= since + FLEETING]:
             del self._lost[name]
-        pause = self._pause + (0.0 if self._earlier.isdisjoint(reachable) else BRIDGE)
+        pause = self._pause + (0.0 if reachable.isdisjoint(self._earlier) else BRIDGE)
         calls_from = {name: self._lost[name] + pause for name in far}
         self._next = min((at for at in calls_from.values() if now < at), default=_NEVER)
         return [name for name, at in calls_from.items() if now >= at]
