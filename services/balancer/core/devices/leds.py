@@ -6,9 +6,9 @@
 | yellow, blinking twice a s   | calibrating: leave it alone                                |
 | yellow                       | starting, standing up, lying down, or testing motors       |
 | green                        | balancing                                                  |
-| red                          | fault, through any claim                                   |
-| red and yellow               | fault: stopped by `swarm/stop`, through any claim          |
-| red flash every 2 s          | battery low, on top of everything else                     |
+| red                          | fault, even while an app holds the LEDs                    |
+| red and yellow               | stopped by `swarm/stop`, even while an app holds the LEDs  |
+| red flash every 2 s          | battery low, in addition to the others but in a fault      |
 
 An app's order may name the time from which it holds. It is written at that time, in the slack of a tick; where the
 time falls into a control step, just before or just after that, whichever is nearer.
