@@ -47,7 +47,7 @@ def test_systemd_finds_nothing_wrong(root: Path, unit: str) -> None:
 
 @needs_systemd
 @pytest.mark.parametrize("service", SERVICES)
-def test_little_is_exposed(root: Path, service: str) -> None:
+def test_a_service_is_exposed_to_little_by_its_unit(root: Path, service: str) -> None:
     command = ["systemd-analyze", "security", "--offline=true", f"--root={root}"]
     command += [f"--threshold={EXPOSURE.get(service, 25)}", f"{service}.service"]
     done = subprocess.run(command, capture_output=True, text=True)

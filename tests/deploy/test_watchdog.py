@@ -15,7 +15,7 @@ FED = "WATCHDOG=1"
 
 
 @pytest.mark.parametrize("module", ["services.bus", "services.mesh"])
-def test_it_is_fed_by_a_service_that_works(processes: Processes, module: str) -> None:
+def test_a_service_that_works_feeds_the_watchdog(processes: Processes, module: str) -> None:
     if module != "services.bus":
         processes.router()
     process = processes.start_ready("-m", module, until=FED)
@@ -23,7 +23,7 @@ def test_it_is_fed_by_a_service_that_works(processes: Processes, module: str) ->
     assert process.wait(60) == 0
 
 
-def test_it_is_fed_by_an_app_that_waits_for_its_neighbours(processes: Processes) -> None:
+def test_an_app_that_waits_for_its_neighbours_feeds_the_watchdog(processes: Processes) -> None:
     processes.router()
     processes.start_ready("-m", "services.mesh")  # which tells the app who its neighbours are
     process = processes.start_ready("-m", "services.apps", "consensus", until=FED)
@@ -47,7 +47,7 @@ class Hung(SyncApp):
 """
 
 
-def test_it_is_not_fed_by_an_app_whose_step_hangs(processes: Processes, runtime: Path) -> None:
+def test_an_app_whose_step_hangs_does_not_feed_the_watchdog(processes: Processes, runtime: Path) -> None:
     (runtime / "hung.py").write_text(HUNG.format(begun=runtime / "begun"))
     (runtime / "alone.toml").write_text(
         'network = "test"\n[mesh]\ninsecure = true\n[topology]\nedges = []\n[[robots]]\nname = "r0"\n'

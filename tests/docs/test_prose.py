@@ -40,7 +40,7 @@ def test_lines_of_a_page_fit(page: Path) -> None:
     assert long == [], f"{page.relative_to(ROOT)}: lines over {WIDTH} characters"
 
 
-def test_there_are_pages() -> None:
+def test_the_checks_of_prose_find_the_pages() -> None:
     assert len(PAGES) > 35
 
 

@@ -75,7 +75,7 @@ def upright(bench, cpu: float = 0.0) -> Standing:
     return standing
 
 
-def test_it_stands_for_five_seconds(bench):
+def test_a_robot_with_the_firmware_stands_for_five_seconds(bench):
     standing = upright(bench)
     standing.run(5.0)
     assert standing.balancer.mode == "balancing"
@@ -128,7 +128,7 @@ def test_the_matrix_of_clocks_and_cpu_times_through_the_firmware(bench, scl, cpu
 
 
 @pytest.mark.slow
-def test_it_stands_for_a_minute_with_everything_going_on(bench):
+def test_a_robot_with_the_firmware_stands_for_a_minute_while_all_tasks_run(bench):
     standing = upright(bench)
     bench.i2c_stats()
     bench.call("watch", 0)
@@ -158,7 +158,7 @@ def test_it_stands_for_a_minute_with_everything_going_on(bench):
     assert bench.call("resets") == 0
 
 
-def test_it_survives_a_push(bench):
+def test_a_robot_with_the_firmware_recovers_from_a_push(bench):
     standing = upright(bench)
     standing.run(1.0)
     standing.robot.body.push(0.02)
@@ -183,7 +183,7 @@ def test_a_balancer_that_dies_leaves_motors_that_stop(bench):
     assert abs(standing.robot.body.tilt) > math.radians(100), "it lies"
 
 
-def test_it_lies_down_when_told(bench):
+def test_a_robot_with_the_firmware_lies_down_on_command(bench):
     standing = upright(bench)
     standing.balancer.command("rest", standing.robot.clock())
     standing.run(0.1)
@@ -204,7 +204,7 @@ def test_a_firmware_that_restarts_is_named_and_survived(bench):
     assert bench.motors() == (0.0, 0.0)
 
 
-def test_it_drives_and_lies_down_through_the_firmware(bench):
+def test_a_robot_drives_and_lies_down_through_the_firmware(bench):
     standing = upright(bench)
     standing.balancer.drive(0.2, 1.0, 3.0, standing.robot.clock())
     standing.run(2.0)

@@ -245,7 +245,7 @@ def test_the_stack_figure_is_the_deepest_ever(bench):
     assert 0x0AFF - 500 - lower < 0x0800, "variables end below the bootloader's key"
 
 
-def test_it_sleeps_when_there_is_nothing_to_do(bench):
+def test_the_firmware_sleeps_when_there_is_nothing_to_do(bench):
     bench.run(0.1)
     awake = samples = 0
     for _ in range(3000):

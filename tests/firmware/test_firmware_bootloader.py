@@ -128,7 +128,7 @@ def test_the_command_starts_the_bootloader_with_the_motors_off_until_its_timeout
     assert board.number("VERSION") == CONSTANTS["LAYOUT_VERSION"]
 
 
-def test_it_takes_our_firmware_over_usb_and_starts_it(board: Bench, ours: Image) -> None:
+def test_the_bootloader_takes_our_firmware_over_usb_and_starts_it(board: Bench, ours: Image) -> None:
     board.call("set_flash", 0x6000, 0x1234)
     enter(board)
     host = UsbHost(board)

@@ -92,7 +92,7 @@ def location(first: int = 0xC930, count: int = 4) -> Location:
     return Location(Position(1.234, -2.5, 0.75, 87), tuple(anchors))
 
 
-def test_it_is_found_and_shows_how_it_is(driven: Driven) -> None:
+def test_the_atmega_is_found_and_shows_its_state(driven: Driven) -> None:
     driven.robot.press(0b101)
     driven.robot.run(0.05)
     found = driven.balboa.set_up()
@@ -107,7 +107,7 @@ def test_it_is_found_and_shows_how_it_is(driven: Driven) -> None:
     assert driven.balboa.fetch_motion()[0].buttons == 0b010
 
 
-def test_motors_and_leds(driven: Driven) -> None:
+def test_motors_and_leds_obey_and_motors_stop_after_200_ms(driven: Driven) -> None:
     driven.balboa.write_motors(0.25, -1.0)
     driven.balboa.write_leds(True, False, True)
     driven.robot.run(0.003)

@@ -35,7 +35,7 @@ def test_encoders_lose_no_count_beside_traffic_on_the_bus(bench, left, right):
     assert bench.get("ENCODER_ERRORS") == b"\0\0"
 
 
-def test_forward_counts_up(bench):
+def test_an_encoder_counts_up_when_its_wheel_turns_forward(bench):
     bench.wheels(500, -500)
     bench.run(0.1)
     left, right = bench.encoders()
@@ -54,7 +54,7 @@ def test_exact_for_many_turns_and_across_the_wrap(bench, left, right):
     assert bench.get("ENCODER_ERRORS") == b"\0\0"
 
 
-def test_to_and_fro(bench):
+def test_encoders_lose_no_count_when_wheels_turn_forward_and_back(bench):
     for speed in (8000, -8000, 300, -7000, 5000, -40, 9000):
         bench.wheels(speed, -speed)
         bench.run(0.013)

@@ -22,13 +22,13 @@ def refused(action, number=errno.EREMOTEIO):
     return caught.value.errno == number
 
 
-def test_it_says_who_it_is(bench):
+def test_the_firmware_says_its_version_and_revision(bench):
     assert bench.get("VERSION") == bytes((CONSTANTS["LAYOUT_VERSION"],))
     assert bench.get("REVISION") == bytes((CONSTANTS["REVISION_NUMBER"],))
 
 
 @pytest.mark.parametrize("address", [0, 19, 21, 0x6B])
-def test_it_answers_at_its_own_address_only(bench, address):
+def test_the_firmware_answers_at_its_own_address_only(bench, address):
     assert refused(lambda: bench.write(address, b"\0"))
     assert refused(lambda: bench.read(address, 1))
 

@@ -36,7 +36,7 @@ def test_pwm_is_20_khz(bench):
         ((1, -1), (1 / TOP, -1 / TOP)),
     ],
 )
-def test_duty_and_direction(bench, command, duty):
+def test_motors_get_the_commanded_duty_and_direction(bench, command, duty):
     bench.drive(*command)
     assert bench.motors() == duty
     left, right = struct.unpack("<2h", bench.get("MOTORS"))

@@ -207,7 +207,7 @@ def test_what_the_services_encoder_writes_the_firmware_reads(pure, location):
 
 @given(found=st.lists(locations, min_size=1, max_size=4), noise=st.data())
 @ONE_COPY
-def test_it_finds_its_way_back_after_noise(pure, found, noise):
+def test_the_parser_finds_answers_after_noise(pure, found, noise):
     pure.location_reset()
     stream, expected = b"", []
     for location in found:
@@ -228,7 +228,7 @@ def test_an_answer_that_was_cut_off_costs_itself_only(pure, first, second, cut):
 
 @given(data=st.binary(max_size=600), location=locations)
 @ONE_COPY
-def test_it_never_reads_what_the_services_decoder_would_refuse(pure, data, location):
+def test_the_parser_never_accepts_what_the_services_decoder_refuses(pure, data, location):
     """Both are built on the same rules, by different hands: what the firmware accepts must be a true answer."""
     pure.location_reset()
     stream = bytearray(encode_location(location) * 2)

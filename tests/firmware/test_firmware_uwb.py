@@ -45,7 +45,7 @@ def answer(bench, data: bytes) -> None:
     bench.run(len(data) * BYTE + 0.003)
 
 
-def test_it_asks_ten_times_a_second_in_one_piece(bench):
+def test_the_firmware_asks_the_module_ten_times_a_second_in_one_piece(bench):
     bench.run(2.0)
     sent = bench.sent()
     assert bytes(item.byte for item in sent) == LOC_GET * 20

@@ -282,7 +282,7 @@ def test_a_channel_in_use(radio: Radio, listener: rfcomm.RfcommListener) -> None
         rfcomm.RfcommListener(mine(radio, 1), {})
 
 
-def test_no_such_adapter(radio: Radio) -> None:
+def test_a_missing_adapter_is_named_by_the_error_of_a_dial(radio: Radio) -> None:
     wrong = rfcomm.Radio("00:11:22:33:44:66", CHANNEL)
     with pytest.raises(OSError, match="the own Bluetooth adapter is not there") as caught:
         rfcomm.dial(wrong, radio.addresses[0])

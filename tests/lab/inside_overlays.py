@@ -142,7 +142,7 @@ def test_mesh_time_is_the_same_everywhere(swarm: Swarm) -> None:
     swarm.wait("mesh time is right everywhere", right, lambda: off)
 
 
-def test_rules_carry_keys(swarm: Swarm) -> None:
+def test_keys_travel_as_far_as_their_rules_say(swarm: Swarm) -> None:
     """By flood, by unicast, and to neighbours alone, as the config says; what no rule names stays at home."""
     seen: dict[str, Counter[str]] = {name: Counter() for name in NAMES}
 

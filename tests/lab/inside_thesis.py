@@ -182,7 +182,7 @@ def test_the_firmware_answers_and_asks_its_module(robot: Robot) -> None:
     until("the firmware has asked the module", lambda: robot.uwb and robot.uwb[-1].state == "ok", 60.0, robot.said)
 
 
-def test_it_balances_while_it_localizes(robot: Robot, swarm: Swarm, config: Config) -> None:
+def test_a_robot_balances_while_it_localizes(robot: Robot, swarm: Swarm, config: Config) -> None:
     robot.stand()
     place = config.simulation.places[WHOLE][:2]
     until(
@@ -225,7 +225,7 @@ def test_it_balances_while_it_localizes(robot: Robot, swarm: Swarm, config: Conf
     assert reports >= REPORTS_HZ
 
 
-def test_two_messages_cross(robot: Robot, swarm: Swarm) -> None:
+def test_two_unicast_messages_cross_in_a_loop_of_six(robot: Robot, swarm: Swarm) -> None:
     """Figure 3.16: r1 to r3 and r2 to r4 in a loop of six, at the same time, each by its shorter way."""
     passed: list[tuple[str, Passed]] = []
 

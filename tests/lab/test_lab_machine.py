@@ -15,7 +15,7 @@ LARGE = 1_000_000
 """Bytes that go to a machine in one piece."""
 
 
-def test_it_runs_commands_and_keeps_its_disk_through_a_power_cut(machine: Callable[..., Machine]) -> None:
+def test_a_machine_runs_commands_and_keeps_its_disk_through_a_power_cut(machine: Callable[..., Machine]) -> None:
     robot = machine("r0", init=PLAIN)
     robot.start()
     assert abs(int(robot.run("date +%s")) - time.time()) < 60

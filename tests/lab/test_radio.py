@@ -474,7 +474,7 @@ def test_who_does_not_want_to_pair_does_not(world: World, refusal: dict[int, tup
 
 
 @pytest.mark.parametrize(("second", "code"), [(b"1234", 0), (b"9999", Status.AUTHENTICATION_FAILURE)])
-def test_pins_must_agree(world: World, second: bytes, code: int) -> None:
+def test_two_devices_pair_only_if_their_pins_agree(world: World, second: bytes, code: int) -> None:
     one, _ = world.link(A, B)
     world.tell(A, Op.AUTHENTICATION_REQUESTED, one.to_bytes(2, "little"))
     world.tell(A, Op.LINK_KEY_NEGATIVE_REPLY, hci.to_wire(B))

@@ -17,7 +17,7 @@ MOVING = ("--target-velocity", "0.1,0.05")
 SIX = ("localization", "--robots", "6", "--iterations", "300")
 
 
-def test_it_stands_until_all_have_begun_and_goes_straight_on():
+def test_a_moving_target_stands_until_all_have_begun_and_then_goes_straight_on():
     simulation = World(target=(0.5, 1.0), target_velocity=(0.1, -0.2))
     assert simulation.moving
     assert simulation.target_after(-math.inf) == simulation.target_after(0.0) == (0.5, 1.0)
@@ -25,7 +25,7 @@ def test_it_stands_until_all_have_begun_and_goes_straight_on():
     assert not World().moving
 
 
-def test_it_is_followed_where_one_for_standing_targets_lags_behind():
+def test_the_algorithm_moving_follows_a_target_behind_which_info_lags():
     follows, outcome = simulate(*SIX, *MOVING, "--algorithm", "moving")
     moved = math.dist(outcome.targets()["r0"], (0.5, 1.0))
     assert moved == pytest.approx(math.hypot(0.1, 0.05) * follows["seconds"], abs=0.02)

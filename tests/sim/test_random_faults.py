@@ -16,7 +16,7 @@ from swarm.recording.core.writer import Writer
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_fifty_random_faults(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_swarm_survives_fifty_random_faults(capsys: pytest.CaptureFixture[str]) -> None:
     rows = list(random_faults.rows(random_faults.Sizes(50, seed=20)))
     with capsys.disabled():
         print("", *(row.text() for row in rows), sep="\n")  # noqa: T201 - figures of this machine

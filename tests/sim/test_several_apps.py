@@ -65,7 +65,7 @@ def test_each_has_its_recording(recorded, tmp_path, capsys, monkeypatch):
     assert all(key.startswith("swarm/r1/app/led_sync/") for key in keys)
 
 
-def test_each_is_drawn(recorded, tmp_path, monkeypatch, capsys):
+def test_each_app_of_a_run_can_be_drawn(recorded, tmp_path, monkeypatch, capsys):
     pytest.importorskip("matplotlib")
     _, place = recorded
     monkeypatch.chdir(tmp_path)

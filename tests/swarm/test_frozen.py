@@ -38,7 +38,7 @@ class Standard:
     y: float = 0.0
 
 
-def test_it_is_what_the_standard_library_makes() -> None:
+def test_a_frozen_class_is_like_one_of_the_standard_library() -> None:
     ours, theirs = Place(1.0, y=2.0), Standard(1.0, y=2.0)
     assert repr(ours) == repr(theirs).replace("Standard", "Place")
     assert hash(ours) == hash(theirs)
@@ -82,7 +82,7 @@ def test_wrong_arguments_are_named(values: tuple[float, ...]) -> None:
         Place(*values)
 
 
-def test_it_is_copied_and_pickled() -> None:
+def test_a_frozen_object_is_copied_and_pickled() -> None:
     one = Named(1.0, 2.0, tags={"a": 1})
     for other in (copy.copy(one), copy.deepcopy(one), pickle.loads(pickle.dumps(one))):
         assert other == one

@@ -42,7 +42,7 @@ def test_example_can_be_checked(tmp_path, capsys):
     assert "links: 9, diameter 2, authenticated by the key in /etc/swarm/key" in lines
 
 
-def test_check_as_json(example, capsys):
+def test_config_check_prints_what_a_file_contains_as_json(example, capsys):
     assert run("config", "check", "--json", str(example)) == 0
     summary = json.loads(capsys.readouterr().out)
     assert summary["links"] == 9
@@ -123,7 +123,7 @@ def test_help_of_a_group_lists_its_commands(group, capsys):
     assert all(f"\n  {name} " in text for name in COMMANDS[group].commands)
 
 
-def test_stop_is_estop():
+def test_swarm_stop_is_the_same_command_as_estop():
     assert COMMANDS["stop"].module == COMMANDS["estop"].module
     assert [name for name in names(COMMANDS) if name.split()[-1] == "stop"] == ["app stop", "services stop", "stop"]
 

@@ -23,7 +23,9 @@ EPOCH = AppEpoch(0.0, 0, 0, ("r0",), (), (), False, 0)
     ],
     ids=["topology", "epoch"],
 )
-def test_they_ask_once_a_round(runtime: Path, topic: str, answer: object, asking: Callable) -> None:
+def test_commands_that_wait_for_answers_ask_once_a_round(
+    runtime: Path, topic: str, answer: object, asking: Callable
+) -> None:
     asked = []
 
     def tell(*_: object) -> bytes:

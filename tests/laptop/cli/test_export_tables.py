@@ -49,7 +49,7 @@ def test_every_topic_is_a_table_on_the_runs_time_axis(recorded: Path, tmp_path: 
         assert {row["battery"] for row in csv.DictReader(file)} == {"7.4"}
 
 
-def test_npz_holds_numbers(recorded: Path, tmp_path: Path) -> None:
+def test_an_npz_table_holds_numbers_not_texts(recorded: Path, tmp_path: Path) -> None:
     assert exported(recorded, "--table", str(tmp_path), "--topic", "sim/truth", "--format", "npz") == 0
     table = np.load(tmp_path / "sim.truth.npz")
     assert table["x"].dtype == np.float64

@@ -169,7 +169,7 @@ def test_a_key_that_others_may_read(robots: FakeRobots, capsys: pytest.CaptureFi
 
 @needs_ssh
 @needs_root
-def test_a_full_disk(robots: FakeRobots, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_the_doctor_names_a_full_disk(robots: FakeRobots, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     home = add_pi(robots, "r0")
     mount = ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(home / "root")]
     if subprocess.run(mount, capture_output=True).returncode != 0:

@@ -73,7 +73,7 @@ def test_addresses_are_written_below_names_and_nowhere_else() -> None:
     assert with_addresses(CONFIG, {}) == CONFIG
 
 
-def test_who_is_who() -> None:
+def test_addresses_of_robots_are_compared_with_swarm_toml() -> None:
     config = parse(CONFIG, Path("swarm.toml"), addressed=False)
     assert edges(config, config.names) == [("r0", "r1"), ("r1", "r2")]
     assert edges(config, ["r1", "r2"]) == [("r1", "r2")]

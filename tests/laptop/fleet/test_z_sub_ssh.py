@@ -100,7 +100,9 @@ def test_several_robots_one_of_them_away(robots: FakeRobots, add: Callable[[str]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_nothing_stays_behind(robots: FakeRobots, add: Callable[[str], Path], number: signal.Signals) -> None:
+def test_z_sub_over_ssh_leaves_no_process_on_a_robot(
+    robots: FakeRobots, add: Callable[[str], Path], number: signal.Signals
+) -> None:
     """Ctrl-C, or a laptop that dies, while there is nothing to be told."""
     home = add("r0")
     process = start(robots, "--robots", "r0")

@@ -145,7 +145,7 @@ def test_robots_that_wait_for_each_other_before_their_first_iteration_are_no_war
         assert picture.events[-1].level == level
 
 
-def test_memory_is_bounded() -> None:
+def test_the_memory_of_a_picture_is_bounded() -> None:
     picture = Picture()
     for number in range(2 * MAX_TOPICS):
         picture.put("r0", f"app/x/mine/{number}", number, 0.0)

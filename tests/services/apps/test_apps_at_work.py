@@ -167,7 +167,7 @@ def test_waypoints_that_are_none_are_refused(text: str) -> None:
         read_waypoints(text)
 
 
-def test_waypoints_are_read() -> None:
+def test_waypoints_are_read_from_their_text() -> None:
     assert read_waypoints("") == ()
     assert read_waypoints("stay") == ()
     assert read_waypoints("0.5,1.5 stay") == ((0.5, 1.5),)

@@ -65,7 +65,7 @@ def fire(frequency: float, tolerance: float, overhead: float, seconds: float) ->
     ("frequency", "tolerance", "overhead", "drifts_to"),
     [(2.1, 1 / 16, 0.0, 2.191), (2.1, 1 / 16, 1e-3, 2.17), (3.74, 1 / 64, 0.0, 3.779), (3.74, 1 / 64, 1e-3, 3.756)],
 )
-def test_it_drifts_as_in_the_thesis_until_the_phase_is_zero(frequency, tolerance, overhead, drifts_to) -> None:
+def test_blinking_drifts_as_in_the_thesis_until_the_phase_is_zero(frequency, tolerance, overhead, drifts_to) -> None:
     """Thesis 4.3.2: 2.1 Hz become 2.2, 3.74 Hz become 3.76; then the agreed frequency, with the phase at zero."""
     fired = fire(frequency, tolerance, overhead, 120.0)
     begin, end = fired[:6], fired[-60:]

@@ -128,7 +128,7 @@ def test_the_example_consensus_agrees_on_the_mean() -> None:
     assert all(result["value"] == pytest.approx(8.5 / 3) for result in swarm.final.values())
 
 
-def test_example_max_finder() -> None:
+def test_the_example_max_finder_takes_as_many_iterations_as_the_diameter() -> None:
     """As many iterations as the graph is wide, and not one more."""
     values = {f"r{i}": {"value": float(i)} for i in range(6)}
     swarm = MemorySwarm(str(EXAMPLES / "max_finder.py"), config_of(6, app="max_finder", robots=values), 5)
@@ -140,7 +140,7 @@ def test_example_max_finder() -> None:
 
 
 @pytest.mark.parametrize(("measure", "within"), [(exact, 0.005), (noisy, 0.1)])
-def test_example_find_target(measure: object, within: float) -> None:
+def test_the_example_find_target_finds_the_target(measure: object, within: float) -> None:
     app = str(EXAMPLES / "find_target.py")
     swarm = MemorySwarm(app, config_of(3, app="find_target"), 150, measure)
     for result in swarm.final.values():
@@ -158,7 +158,7 @@ def commands(swarm: EventRehearsal, what: str, kind: type[M]) -> dict[str, list[
     return found
 
 
-def test_example_button_count() -> None:
+def test_the_example_button_count_counts_presses_of_all_robots() -> None:
     swarm = rehearse(EXAMPLES / "button_count.py", robots=3)
     assert isinstance(swarm, EventRehearsal)
     shown = commands(swarm, "display", SetDisplay)
@@ -172,7 +172,7 @@ def test_example_button_count() -> None:
         assert "2 presses\nlast: a on r2" in [message.text for _, message in shown[name]]
 
 
-def test_example_follow_leds() -> None:
+def test_the_example_follow_leds_lights_robots_in_turn() -> None:
     swarm = rehearse(EXAMPLES / "follow_leds.py", robots=4, values={"r0": {"first": True}})
     assert isinstance(swarm, EventRehearsal)
     shown = commands(swarm, "leds", SetLeds)

@@ -59,7 +59,9 @@ def test_the_thesis_follows_its_recorded_trajectories(test: str, gamma_cm: float
     ("test", "gamma_cm", "x", "y", "cost"),
     [("test_2", 4e-6, -4.4, 0.78, 979362), ("test_3", 4e-6, 2.44, -0.66, 94068), ("test_5", 5e-7, 1.71, 0.01, 85798)],
 )
-def test_table_4_2(test: str, gamma_cm: float, x: float, y: float, cost: float) -> None:
+def test_localization_gives_the_figures_of_table_4_2(
+    test: str, gamma_cm: float, x: float, y: float, cost: float
+) -> None:
     """Mean errors, cm, and mean cost, cm^4, over all robots and the last 200 iterations, which is its window."""
     swarm, _ = replay(test, gamma_cm)
     last = [result for results in swarm.results.values() for result in results[-200:]]

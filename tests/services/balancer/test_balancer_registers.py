@@ -168,7 +168,7 @@ def test_the_watchdog_acts_at_its_time_however_late_we_look() -> None:
     assert ways[0] == pytest.approx(ways[1])
 
 
-def test_buttons_and_battery() -> None:
+def test_buttons_and_battery_are_read_from_the_atmega() -> None:
     bench = Bench()
     bench.robot.atmega.press(0b101)
     read = bench.balboa.read_housekeeping()

@@ -24,7 +24,7 @@ def stands(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("name", ["configured", "other"])
-def test_a_minute_upright(name: str) -> None:
+def test_a_robot_stands_upright_for_a_minute(name: str) -> None:
     """One set of gains, from the configured body, on both estimates of it."""
     stands(upright(plant=PLANTS[name], seed=len(name)).run(60))
 
@@ -35,14 +35,14 @@ def test_upright_with_each_parameter_a_fifth_off(name: str) -> None:
     stands(upright(plant=PLANTS[name], seed=len(name)).run(examples(30)))
 
 
-def test_it_settles_to_a_fraction_of_a_degree() -> None:
+def test_a_standing_robot_settles_to_a_fraction_of_a_degree() -> None:
     rig = upright().run(15)
     rig.worst_tilt = 0.0
     rig.run(20)
     assert rig.worst_tilt < math.radians(2)
 
 
-def test_it_knows_where_it_is() -> None:
+def test_a_standing_robot_knows_its_place() -> None:
     rig = upright(seed=7).run(30)
     estimate = rig.balancer.estimate
     assert estimate.way == pytest.approx(rig.body.travel, abs=0.005)
@@ -51,7 +51,7 @@ def test_it_knows_where_it_is() -> None:
 
 @pytest.mark.parametrize("plant", [CONFIGURED, OTHER], ids=["configured", "other"])
 @pytest.mark.parametrize("momentum", [0.1, -0.1, 0.2, -0.2])
-def test_it_bears_a_push(plant, momentum: float) -> None:
+def test_a_standing_robot_recovers_from_a_push(plant, momentum: float) -> None:
     """0.2 N s: a body of 0.4 kg is set into motion with half a metre a second."""
     rig = upright(plant=plant).run(3)
     rig.body.push(momentum)
@@ -62,14 +62,14 @@ def test_it_bears_a_push(plant, momentum: float) -> None:
 
 @pytest.mark.parametrize("plant", [CONFIGURED, OTHER], ids=["configured", "other"])
 @pytest.mark.parametrize("mean", [0.005, 0.010])
-def test_it_bears_a_loop_that_is_late_at_random(plant, mean: float) -> None:
+def test_a_standing_robot_bears_a_loop_that_is_late_at_random(plant, mean: float) -> None:
     rng = random.Random(11)
     rig = upright(plant=plant, lateness=lambda _tick: rng.expovariate(1 / mean)).run(60)
     assert on_its_feet(rig)
 
 
 @pytest.mark.parametrize("plant", [CONFIGURED, OTHER], ids=["configured", "other"])
-def test_it_bears_a_stall_of_150_ms(plant) -> None:
+def test_a_standing_robot_bears_a_stall_of_150_ms(plant) -> None:
     rig = upright(plant=plant).run(5)
     for repeat in range(10):
         rig.lateness = lambda tick, at=rig.tick + repeat % 7: 0.150 if tick == at else 0.0
@@ -112,13 +112,13 @@ def test_wrong_upright_is_learned() -> None:
 
 @pytest.mark.parametrize("side", [1, -1])
 @pytest.mark.parametrize("name", [name for name in PLANTS if name.startswith("configured") or name == "other"])
-def test_it_stands_up_from_front_and_back(name: str, side: int) -> None:
+def test_a_robot_stands_up_from_front_and_back(name: str, side: int) -> None:
     rig = Rig(PLANTS[name], tilt=side * math.radians(110), held=False).run(15)
     assert on_its_feet(rig)
     assert rig.balancer.fault is None
 
 
-def test_it_gives_up_when_it_is_too_weak() -> None:
+def test_a_robot_that_is_too_weak_gives_up_standing_up() -> None:
     weak = scaled(CONFIGURED, "stall_torque", 0.3)
     rig = Rig(weak, tilt=math.radians(110), held=False).run(30)
     assert rig.balancer.fault.reason.startswith("cannot stand up")

@@ -82,7 +82,7 @@ def test_friction_holds_a_wheel_that_is_pushed_less_than_it() -> None:
     assert body.travel == pytest.approx(0.0, abs=1e-9)
 
 
-def test_it_drives_where_it_looks() -> None:
+def test_a_body_drives_in_the_direction_of_its_heading() -> None:
     body = BalboaBody(CONFIGURED, 0.0, place=(1.0, 2.0, math.pi / 2), held=False)
     body.drive(0.2, 0.2)
     body.advance(0.1)

@@ -43,7 +43,7 @@ class Steps:
         return self
 
 
-def test_idle_does_nothing() -> None:
+def test_an_idle_controller_commands_no_power() -> None:
     steps = Steps()
     assert steps.step(0.3) == (0.0, 0.0)
     assert steps.controller.mode == "idle"
@@ -95,7 +95,7 @@ def test_full_power_for_long_means_wheels_in_the_air() -> None:
     assert "wheels in the air" in steps.controller.fault.reason
 
 
-def test_rest_from_anywhere() -> None:
+def test_rest_makes_the_controller_idle_from_every_mode() -> None:
     for prepare in (
         lambda s: s.balancing(),
         lambda s: s.controller.command("stand", 0.0),
@@ -144,7 +144,7 @@ def test_lying_still_it_runs_up_and_swings_to_its_other_side(side: int) -> None:
     assert steps.controller.mode == "balancing"
 
 
-def test_it_gives_up_after_its_tries_and_each_is_stronger() -> None:
+def test_standing_up_is_given_up_after_tries_of_growing_power() -> None:
     steps = Steps()
     steps.controller.command("stand", 0.0)
     strongest = []

@@ -76,7 +76,7 @@ def test_large_letters_are_the_small_ones_twice_as_large() -> None:
     assert render_large("a-rather-long-1") == (render("a-rather-long-1"), bytes(128))
 
 
-def test_it_stays_dark_until_the_picture_is_whole() -> None:
+def test_the_display_stays_dark_until_the_picture_is_whole() -> None:
     wired = Wired()
     wired.screen.show(("r0",))
     assert wired.draw(most=20) == 20
@@ -226,7 +226,7 @@ def test_text_goes_before_the_app_and_a_fault_before_both() -> None:
 
 
 @given(st.text(max_size=200), st.integers(1, 6))
-def test_wrapped_text_fits(text: str, lines: int) -> None:
+def test_wrapped_text_fits_the_lines_of_the_display(text: str, lines: int) -> None:
     wrapped = wrap(text, lines)
     assert 1 <= len(wrapped) <= lines
     assert all(len(line) <= 21 for line in wrapped)

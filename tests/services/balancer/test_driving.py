@@ -24,7 +24,7 @@ def driving(rig: Rig, speed: float, turn_rate: float, seconds: float) -> Rig:
 
 @BODIES
 @pytest.mark.parametrize("speed", [0.2, -0.2, 0.5])
-def test_it_tracks_a_speed(plant, speed: float) -> None:
+def test_a_robot_tracks_a_commanded_speed(plant, speed: float) -> None:
     rig = upright(plant=plant).run(3)
     start = rig.body.x
     driving(rig, speed, 0.0, 4.0)
@@ -40,7 +40,7 @@ def test_it_tracks_a_speed(plant, speed: float) -> None:
 
 @BODIES
 @pytest.mark.parametrize("turn_rate", [0.5, -2.0, 3.0])
-def test_it_turns_on_the_spot(plant, turn_rate: float) -> None:
+def test_a_robot_turns_on_the_spot(plant, turn_rate: float) -> None:
     rig = upright(plant=plant).run(3)
     driving(rig, 0.0, turn_rate, 4.0).run(3)
     assert rig.body.heading == pytest.approx(4 * turn_rate, abs=math.radians(2))
@@ -104,7 +104,7 @@ def test_a_weaker_motor_does_not_turn_it_while_it_drives(plant) -> None:
 
 
 @pytest.mark.parametrize(("plant", "lag"), [(CONFIGURED, 0.06), (OTHER, 0.2)], ids=["configured", "other"])
-def test_it_keeps_up_with_its_place_while_that_speeds_up_and_slows_down(plant, lag: float) -> None:
+def test_a_robot_keeps_up_with_a_place_that_speeds_up_and_slows_down(plant, lag: float) -> None:
     """Feed-forward of lean and duty: without the lean it lags by 15 and 24 cm."""
     rig = upright(plant=plant).run(3)
     drive, lags = rig.balancer._controller._drive, []
@@ -224,7 +224,7 @@ def test_whatever_is_commanded_limits_hold(commands) -> None:
 
 @pytest.mark.parametrize("name", ["mass", "lever", "inertia", "stall_torque", "free_speed"])
 @pytest.mark.parametrize("factor", [0.8, 1.2])
-def test_it_drives_a_body_that_is_a_fifth_off(name: str, factor: float) -> None:
+def test_the_balancer_drives_a_body_that_is_a_fifth_off(name: str, factor: float) -> None:
     rig = upright(plant=scaled(CONFIGURED, name, factor)).run(2)
     driving(rig, 0.5, 1.0, 4.0).run(5)
     assert rig.balancer.mode == "balancing"

@@ -308,7 +308,7 @@ def test_a_robot_that_stands_is_not_flashed(systemctl: list[str], monkeypatch: p
     assert board.revision == 7
 
 
-def test_it_needs_root(systemctl: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_flashing_the_own_board_needs_root(systemctl: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     with pytest.raises(LocalError, match="needs root"):
         flash_here(Board())

@@ -246,7 +246,7 @@ def test_leds_are_told_on_change_and_once_a_second(monkeypatch: pytest.MonkeyPat
     assert [leds.t for leds in loop.bridge.of(Leds)[-3:]] == [loop.bridge.of(Leds)[-1].t] * 3, "written once"
 
 
-def test_commands_are_obeyed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_loop_obeys_commands_of_the_bridge(monkeypatch: pytest.MonkeyPatch) -> None:
     loop = VirtualLoop(monkeypatch).run(300)
     for message, mode in (
         (SetMode("rest"), "idle"),

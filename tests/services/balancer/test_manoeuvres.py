@@ -24,7 +24,7 @@ def touch_down_rate(rig: Rig) -> float:
 
 
 @pytest.mark.parametrize("name", PLANTS)
-def test_it_lies_down_gently_and_ends_idle(name: str) -> None:
+def test_a_robot_lies_down_gently_and_ends_idle(name: str) -> None:
     gentle = upright(plant=PLANTS[name]).run(3)
     gentle.balancer.command("lie", gentle.now)
     assert gentle.balancer.mode == "lying_down"
@@ -53,7 +53,7 @@ def test_from_lying_down_it_stands_up_again(plant) -> None:
         assert rig.balancer.mode == "balancing"
 
 
-def test_it_lies_down_while_it_drives() -> None:
+def test_a_robot_lies_down_while_it_drives() -> None:
     rig = upright().run(2)
     rig.balancer.drive(0.5, 1.0, 5.0, rig.now)
     rig.run(2)

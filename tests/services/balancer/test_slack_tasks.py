@@ -94,7 +94,7 @@ def test_the_longest_slice_fits_the_slack() -> None:
     assert AT_100_KHZ.duration(read(balboa.UWB, 32)) <= SLACK_S
 
 
-def test_battery_each_second() -> None:
+def test_the_battery_is_published_each_second() -> None:
     ticking = Ticking().run(3.5)
     told = ticking.of(Battery)
     assert [each.voltage for each in told] == [7.4] * 4

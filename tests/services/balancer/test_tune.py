@@ -26,7 +26,7 @@ def test_a_tune_has_these_bytes() -> None:
 
 
 @pytest.mark.parametrize(("hertz", "midi"), [(16.0, 12), (16.35, 12), (261.63, 60), (440, 69), (450, 69), (8000, 119)])
-def test_the_nearest_semitone(hertz: float, midi: int) -> None:
+def test_a_note_gets_the_nearest_semitone(hertz: float, midi: int) -> None:
     assert pitch(hertz) == midi
 
 

@@ -54,7 +54,7 @@ def test_only_owner_and_group_may_connect(runtime: Path, bus_service: subprocess
     assert stop(bus_service) == 0
 
 
-def test_it_is_a_service_of_its_own_bus(bus_service: subprocess.Popen[str], runtime: Path) -> None:
+def test_the_router_is_a_service_of_its_own_bus(bus_service: subprocess.Popen[str], runtime: Path) -> None:
     replies: list[Status] = []
     with Bus.of(runtime) as bus:
 
@@ -128,7 +128,7 @@ def test_a_file_in_the_way_is_refused_and_kept(processes: Processes, runtime: Pa
     assert (runtime / "bus.sock").read_text() == "precious"
 
 
-def test_unusable_runtime_directories(processes: Processes, runtime: Path) -> None:
+def test_the_bus_refuses_unusable_runtime_directories(processes: Processes, runtime: Path) -> None:
     assert f"{runtime}/missing cannot be used: No such file" in refused(processes, SWARM_RUNTIME=f"{runtime}/missing")
     assert "/proc cannot be used" in refused(processes, SWARM_RUNTIME="/proc")
     assert "at most 107" in refused(processes, SWARM_RUNTIME=f"{runtime}/{'x' * 100}")

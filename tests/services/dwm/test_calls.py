@@ -97,7 +97,7 @@ def test_the_version_is_told_as_the_maker_does():
 
 
 @given(SETTINGS)
-def test_settings_round_trip(settings):
+def test_settings_survive_encoding(settings):
     data = encode_refusal(OK) + encode_part(calls.CONFIG, calls.encode_settings(settings))
     assert answer(calls.CFG_GET, data) == settings
 
@@ -113,14 +113,14 @@ def test_what_is_set_is_what_the_module_is_asked_for(settings):
 
 
 @given(st.integers(1, calls.SLOWEST), st.integers(1, calls.SLOWEST))
-def test_rates_round_trip(moving, still):
+def test_update_rates_survive_encoding(moving, still):
     rate = UpdateRate(moving, still)
     assert calls.decode_rate(calls.upd_rate_set(rate).request[2:]) == rate
     assert answer(calls.UPD_RATE_GET, encode_refusal(OK) + calls.encode_rate(rate)) == rate
 
 
 @given(st.tuples(*[st.integers(0, 255)] * 3, st.integers(0, 15)), *[st.integers(0, 2**32 - 1)] * 2)
-def test_versions_round_trip(firmware, config, hardware):
+def test_versions_survive_encoding(firmware, config, hardware):
     version = Version(firmware, config, hardware)
     assert answer(calls.VER_GET, encode_refusal(OK) + calls.encode_version(version)) == version
 

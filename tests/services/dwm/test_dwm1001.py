@@ -173,7 +173,7 @@ def periods(line):
     return {round(b - a, 6) for a, b in zip(line.measured, line.measured[1:], strict=False)}
 
 
-def test_it_measures_at_its_rate_and_holds_the_result():
+def test_a_module_measures_at_its_rate_and_holds_the_result():
     line = Line(rate=UpdateRate(3, 100))
     line.run(5.0)
     assert periods(line) == {0.3}

@@ -193,7 +193,7 @@ def test_a_port_without_a_module_is_told(processes, board, ear, runtime):
     assert stop(process) == 0
 
 
-def test_it_starts_before_the_bus(processes, runtime, board):
+def test_the_dwm_service_starts_before_the_bus(processes, runtime, board):
     process = processes.start("-m", "services.dwm")
     processes.router()
     with Bus.of(runtime) as bus:
@@ -299,7 +299,7 @@ def test_a_wrong_recording_ends_it_with_one_line(processes, recorded, runtime, p
     assert "Traceback" not in error
 
 
-def test_it_stays_small(processes, board, ear):
+def test_the_dwm_process_loads_neither_numpy_nor_asyncio(processes, board, ear):
     """Robot-side memory is scarce: neither numpy nor asyncio, and no thread per concern."""
     names = json.dumps(["numpy", "asyncio"])
     program = f"import sys, services.dwm.__main__, serial; print([n for n in {names} if n in sys.modules])"

@@ -55,7 +55,7 @@ def test_place_filter_stays_within_what_it_was_given(window, places):
         assert min(p[1] for p in part) - 1e-9 <= y <= max(p[1] for p in part) + 1e-9
 
 
-def test_a_filter_forgets():
+def test_a_cleared_filter_forgets_its_values():
     smooth, place = RangeFilter(5), PlaceFilter(5)
     smooth.add(1.0)
     smooth.clear()

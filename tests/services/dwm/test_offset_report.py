@@ -36,7 +36,7 @@ def report(folder: Path, figures: object, robot: str = "r0", verdict: str = "pas
     return path
 
 
-def test_it_is_added_to_the_model_in_use(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_learned_offset_is_added_to_the_model_in_use(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "swarm.toml").write_text(SWARM)
     monkeypatch.setenv("SWARM_CONFIG", str(tmp_path / "swarm.toml"))
     words = ["offset", str(report(tmp_path, FIGURES)), "--robots", "r0", "--write"]

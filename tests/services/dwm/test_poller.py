@@ -190,7 +190,7 @@ def test_a_reset_leaves_the_module_time_to_come_back():
         (GOLDEN[:3] + b"\x47" + GOLDEN[4:], "another layout (loc_get: part of type 47"),
     ],
 )
-def test_trouble_is_named(answer, words):
+def test_the_poller_names_the_trouble_after_three_failures(answer, words):
     poller = Poller(10.0, 0.0)
     fail(poller, FAILURES - 1, answer)
     assert poller.events() == []

@@ -64,7 +64,7 @@ def test_equation_2_10_and_table_2_4(samples):
 
 
 @needs_calibration
-def test_figure_2_14(samples):
+def test_errors_of_places_are_those_of_figure_2_14(samples):
     found = thesis.positions(samples)
     assert found.raw_90 == pytest.approx(14.7, abs=0.05)  # the text says 15
     assert found.processed_90 == pytest.approx(8.88, abs=0.005)  # the text says 8
@@ -149,7 +149,7 @@ def test_never_worse_than_linear_on_other_recordings(samples, run):
 
 
 @needs_calibration
-def test_places_left_out(samples):
+def test_the_error_at_places_left_out_chooses_the_model(samples):
     fit = fit_places(spots(samples))
     assert fit.left_out["raw"] == pytest.approx(0.0742, abs=5e-5)
     assert fit.left_out["affine"] == pytest.approx(0.0539, abs=5e-5)

@@ -99,7 +99,7 @@ def test_split_anywhere_and_merged(sent, data):
 
 
 @given(st.lists(st.tuples(st.binary(max_size=40), locations), min_size=1, max_size=4))
-def test_noise_between_answers(pieces):
+def test_noise_between_answers_costs_no_answer(pieces):
     pieces = [(noise.replace(b"\x40", b"\x20"), location) for noise, location in pieces]
     stream = b"".join(noise + encode_location(location) for noise, location in pieces)
     results, errors = decode(stream)

@@ -169,7 +169,7 @@ def odometry(t, sequence, rolled, heading):
     return Odometry(t, sequence, rolled - 0.01, rolled + 0.01, 0.0, 0.0, 0.0, heading, 0.0, 0.1)
 
 
-def test_increments_of_sums():
+def test_increments_follow_from_sums_of_odometry():
     increments = Increments()
     assert increments.take(odometry(1.0, 10, 5.0, 2.0)) == (1.0, 0.0, 0.0, 0.1)
     assert increments.take(odometry(1.1, 13, 5.2, 2.1)) == pytest.approx((1.1, 0.2, 0.1, 0.1))  # two were lost

@@ -110,7 +110,7 @@ def test_between_robots_the_errors_are_those_of_the_model():
         assert statistics.mean(found) == pytest.approx(1.056 * true + 0.063, abs=0.004)
 
 
-def test_the_seed_decides():
+def test_a_simulated_tag_measures_the_same_with_the_same_seed():
     first, second, other = (Tag(random.Random(seed)) for seed in (1, 1, 2))
     a = [first.measure(MODULES, 0.5, 1.5, 0.1) for _ in range(50)]
     assert a == [second.measure(MODULES, 0.5, 1.5, 0.1) for _ in range(50)]

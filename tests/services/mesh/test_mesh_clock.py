@@ -354,7 +354,7 @@ claims = st.builds(
 
 
 @given(claims)
-def test_claims_round_trip(claim: ClockClaim) -> None:
+def test_clock_claims_survive_encoding(claim: ClockClaim) -> None:
     decoded = decode_claim(encode_claim(claim)[3:])
     assert decoded._replace(at=0.0) == claim._replace(at=0.0)
     assert decoded.at == pytest.approx(claim.at, abs=2e-6)
@@ -381,7 +381,7 @@ def test_robots_that_are_not_of_the_swarm_are_never_root() -> None:
     assert own.state(1.1).root == "r1"
 
 
-def test_sessions_carry_it() -> None:
+def test_sessions_carry_the_mesh_clock() -> None:
     world = World([("r0", "r1"), ("r1", "r2")])
     world.run(20.0)
     states = [world.bots[name].node.connections.clock.state(world.now) for name in ("r0", "r1", "r2")]

@@ -106,7 +106,7 @@ def test_no_small_message_waits_longer_than_the_window_and_a_write() -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_jitter_costs_little(seed: int) -> None:
+def test_jitter_costs_a_large_message_little_bandwidth(seed: int) -> None:
     link = Link(jitter=0.01, seed=seed)
     assert MIB / transfer(link) >= 0.75 * BANDWIDTH
 
@@ -226,7 +226,7 @@ def test_receipts_are_due_by_bytes() -> None:
 
 
 @given(st.integers(0, 1023), st.integers(0, 0x7FFF), st.booleans(), st.integers(1, MIB), st.binary(min_size=1))
-def test_fragments_round_trip(channel: int, number: int, last: bool, total: int, data: bytes) -> None:
+def test_fragments_survive_encoding(channel: int, number: int, last: bool, total: int, data: bytes) -> None:
     fragment = Fragment(channel, number, last, 0 if number else total, data)
     assert decode_fragment(encode_fragment(fragment)[3:]) == fragment
 

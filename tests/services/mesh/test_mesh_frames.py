@@ -82,24 +82,24 @@ stamps = st.integers(0, 2**64 - 1)
 
 
 @given(hellos)
-def test_hello_round_trip(hello: Hello) -> None:
+def test_a_hello_frame_survives_encoding(hello: Hello) -> None:
     assert frames.decode_hello(body_of(frames.encode_hello(hello))) == hello
     assert len(frames.encode_hello(hello)) <= frames.MAX_HANDSHAKE
 
 
 @given(st.builds(Heartbeat, stamps, stamps, stamps))
-def test_heartbeat_round_trip(heartbeat: Heartbeat) -> None:
+def test_a_heartbeat_frame_survives_encoding(heartbeat: Heartbeat) -> None:
     assert frames.decode_heartbeat(body_of(frames.encode_heartbeat(heartbeat))) == heartbeat
 
 
 @given(st.integers(0, 1023), st.text(min_size=1, max_size=60))
-def test_bind_round_trip(channel: int, key: str) -> None:
+def test_a_bind_frame_survives_encoding(channel: int, key: str) -> None:
     bind = Bind(channel, frames.NEIGHBOURS, key)
     assert frames.decode_bind(body_of(frames.encode_bind(bind))) == bind
 
 
 @given(st.integers(0, 65535), st.binary(max_size=100), st.sampled_from((0, 1, 2)))
-def test_data_round_trip(channel: int, payload: bytes, priority: int) -> None:
+def test_a_data_frame_survives_encoding(channel: int, payload: bytes, priority: int) -> None:
     (frame,) = FrameDecoder(frames.MAX_FRAME).frames(frames.encode_data(priority, channel, payload))
     assert (frame.kind, frame.priority) == (frames.DATA, priority)
     assert frames.decode_data(frame.body) == (channel, payload)

@@ -42,7 +42,7 @@ def test_one_end_suffices_and_the_link_comes_back(robot: str, peer: str, seconds
 
 
 @pytest.mark.parametrize(("robot", "peer"), [("r0", "r1"), ("r1", "r0")])
-def test_it_is_let_up_and_forgotten_by_a_new_start(robot: str, peer: str) -> None:
+def test_a_held_link_comes_up_on_command_and_after_a_new_start(robot: str, peer: str) -> None:
     world = World(LINE)
     world.run(1.0)
     hold(world, robot, peer, 60.0)

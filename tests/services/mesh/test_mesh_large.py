@@ -230,7 +230,7 @@ def test_a_large_flood_reaches_all_by_a_tree(graph: str) -> None:
     assert not any(bot.overlays._large._floods._held for bot in world.bots.values())
 
 
-def test_it_is_not_said_to_have_reached_who_has_only_heard_of_it() -> None:
+def test_a_large_flood_has_not_reached_a_robot_that_only_heard_its_announcement() -> None:
     world = World(line(3))
     world.settle()
     world.watch = None

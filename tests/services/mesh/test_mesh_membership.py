@@ -85,7 +85,7 @@ def test_a_quick_restart_is_noticed() -> None:
         assert world.changes(name)[-1] in (("r2", "restart"), ("r2", "return"))
 
 
-def test_a_partition_heals() -> None:
+def test_a_partition_and_its_end_are_told_on_both_sides() -> None:
     world = World(line(4))
     world.settle()
     world.cut("r1", "r2")

@@ -109,13 +109,13 @@ spreads = st.one_of(
 
 
 @given(spreads)
-def test_spread_round_trip(packet: Spread) -> None:
+def test_a_spread_packet_survives_encoding(packet: Spread) -> None:
     assert packets.decode_spread(packets.encode_spread(packet)) == packet
 
 
 @given(st.builds(EchoPacket, u64, u32, st.lists(names, max_size=30).map(tuple), st.booleans(), st.booleans(),
                  st.integers(0, 255)))  # fmt: skip
-def test_echo_round_trip(packet: EchoPacket) -> None:
+def test_an_echo_packet_survives_encoding(packet: EchoPacket) -> None:
     assert packets.decode_echo(packets.encode_echo(packet)) == packet
 
 
@@ -129,7 +129,7 @@ def test_an_echo_that_does_not_fit_says_so() -> None:
 
 
 @given(st.builds(Known, u64, u32, st.integers(0, 2**2040 - 1), st.booleans()))
-def test_known_round_trip(packet: Known) -> None:
+def test_a_known_packet_survives_encoding(packet: Known) -> None:
     assert completion.decode_known(completion.encode_known(packet)) == packet
 
 
@@ -158,7 +158,7 @@ halts = st.builds(
 
 
 @given(halts)
-def test_halt_round_trip(halt: Halt) -> None:
+def test_a_halt_packet_survives_encoding(halt: Halt) -> None:
     merged = Halt({}, {})
     for data in stop.encode_halts(halt):
         assert len(data) <= MAX_PAYLOAD
@@ -210,31 +210,31 @@ def test_a_stop_counts_in_a_packet_that_is_cut_off_and_with_a_text_of_another_re
         twins=st.lists(names, unique=True, max_size=topology.MAX_TWINS).map(tuple),
     )
 )
-def test_advertisement_round_trip(packet: Advertisement) -> None:
+def test_a_link_state_survives_encoding(packet: Advertisement) -> None:
     assert topology.decode_advertisement(topology.encode_advertisement(packet)) == packet
 
 
 @given(
     st.builds(UnicastMessage, names, names, u64, st.just(0) | u32, keys, st.binary(max_size=99), st.integers(0, 255))
 )
-def test_message_round_trip(packet: UnicastMessage) -> None:
+def test_a_message_packet_survives_encoding(packet: UnicastMessage) -> None:
     assert packets.decode_message(packets.encode_message(packet)) == packet
 
 
 @given(st.builds(Carried, st.integers(0, 2**2040 - 1), st.binary(max_size=99), st.integers(0, 255), st.booleans()))
-def test_carried_round_trip(packet: Carried) -> None:
+def test_a_carry_packet_survives_encoding(packet: Carried) -> None:
     assert carried.decode_carried(carried.encode_carried(packet)) == packet
 
 
 @given(st.builds(Ack, names, names, u64, u32, st.booleans(), st.integers(0, 255)))
-def test_ack_round_trip(packet: Ack) -> None:
+def test_an_ack_packet_survives_encoding(packet: Ack) -> None:
     assert packets.decode_ack(packets.encode_ack(packet)) == packet
 
 
 @given(
     st.integers(OFFER, GONE), names, names, names, u64, u32, st.binary(max_size=99), st.integers(0, 255), st.booleans()
 )
-def test_pieces_round_trip(
+def test_packets_of_large_messages_survive_encoding(
     kind: int, sender: str, to: str, origin: str, incarnation: int, number: int, body: bytes, ttl: int, flood: bool
 ) -> None:
     flood = flood and kind not in (OFFER, STATE)  # a flood is announced by a SPREAD
@@ -247,7 +247,7 @@ def test_pieces_round_trip(
 
 
 @given(st.lists(st.integers(0, 600), max_size=pieces.MAX_RANGES, unique=True), st.integers(0, 65535))
-def test_wants_round_trip(indexes: list[int], have: int) -> None:
+def test_a_want_packet_survives_encoding(indexes: list[int], have: int) -> None:
     assert pieces.decode_want(pieces.encode_want(have, indexes)) == pieces.WantBody(have, tuple(indexes))
 
 

@@ -234,7 +234,7 @@ def test_a_stopped_mesh_is_suspect_then_down_and_returns(build: Build, victim: s
     swarm.talk("r1", "r0")
 
 
-def test_it_starts_before_the_bus_and_survives_its_restart(build: Build) -> None:
+def test_a_mesh_starts_before_the_bus_and_survives_its_restart(build: Build) -> None:
     # A bus of its own process, as on a robot: see Router.close.
     swarm = build(own_bus=("r0",))
     robot = swarm["r0"]

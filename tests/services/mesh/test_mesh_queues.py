@@ -158,7 +158,7 @@ class Drawn:
         return next(self._uniform)
 
 
-def test_latency_alone_shifts() -> None:
+def test_latency_alone_delays_each_message_by_the_same_time() -> None:
     line = DelayLine(AirModel(latency=0.03), Drawn())
     line.push(b"a", 1.0)
     line.push(b"bb", 1.001)

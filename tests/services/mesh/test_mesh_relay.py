@@ -188,7 +188,7 @@ def test_a_maximum_rate_is_never_exceeded_and_the_last_value_arrives(gaps: list[
     assert [payload for _, payload in out][-1:] == [str(len(gaps) - 1).encode()][: len(gaps)]
 
 
-def test_routes_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_relay_remembers_a_bounded_number_of_keys(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("services.mesh.core.relay.MAX_ROUTES", 10)
     own = relay(RelayRule("swarm/{self}/dwm/*", max_rate=1.0))
     for number in range(100):

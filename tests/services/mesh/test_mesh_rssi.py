@@ -143,7 +143,7 @@ def args(runtime: Path, monkeypatch: pytest.MonkeyPatch) -> argparse.Namespace:
     return argparse.Namespace(count=3, json=True, plot=None, peer="r1")
 
 
-def test_readings_are_printed(
+def test_readings_of_the_signal_strength_are_printed(
     args: argparse.Namespace,
     controller: Controller,
     runtime: Path,

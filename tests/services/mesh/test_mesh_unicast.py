@@ -141,7 +141,7 @@ def test_a_lost_message_or_answer_is_sent_again_and_delivered_once() -> None:
         assert world.bots["r2"].counters["unicast_duplicates"] == (kind == packets.ACK)
 
 
-def test_failures_are_clear() -> None:
+def test_a_unicast_message_that_fails_is_answered_with_the_reason() -> None:
     world = World(line(3))
     world.settle()
     world.cut("r1", "r2")
@@ -490,7 +490,7 @@ def test_good_news_wait_bad_news_do_not_and_both_are_rare() -> None:
     assert "r1" not in topology.decode_advertisement(published[-1]).neighbours
 
 
-def test_refresh_and_age() -> None:
+def test_link_states_are_refreshed_and_old_ones_dropped() -> None:
     each, published, aged = linkstate_of("r0")
     each.link_up("r1", 0.0)
     each.receive("r1", 1, advertise(r0=300), 0.1)

@@ -68,7 +68,7 @@ def test_nothing_is_told_that_nobody_asks_for() -> None:
     assert viewing.due(0.0) is None
 
 
-def test_it_ends_by_itself_and_what_was_heard_is_forgotten() -> None:
+def test_viewing_ends_by_itself_and_forgets_what_it_heard() -> None:
     viewing = full()
     assert viewing.due(14.9) is not None
     assert not viewing.active(15.0)
@@ -164,7 +164,7 @@ def test_no_sample_harms_it(samples: list[tuple[str, bytes]]) -> None:
     assert len(due[1]) < LARGEST + 500
 
 
-def test_it_crosses_the_mesh_to_the_robot_that_is_watched_and_not_in_anothers_name() -> None:
+def test_a_view_crosses_the_mesh_to_the_watched_robot_and_not_in_anothers_name() -> None:
     world = World([("r0", "r1"), ("r1", "r2"), ("r2", "r3")])
     world.run(2.0)
     watch = encode(WATCH)

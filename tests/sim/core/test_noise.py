@@ -56,7 +56,7 @@ def test_noise_is_drawn_every_five_iterations() -> None:
             assert (max(values) - min(values)) / min(values) < 0.041
 
 
-def test_it_can_be_replayed(tmp_path: Path) -> None:
+def test_made_measurements_can_be_written_and_replayed(tmp_path: Path) -> None:
     recordings = made("thesis")
     for index, recording in enumerate(recordings.values()):
         (tmp_path / f"{index}.csv").write_text(noise.as_csv(recording))

@@ -39,7 +39,7 @@ def test_one_that_never_blinks_or_blinks_elsewhere_is_not_synchronous() -> None:
     assert silent.phases([], 0.0) is None
 
 
-def test_it_knows_from_when_on_they_are_together() -> None:
+def test_a_scene_record_has_the_time_from_which_leds_blink_together() -> None:
     scene_record = blinking({"r0": 0.0, "r1": 0.2}, end=5.0)
     for name in ("r0", "r1"):
         for k in range(10):

@@ -97,7 +97,7 @@ def test_any_text_is_a_value_or_refused(text):
         (["consensus", "--config", "x.toml", "--robots", "3"], "leave out"),
     ],
 )
-def test_contradictions_are_refused(arguments, words):
+def test_options_that_contradict_each_other_are_refused(arguments, words):
     with pytest.raises(ConfigError, match=words):
         options.parse(arguments)
 

@@ -19,7 +19,7 @@ from swarm.errors import AppError, ConfigError, LocalError
 from swarm.recording.trajectory import Trajectory
 
 
-def test_lists_of_values():
+def test_a_sweep_reads_lists_of_values_and_seeds():
     assert values_of("6,12") == ("6", "12")
     assert values_of("[0,1],[1, 0]") == ("[0,1]", "[1, 0]")
     assert setting_of("r2.value=3,4") == ("r2.value", ("3", "4"))

@@ -105,7 +105,7 @@ def test_a_cart_rolls_out_and_its_sensors_err():
     assert body.demand == (0.0, 0.0)
 
 
-def test_it_lies_down_and_gets_up_in_the_time_that_takes():
+def test_a_virtual_body_lies_down_and_gets_up_in_the_time_that_takes():
     body = body_of()
     body.command("lie", 1.0)
     with pytest.raises(LocalError, match="only a balancing robot drives"):

@@ -19,7 +19,7 @@ def router():
     return VirtualRouter(EventQueue())
 
 
-def test_it_has_the_methods_of_the_real_one():
+def test_the_virtual_bus_has_the_methods_of_the_real_one():
     for name in dir(BusLike):
         if not name.startswith("_") and inspect.isfunction(method := getattr(Bus, name)):
             ours, real = inspect.signature(getattr(VirtualBus, name)), inspect.signature(method)

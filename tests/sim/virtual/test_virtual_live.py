@@ -55,7 +55,7 @@ def newest(live: VirtualFeed, robot: str, topic: str) -> dict[str, object]:
         return dict(live.picture.newest(robot, topic) or {})
 
 
-def test_it_shows_what_a_simulation_in_real_time_shows() -> None:
+def test_a_watched_virtual_run_shows_what_one_in_real_time_shows() -> None:
     with watched("consensus", "--robots", "3", "--iterations", "40") as (live, _, outcomes, thread):
         thread.start()
         thread.join()
@@ -71,7 +71,7 @@ def test_it_shows_what_a_simulation_in_real_time_shows() -> None:
         assert live.now() == pytest.approx(outcomes[0].seconds + outcomes[0].started_s + LAST_S, abs=0.1)
 
 
-def test_it_shows_what_apps_record_as_they_run() -> None:
+def test_a_watched_virtual_run_shows_what_apps_record() -> None:
     with watched("formation", "--robots", "3", "--seconds", "3") as (live, _, _, thread):
         thread.start()
         thread.join()

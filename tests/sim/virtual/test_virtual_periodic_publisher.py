@@ -37,7 +37,7 @@ def plain(world, time, first):
     spans=st.lists(st.tuples(st.floats(0.001, 0.9), st.sampled_from(KEYS)), max_size=4),
     gap=st.floats(0.001, 0.5),
 )
-def test_it_calls_when_a_plain_timer_does_while_somebody_hears(clock, first, spans, gap):
+def test_a_periodic_publisher_calls_when_a_plain_timer_does_while_somebody_hears(clock, first, spans, gap):
     world = EventQueue()
     time = CLOCKS[clock](world)
     router = VirtualRouter(world)
@@ -61,7 +61,7 @@ def test_it_calls_when_a_plain_timer_does_while_somebody_hears(clock, first, spa
     assert all(any(begin <= now <= end for begin, end in heard) for now, _ in seen)
 
 
-def test_it_costs_nothing_while_nobody_hears():
+def test_a_periodic_publisher_costs_nothing_while_nobody_hears():
     world = EventQueue()
     router = VirtualRouter(world)
     teller, hearer = VirtualBus(router), VirtualBus(router)

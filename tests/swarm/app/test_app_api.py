@@ -140,7 +140,7 @@ def test_no_state_and_too_much_state_are_refused() -> None:
 # Parameters
 
 
-def test_parameters_are_checked() -> None:
+def test_parameters_of_an_app_get_their_declared_types() -> None:
     app = make(gain=1, rounds=7, shout=True, mode="fast", weights="row")
     assert (app.gain, app.rounds, app.shout, app.mode) == (1.0, 7, True, "fast")
     assert type(app.gain) is float

@@ -94,7 +94,7 @@ def test_an_app_sees_the_posture_of_its_robot(rig: Rig, mode: str, tilt: str, po
     assert rig.devices.posture == "unknown"
 
 
-def test_battery_and_rubbish(rig: Rig) -> None:
+def test_an_unreadable_message_leaves_the_battery_as_it_was(rig: Rig) -> None:
     assert rig.devices.battery is None
     rig.bus.come("balancer/battery", Battery(0.0, 7.2))
     rig.bus.callbacks["swarm/r0/balancer/battery"]("x", b"rubbish")

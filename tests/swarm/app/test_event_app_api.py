@@ -273,7 +273,7 @@ def test_bad_behaviour_is_named_with_robot_and_step(
         each.call(HandlerCall(handler, arguments), 4, [])
 
 
-def test_an_app_finishes() -> None:
+def test_an_event_app_can_finish_itself_with_a_reason() -> None:
     each = runner(on_button=lambda self, _: self.finish("enough"))
     assert not each.finished
     each.call(HandlerCall("on_button", ("a",)), 0, [])

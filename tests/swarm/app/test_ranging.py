@@ -41,7 +41,7 @@ def test_the_distance_to_a_robot_is_measured_by_either():
     assert table.distance("r1", 11.5) is None
 
 
-def test_over_the_bus(router, runtime):
+def test_an_app_gets_ranges_over_the_bus(router, runtime):
     with Bus.of(runtime) as bus, Bus.of(runtime) as service:
         assert bus.wait_connected(60)
         assert service.wait_connected(60)

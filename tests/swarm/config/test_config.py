@@ -216,7 +216,7 @@ def test_load_of_what_is_no_text(tmp_path):
         load(Path("a\0b"))
 
 
-def test_who_am_i(monkeypatch):
+def test_a_robot_finds_its_own_name(monkeypatch):
     config = parse(THREE, FILE)
     monkeypatch.setenv("SWARM_ROBOT", "r1")
     assert who_am_i(config) == "r1"
@@ -238,7 +238,7 @@ def test_places_are_in_radians():
 AUTO = 'network = "lab"\ntopology = "auto"\n[[robots]]\nname = "r0"\nlink = "tcp:h0:1"\n[[robots]]\nname = "r1"\n'
 
 
-def test_an_automatic_topology():
+def test_an_automatic_topology_has_no_edges_and_survives_a_dump():
     config = parse(AUTO + 'link = "tcp:h1:1"\n[mesh]\ninsecure = true', FILE)
     assert (config.auto, config.edges) == (True, ())
     assert parse(configuration.dump(config), FILE).auto

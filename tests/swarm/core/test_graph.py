@@ -34,7 +34,7 @@ def reference(graph):
 
 
 @given(graphs())
-def test_agrees_with_networkx(graph):
+def test_a_graph_agrees_with_networkx(graph):
     other = reference(graph)
     assert graph.is_connected() == nx.is_connected(other)
     assert {frozenset(part) for part in graph.components()} == {
@@ -61,7 +61,7 @@ def test_edges_are_in_the_order_of_the_robots(graph):
 
 
 @given(graphs())
-def test_matrix_and_back(graph):
+def test_a_graph_survives_its_matrix(graph):
     assert Graph.of_matrix(graph.matrix(), graph.names) == graph
 
 
@@ -110,13 +110,13 @@ def test_random_graphs_differ_by_seed():
     assert len({Graph.of_shape(f"random:{seed}", SIX) for seed in range(20)}) > 15
 
 
-def test_a_thousand_robots():
+def test_a_random_graph_of_a_thousand_robots_is_connected():
     graph = Graph.of_shape("random:7", names(1000))
     assert graph.is_connected()
     assert 1100 < len(graph.edges) <= 1499
 
 
-def test_splitmix64_reference_values():
+def test_splitmix64_gives_the_reference_values():
     # First outputs for seed 1234567 of the reference implementation, as printed on Rosetta Code.
     numbers = splitmix64(1234567)
     assert [next(numbers) for _ in range(3)] == [

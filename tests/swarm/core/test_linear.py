@@ -9,7 +9,7 @@ SEEDS = st.integers(0, 10_000)
 
 
 @given(SEEDS, st.integers(1, 6))
-def test_agrees_with_numpy(seed, size):
+def test_least_squares_agrees_with_numpy(seed, size):
     generator = np.random.default_rng(seed)
     rows = generator.normal(size=(size + 4, size))
     right = generator.normal(size=size + 4)

@@ -41,7 +41,7 @@ def read(**changes: object) -> Thing:
     return decode(Thing, msgpack.packb(GOOD | changes), KEY)
 
 
-def test_defaults_and_nesting() -> None:
+def test_defaults_and_nested_messages_survive_the_codec() -> None:
     assert read() == Thing(1.5, True, Part("a", (1, 2)), (), {})
     assert decode(Thing, encode(read(maybe=2.0)), KEY) == read(maybe=2.0)
 

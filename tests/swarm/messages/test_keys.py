@@ -52,7 +52,7 @@ def test_a_token_names_its_service() -> None:
             whose_token(text)
 
 
-def test_the_longest_key() -> None:
+def test_a_key_of_the_greatest_length_is_parsed() -> None:
     text = "swarm/r0/mesh/" + "x" * (MAX_KEY_LENGTH - 14)
     assert str(parse(text)) == text
 
@@ -83,7 +83,7 @@ def test_these_texts_are_no_names(text: str) -> None:
     assert not is_name(text)
 
 
-def test_the_runtime_directory(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_environment_names_the_runtime_directory(monkeypatch: pytest.MonkeyPatch) -> None:
     assert paths.runtime_dir() == Path("/run/swarm")
     monkeypatch.setenv("SWARM_RUNTIME", "")
     assert paths.runtime_dir() == Path("/run/swarm")

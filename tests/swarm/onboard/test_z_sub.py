@@ -144,7 +144,7 @@ def test_a_closed_pipe_is_a_clean_end(processes: Processes, bus: Bus, *, more_sa
     assert (process.returncode, process.stderr.read()) == (0, "")
 
 
-def test_it_waits_for_the_bus_and_says_so(processes: Processes, runtime: Path, bus: Bus) -> None:
+def test_z_sub_waits_for_the_bus_and_says_so(processes: Processes, runtime: Path, bus: Bus) -> None:
     process = processes.start(*Z_SUB, "swarm/r0/balancer/leds", "--count", "1")
     assert process.stderr is not None
     assert process.stderr.readline() == f"z_sub: {bus_endpoint(runtime)} is not there, waiting for it\n"
@@ -158,7 +158,7 @@ def test_it_waits_for_the_bus_and_says_so(processes: Processes, runtime: Path, b
     assert process.returncode == 0
 
 
-def test_a_named_endpoint(processes: Processes, runtime: Path, bus: Bus) -> None:
+def test_z_sub_listens_to_a_named_endpoint(processes: Processes, runtime: Path, bus: Bus) -> None:
     processes.router()
     process = processes.start(*Z_SUB, "-e", bus_endpoint(runtime), "--count", "1", SWARM_RUNTIME="/nowhere")
     assert len(lines_while_publishing(process, bus, "swarm/r0/balancer/leds", RED)) == 1
@@ -197,7 +197,7 @@ def test_all_robots_of_a_simulation(processes: Processes, runtime: Path) -> None
     assert "the simulation has ended" in errors
 
 
-def test_what_it_refuses(processes: Processes, runtime: Path) -> None:
+def test_z_sub_refuses_wrong_arguments_by_name(processes: Processes, runtime: Path) -> None:
     no_robot = "no simulation is running here (looked in "
     assert no_robot in refused(processes, SWARM_RUNTIME="") or Path("/run/swarm").is_dir()
     assert f"no simulation is running in {runtime}/x" in refused(processes, "--run-dir", f"{runtime}/x")
@@ -221,7 +221,7 @@ def show(key: str, payload: bytes) -> str:
     return as_text(BusSample(0.25, "", key, payload)).split(maxsplit=1)[1]
 
 
-def test_frames_of_apps() -> None:
+def test_z_sub_shows_frames_of_apps() -> None:
     key = "swarm/r0/app/consensus/sync/00000000000000a1-0-3-9f3c21aa"
     step = b"\x01\x07\x00\x00\x00" + bytes(16)
     assert show(key, step) == f"{key} STEP k=7 21 bytes 0x{step.hex()}"
@@ -275,7 +275,7 @@ def test_no_layout_that_a_process_tells_breaks_it(layouts: dict[str, str], body:
         ("", '""'),
     ],
 )
-def test_values_in_short(value: object, text: str) -> None:
+def test_z_sub_shows_values_in_short(value: object, text: str) -> None:
     assert value_text(value) == text
 
 

@@ -124,7 +124,7 @@ def test_many_signals_at_once_do_not_lock_it_up(processes: Processes) -> None:
         assert process.wait(60) == 0
 
 
-def test_systemd_is_notified(runtime: Path, processes: Processes) -> None:
+def test_a_service_notifies_systemd_of_its_state(runtime: Path, processes: Processes) -> None:
     with systemd(runtime) as sock:
         process = processes.start("-c", SERVICE, NOTIFY_SOCKET=str(runtime / "systemd"))
         assert sock.recv(1024) == b"READY=1\nSTATUS=ready"
@@ -179,7 +179,7 @@ child.wait()
 
 
 @pytest.mark.parametrize("stopped", [False, True], ids=["running", "stopped"])
-def test_it_dies_with_its_parent(runtime: Path, processes: Processes, *, stopped: bool) -> None:
+def test_a_service_dies_with_its_parent(runtime: Path, processes: Processes, *, stopped: bool) -> None:
     with systemd(runtime) as sock:
         parent = processes.start("-c", PARENT, SERVICE, str(runtime / "systemd"))
         assert parent.stdout is not None
@@ -200,7 +200,7 @@ def is_running(pid: int) -> bool:
         return False
 
 
-def test_it_does_not_start_when_its_parent_is_gone_already(processes: Processes) -> None:
+def test_a_service_does_not_start_when_its_parent_is_gone_already(processes: Processes) -> None:
     process = processes.start("-c", SERVICE, SWARM_PARENT="1")
     assert process.wait(60) == 1
 

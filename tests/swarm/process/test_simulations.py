@@ -39,7 +39,7 @@ def run(processes: Processes, runtime: Path) -> Path:
     return directory
 
 
-def test_the_default_directory(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_environment_names_the_default_run_directory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/run/user/7")
     assert default_run_dir() == Path("/run/user/7/swarm-sim")
     monkeypatch.delenv("XDG_RUNTIME_DIR")
@@ -169,7 +169,7 @@ def test_a_pid_that_belongs_to_somebody_else_by_now_is_spared(processes: Process
     assert process.poll() is None
 
 
-def test_what_kill_refuses(run: Path, runtime: Path) -> None:
+def test_kill_refuses_unknown_robots_and_services(run: Path, runtime: Path) -> None:
     for arguments, wanted in (
         (("r9", "mesh"), "no robot 'r9' in the simulation, there are r0, r1"),
         (("r0", "radio"), "no service 'radio'; there are bus, mesh, balancer, dwm"),

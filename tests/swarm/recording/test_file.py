@@ -40,7 +40,7 @@ def numbers(path):
     return [sample.message["i"] for sample in reader.samples()], reader
 
 
-def test_it_is_whole_when_closed(open_file, tmp_path):
+def test_a_closed_recording_is_whole(open_file, tmp_path):
     file = open_file()
     file.metadata("run", {"app": "x"})
     for i in range(10):

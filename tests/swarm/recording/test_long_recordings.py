@@ -154,7 +154,7 @@ def killed(tmp_path_factory):
         return path, other
 
 
-def test_checkpoints_are_linked(killed):
+def test_each_checkpoint_of_a_recording_leads_to_the_next(killed):
     linked, unlinked = killed
     found = [at for at, _ in checkpoints(linked)]
     heads = [mcap.next_checkpoint(at, linked.read_bytes()[at : at + mcap.CHECKPOINT_HEAD]) for at in found]

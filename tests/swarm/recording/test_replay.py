@@ -51,7 +51,7 @@ def test_what_was_none_is_there_again(tmp_path):
     assert found["swarm/r0/app/x/asked"] == {"t": 1.0}
 
 
-def test_as_text(recorded, capsys):
+def test_a_replay_prints_messages_as_json(recorded, capsys):
     with pytest.raises(SystemExit) as ended:
         main(["replay", str(recorded), "swarm/r1/**/state", "--json"])
     assert ended.value.code == 0

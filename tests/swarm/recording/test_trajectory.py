@@ -74,7 +74,7 @@ def test_what_is_no_state_is_refused(tmp_path):
         trajectory.read(tmp_path / "x.mcap")
 
 
-def test_it_goes_on_with_a_file_that_grows(tmp_path):
+def test_a_trajectory_reader_goes_on_with_a_file_that_grows(tmp_path):
     whole = write(tmp_path, value(0, 1.0, 0.5), value(1, 2.0, 1.5), value(2, 3.0, 2.5)).read_bytes()
     path = tmp_path / "growing.mcap"
     reader = trajectory.TrajectoryReader(path)

@@ -36,7 +36,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_it_says_who_waits_for_whom_and_shows_it(browser: Any, run: Path) -> None:
+def test_the_lockstep_chart_says_and_shows_which_robot_waits_for_which(browser: Any, run: Path) -> None:
     with shown(browser, run, color_scheme="light") as page:
         seek(page, 6)
         said = page.locator("#lockstep p")

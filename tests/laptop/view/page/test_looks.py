@@ -215,7 +215,9 @@ def test_names_of_fields_are_those_of_the_message(page: Any) -> None:
 
 
 @pytest.mark.parametrize(("width", "height"), [(390, 844), (1024, 768)])
-def test_it_fits_on_a_phone_and_stop_stays_in_sight(browser: Any, run: Path, width: int, height: int) -> None:
+def test_the_page_fits_on_a_phone_and_its_stop_button_stays_in_sight(
+    browser: Any, run: Path, width: int, height: int
+) -> None:
     with shown(browser, run, viewport={"width": width, "height": height}) as page:
         seek(page, AT)
         page.locator("tr[data-robot=r0] th").click()
@@ -227,7 +229,7 @@ def test_it_fits_on_a_phone_and_stop_stays_in_sight(browser: Any, run: Path, wid
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
 
 
-def test_light_and_dark(page: Any) -> None:
+def test_a_button_switches_the_page_between_light_and_dark(page: Any) -> None:
     colours = "getComputedStyle(document.body).backgroundColor"
     light = page.evaluate(colours)
     page.locator("#theme").click()

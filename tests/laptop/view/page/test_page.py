@@ -65,7 +65,7 @@ def page(browser: Any, views: Callable[..., View], request: pytest.FixtureReques
         yield page
 
 
-def test_it_shows_six_robots_that_converge(page: Any) -> None:
+def test_the_page_shows_six_robots_that_converge(page: Any) -> None:
     expect(page.locator("#connection")).to_have_text("live", timeout=PATIENCE_MS)
     expect(page.locator("tbody tr")).to_have_count(6)
     for robot in ("r0", "r3", "r5"):

@@ -67,7 +67,7 @@ def test_an_epoch_that_contradicts_itself_is_refused(change: dict[str, object]) 
         EpochNote.decode(dataclasses.replace(NOTE, epoch=wrong).encode())
 
 
-def test_which_epoch_wins() -> None:
+def test_of_two_epochs_exactly_one_supersedes_the_other() -> None:
     other = following(BEGIN, "r2", 7, ("r2",), ("r2",), (), (), (), forced=True)
     assert NEXT.supersedes(BEGIN)
     assert not BEGIN.supersedes(NEXT)

@@ -271,7 +271,7 @@ def test_a_robot_at_the_last_iteration_stays_until_all_are_there():
     assert one.next_deadline() is None
 
 
-def test_it_leaves_after_a_time_out():
+def test_a_finished_lockstep_leaves_after_a_time_out():
     one = at(3, ("r1", "r2"), last=3, linger=4.0)
     while not one.done:
         now = one.next_deadline()
