@@ -18,6 +18,7 @@ from swarm import config as configuration
 from swarm.bus.zenoh_bus import Bus
 from swarm.messages import Measurement, Odometry, read
 from swarm.messages.codec import decode
+from swarm.recording.thesis_ranges import cost
 
 LIVE = (
     ANCHORS
@@ -213,7 +214,8 @@ class Recorded:
             lines = ["100.5,0,0,0,0,0,0"]
             for k, (distance, x, y) in enumerate(ROWS):
                 state = f"{101 + k},0,0,0,0,0,0"
-                lines += [f"{state},{flag},1,{distance + robot},{x},{y}" for flag in (0, 1)]
+                told = cost(distance + robot, 0.0, 0.0, x, y)
+                lines += [f"{state},{flag},{told},{distance + robot},{x},{y}" for flag in (0, 1)]
             (directory / f"{robot}.csv").write_text("\n".join(lines) + "\n")
         processes.config.write_text(CONFIG + '[dwm]\nsource = "replay:recording"\ntarget = "C933"\n')
 
