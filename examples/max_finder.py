@@ -7,19 +7,19 @@ class MaxFinder(SyncApp):
     """Without a parameter `value`, each robot draws its own number from 0 to 1."""
 
     value: float = -1.0
-    owner: int
+    place: int
 
     def start(self):
-        """Name the own value's owner by its place in swarm.toml."""
+        """Say who has the value, by its place in swarm.toml."""
         if self.value < 0:
             self.value = self.robot.random.random()
-        self.owner = self.robot.swarm.index(self.robot.name)
+        self.place = self.robot.swarm.index(self.robot.name)
 
     def step(self, neighbours):
         """Keep the largest; of equal ones that of the first robot."""
-        best = max([self, *neighbours], key=lambda seen: (seen.value, -seen.owner))
-        self.value, self.owner = best.value, best.owner
+        best = max([self, *neighbours], key=lambda seen: (seen.value, -seen.place))
+        self.value, self.place = best.value, best.place
 
     def result(self):
         """Report the owner by name."""
-        return {"value": self.value, "owner": self.robot.swarm[self.owner]}
+        return {"value": self.value, "owner": self.robot.swarm[self.place]}

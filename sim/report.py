@@ -231,7 +231,8 @@ def end_deviation_cm(scenario: Scenario, paths: Mapping[str, Trajectory]) -> flo
     distances = []
     for name, path in paths.items():
         recorded = scenario.recorded[name].estimates[: path.last + 1]
-        if not recorded or math.dist(recorded[-1], recorded[2 * len(recorded) // 3]) * 100 > SETTLED_CM:
+        moved = len(set(recorded)) > 1  # else its estimates are not filled in
+        if not moved or math.dist(recorded[-1], recorded[2 * len(recorded) // 3]) * 100 > SETTLED_CM:
             return None
         distances.append(math.dist(estimate(path), recorded[-1]))
     return 100 * max(distances) if distances and not any(map(math.isnan, distances)) else None

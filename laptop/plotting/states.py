@@ -19,6 +19,9 @@ DOTS = 120
 """Iterations up to which each has a dot."""
 AWAY_S = 0.5
 """Seconds without an iteration that are a gap in a line, at least."""
+STOPS: dict[str, Any] = {"marker": "x", "linestyle": "", "markersize": 5}
+GOES_ON: dict[str, Any] = {"marker": "o", "linestyle": "", "markersize": 5, "fillstyle": "none"}
+"""The marks at the ends of a gap in a line: over iterations the ends are side by side."""
 PANELS = 6
 """Columns shown at most, where none are asked for."""
 
@@ -52,6 +55,8 @@ def states(figure: Any, run: Run, columns: Sequence[str] = (), labels: Mapping[s
             left.plot(*_line(path, column, leaps(path)), label=name, **look)
             ks, values = _line(path, column, gaps(path))
             right.plot([path.times[k] for k in ks], values, **look)
+        for index, path in enumerate(paths.values()):
+            _mark_gaps(left, right, path, column, style.colour(index, len(paths)))
         left.set(xlabel="iteration", ylabel=title)
         right.set(xlabel="time / s")
         style.whole(left.xaxis)
@@ -60,6 +65,10 @@ def states(figure: Any, run: Run, columns: Sequence[str] = (), labels: Mapping[s
         right.tick_params(labelleft=False)
         if row == 0:
             style.legend(left, len(paths))
+            if any(map(gaps, paths.values())):
+                right.plot([], [], label="stops", color="black", **STOPS)
+                right.plot([], [], label="goes on", color="black", **GOES_ON)
+                style.legend(right, 2)
 
 
 def _named(run: Run, name: str, panels: Sequence[_Panel]) -> list[_Panel]:
@@ -116,12 +125,13 @@ def iterations(figure: Any, run: Run) -> None:
 
 
 def leaps(path: Trajectory) -> tuple[int, ...]:
-    """The k before which a robot was away: it began anew there, or others went on without it and its k leaps."""
+    """The k before which a robot was away: it began anew there or had lost its state, or others went on without it and
+    its k leaps."""
     ks = sorted(path.rows)
     steps = [after - k for k, after in itertools.pairwise(ks)]
     usual = sorted(steps)[len(steps) // 2] if steps else 0
     far = {after for step, after in zip(steps, ks[1:], strict=True) if step > 10 * usual}
-    return tuple(sorted({*path.breaks, *far}))
+    return tuple(sorted({*path.breaks, *path.returns, *far}))
 
 
 def gaps(path: Trajectory) -> tuple[int, ...]:
@@ -133,6 +143,18 @@ def gaps(path: Trajectory) -> tuple[int, ...]:
     long = max(AWAY_S, 10 * ordered[len(steps) // 2]) if paced else math.inf
     pauses = [after for step, after in zip(steps, ks[1:], strict=True) if step > long]
     return tuple(sorted({*leaps(path), *pauses}))
+
+
+def _mark_gaps(left: Any, right: Any, path: Trajectory, column: str, colour: Any) -> None:
+    """Mark the ends of a robot's gaps: over time all of them, over iterations those in which it was away."""
+    ends, away = set(gaps(path)), leaps(path)
+    for before, after in itertools.pairwise(sorted(path.rows)):
+        if after not in ends:
+            continue
+        for k, mark in ((before, STOPS), (after, GOES_ON)):
+            right.plot([path.times[k]], [path.value(k, column)], color=colour, **mark)
+            if after in away:
+                left.plot([k], [path.value(k, column)], color=colour, **mark)
 
 
 def _line(path: Trajectory, column: str, breaks: Sequence[int]) -> tuple[list[int], list[float]]:
@@ -228,9 +250,10 @@ def _look(index: int, robots: int, points: int) -> dict[str, Any]:
 
 
 def _pace(path: Trajectory) -> str:
-    """Mean time of an iteration."""
-    ks = sorted(path.times)
-    if len(ks) < 3:
+    """Mean time of an iteration, without the gaps."""
+    ks, away = sorted(path.times)[1:], set(gaps(path))
+    steps = [(path.times[after] - path.times[k], after - k) for k, after in itertools.pairwise(ks) if after not in away]
+    if not steps:
         return "-"
-    seconds = (path.times[ks[-1]] - path.times[ks[1]]) / (ks[-1] - ks[1])
+    seconds = math.fsum(time for time, _ in steps) / sum(count for _, count in steps)
     return f"{1e3 * seconds:.3g} ms" if seconds < 1 else f"{seconds:.3g} s"

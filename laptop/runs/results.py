@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from swarm import config as configuration
 from swarm.errors import LocalError, MissingPackageError, RecordingError
 from swarm.recording import folder
-from swarm.recording.reader import OUTCOME, SHAPES
+from swarm.recording.reader import OUTCOME
 from swarm.recording.run import Run
 from swarm.recording.trajectory import Trajectory
 
@@ -122,17 +122,18 @@ class RunData:
         channel, places = self._columns[name]
         paths = self._trajectories[channel]
         parts = [_array(paths, place) for place in places]
-        if parts[0][1] is None:
-            return parts[0][0]
-        stacked = np.stack([part for part, _ in parts], axis=-1)
-        return stacked.reshape(*stacked.shape[:2], *self._shapes.get(name, (-1,)))
+        if "[" not in places[0]:
+            return parts[0]
+        stacked = np.stack(parts, axis=-1)
+        return stacked.reshape(*stacked.shape[:2], *self.recording.shapes.get(name, (-1,)))
 
     def __contains__(self, name: str) -> bool:
         return name in self._columns
 
     def to_pandas(self) -> "pd.DataFrame":
         """Return a table with a row for each iteration and robot: `iteration`, `robot`, `t`, and the app's columns,
-        a vector's entries as `x[0]`, `x[1]`... Needs pandas, of the extra `notebook`."""
+        a vector's entries as `x[0]`, `x[1]`..., a matrix's as `P[0,0]`, `P[0,1]`... Needs pandas, of the extra
+        `notebook`."""
         k, robot = np.nonzero(~np.isnan(self.times))
         table: dict[str, Any] = {
             "iteration": k, "robot": np.array(self.robots)[robot], "t": self.times[k, robot],
@@ -143,7 +144,7 @@ class RunData:
                 table[name] = values
                 continue
             for place in np.ndindex(*values.shape[1:]):
-                table[f"{name}[{']['.join(map(str, place))}]"] = values[(slice(None), *place)]
+                table[f"{name}[{','.join(map(str, place))}]"] = values[(slice(None), *place)]
         return table_of(table)
 
     def plot(self, *columns: str, kind: str | None = None, path: str | Path | None = None) -> "Figure":
@@ -189,11 +190,6 @@ class RunData:
     def _scene(self) -> Mapping[str, Any]:
         found: Mapping[str, Any] = json.loads(self._outcome.get("scene", "{}"))
         return found
-
-    @cached_property
-    def _shapes(self) -> dict[str, tuple[int, ...]]:
-        notes = {name: text for entries in self.recording.notes(SHAPES) for name, text in entries.items()}
-        return {name: tuple(map(int, text.split("x"))) for name, text in notes.items()}
 
     @cached_property
     def _trajectories(self) -> dict[str, dict[str, Trajectory]]:
@@ -280,8 +276,8 @@ def _times(paths: Mapping[str, Trajectory]) -> Array:
     return found
 
 
-def _array(paths: Mapping[str, Trajectory], column: str) -> tuple[Array, int | None]:
-    """Return a column, and its place within a vector; None for a single value."""
+def _array(paths: Mapping[str, Trajectory], column: str) -> Array:
+    """Return a column, of shape (iteration, robot)."""
     cells: list[list[str]] = []
     places: list[list[int]] = []
     for path in paths.values():
@@ -294,7 +290,7 @@ def _array(paths: Mapping[str, Trajectory], column: str) -> tuple[Array, int | N
     found = np.full((_rows(paths), len(cells)), missing, dtype=kind)
     for robot, (ks, each) in enumerate(zip(places, cells, strict=True)):
         found[ks, robot] = [convert(text) for text in each]
-    return found, None if "[" not in column else int(column.rpartition("[")[2].rstrip("]"))
+    return found
 
 
 def _kind(texts: set[str], *, whole: bool) -> tuple[Any, Any, Any]:

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from swarm.core.state import entry_names
 from swarm.errors import LocalError, MissingPackageError, RecordingError
 from swarm.recording.run import Run
 
@@ -28,7 +29,7 @@ def of_topic(recorded: Run, topic: str) -> Table:
         raise RecordingError(f"{recorded.path}: no topic {topic} is recorded; there are: {', '.join(sorted(known))}")
     rows = []
     for sample in recorded.samples(f"swarm/*/{topic}"):
-        fields = _flat("", {name: value for name, value in sample.message.items() if name != "t"})
+        fields = _flat("", {name: value for name, value in sample.message.items() if name != "t"}, recorded.shapes)
         rows.append({"t": sample.t, "robot": sample.topic.split("/")[1], **fields})
     return {name: [row.get(name) for row in rows] for name in dict.fromkeys(name for row in rows for name in row)}
 
@@ -49,19 +50,19 @@ def write(path: Path, table: Table) -> None:
         raise MissingPackageError(f"--format {kind}", needed, extra) from None
 
 
-def _flat(name: str, value: Any) -> dict[str, Any]:
-    """Fields of a message by dotted names; parts of a list by what they are called (links by their peer), or number."""
+def _flat(name: str, value: Any, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Any]:
+    """Fields of a message by dotted names; parts of a list by what they are called (links by their peer), or number,
+    entries of a matrix of one of the `shapes` by row and column."""
     if isinstance(value, Mapping):
         parts = {f"{name}.{key}" if name else str(key): part for key, part in value.items()}
     elif isinstance(value, list | tuple):
         called = [part.get("peer", part.get("robot")) if isinstance(part, Mapping) else None for part in value]
-        parts = {
-            f"{name}.{it}" if it else f"{name}[{at}]": part
-            for at, (it, part) in enumerate(zip(called, value, strict=True))
-        }
+        shape = shapes.get(name.rpartition(".")[2], ())
+        names = entry_names(name, shape if math.prod(shape) == len(value) else (len(value),))
+        parts = {f"{name}.{it}" if it else number: part for it, number, part in zip(called, names, value, strict=True)}
     else:
         return {name: value}
-    return {inner: found for each, part in parts.items() for inner, found in _flat(each, part).items()}
+    return {inner: found for each, part in parts.items() for inner, found in _flat(each, part, shapes).items()}
 
 
 def _csv(path: Path, table: Table) -> None:

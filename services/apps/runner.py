@@ -41,6 +41,9 @@ class AppRunner:
         self.k = 0
         self.source = source
         self._columns: tuple[str, ...] | None = None
+        own = type(app).result is not BaseApp.result and not type(app).__module__.startswith(BUILT_IN)
+        self._fields = {field.name: field for field in self.schema.fields} if own else {}
+        """The shared state, where the author's own result could name other values alike."""
         self.metrics = metrics_of(type(app))
         """What the app measures of itself where the truth is known."""
 
@@ -55,6 +58,8 @@ class AppRunner:
         if not isinstance(answer, dict | Mapping) or not all(isinstance(name, str) for name in answer):
             raise AppError(f"{self._where(where)}: expected a dict by name, got {answer!r}")
         result = {name: self._value(where, name, value) for name, value in answer.items()}
+        for name in self._fields.keys() & result.keys():
+            self._check_same(where, self._fields[name], result[name])
         for name in self.metrics:
             result[name] = self._measured(name, result)
         if self._columns is None:
@@ -64,6 +69,16 @@ class AppRunner:
                 f"{self._where(where)}: it gave {', '.join(result)}, first it was {', '.join(self._columns)}"
             )
         return result
+
+    def _check_same(self, where: str, field: Field, told: Value) -> None:
+        """Raise `AppError` where a result has the name of a state, and another value."""
+        own = getattr(self.app, field.name)
+        value = as_value(own if field.kind == "float32" else field.message_value(field.check(own)))
+        if told != value:
+            raise AppError(
+                f"{self._where(where)}: its {field.name!r} is {told!r}, and the shared state of that name is "
+                f"{value!r}; a recording has one value under a name: give the state or the result another one"
+            )
 
     def _measured(self, name: str, result: Mapping[str, Value]) -> float:
         """Return a metric by the simulation's truth; nan where that is unknown."""

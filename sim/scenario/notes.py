@@ -32,7 +32,8 @@ def notes(
     if not config.auto:
         yield from too_many_links(config.names, config.edges, links_of(config, bluetooth=True))
     for app in apps:
-        yield from lacking_modules(given, app)
+        if options.config is not None:  # else no robots are meant; `swarm check` and `swarm run` tell it, too
+            yield from lacking_modules(given, app)
         yield from _step_size(config, app, recordings)
         yield from _buttons(app, options)
         yield from _forgetting(config, app, options)

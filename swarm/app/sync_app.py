@@ -15,6 +15,7 @@ docs/reference/apps.md. Apps that react to events, or step each by their own clo
 """
 
 import copy
+import difflib
 import inspect
 import math
 from collections.abc import Mapping, Sequence
@@ -24,6 +25,7 @@ from swarm.app.parameters import Parameter, parameter
 from swarm.app.robot import Robot
 from swarm.app.spec import PLATFORM_MODULES, Spec, checked, read_spec
 from swarm.core.arrays import shape_of
+from swarm.core.state import type_of
 from swarm.errors import AppError
 from swarm.messages.codec import Value
 
@@ -190,15 +192,17 @@ class BaseApp:
             raise AttributeError(
                 f"{kind}.{name} is a parameter, a step cannot change it; swarm.toml or --set {name}=... can"
             )
-        fields = ", ".join((*spec.schema.names, *spec.private)) or "nothing"
         plain = name.lstrip("_")
-        shared, private = f"{plain}: float", f"_{plain}: float = 0.0"
-        if shape := shape_of(value):
-            shared = f"{plain}: Array[{', '.join(map(str, shape))}]"
-            private = f"_{shared}"
+        declared = (*spec.schema.names, *spec.private)
+        near = difflib.get_close_matches(name, declared, n=1)
+        mend = f"Is {near[0]!r} meant? Else declare" if near else "Declare"
+        shape = shape_of(value)
+        type_name = f"Array[{', '.join(map(str, shape))}]" if shape else type_of(value)
+        shared = f"`{plain}: {type_name}` is shared with the neighbours, " if type_name else ""
+        private = f"_{plain}: {type_name or type(value).__name__}"
         raise AttributeError(
-            f"{kind} declares no {name!r}, it declares {fields}. Declare it in the class: "
-            f"`{shared}` is shared with the neighbours, `{private}` is private"
+            f"{kind} declares no {name!r}, it declares {', '.join(declared) or 'nothing'}. {mend} it in the class: "
+            f"{shared}`{private}` is private"
         )
 
     def _weigh(self) -> None:

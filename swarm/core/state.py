@@ -8,11 +8,13 @@ with different apps apart.
 """
 
 import enum
+import itertools
 import math
 import numbers
 import re
 import struct
 from collections.abc import Iterable, Mapping, Set
+from functools import cache
 from hashlib import blake2b
 from typing import Annotated, Any, get_args, get_origin
 
@@ -102,9 +104,9 @@ class Field:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Return the field's column names in a table: `q[0]`, `q[1]`... for a vector, and for a matrix row by row."""
-        numbers = tuple(f"{self.name}[{i}]" for i in range(self.length))
-        return numbers if self.kind in ("vector", "matrix", "array") else (self.name,)
+        """Return the field's column names in a table: `q[0]`, `q[1]`... for a vector, `P[0,0]`, `P[0,1]`... for a
+        matrix, row by row."""
+        return entry_names(self.name, self.shape) if self.shape else (self.name,)
 
     def check(self, value: object) -> Item:
         """`value` as this field holds it, numbers as floats, lists as tuples; `AppError` says what was wrong."""
@@ -302,6 +304,22 @@ class Schema:
         if self._are_floats:
             return {name: values[name] for name in self.names}
         return {field.name: field.message_value(values[field.name]) for field in self.fields}
+
+
+def type_of(value: object) -> str:
+    """Return the type as which a field with this single value is declared; empty where a shared one has none such."""
+    if isinstance(value, enum.Enum):
+        return type(value).__name__
+    kinds = {"bool": bool, "int": numbers.Integral, "float": numbers.Real}
+    return next((name for name, kind in kinds.items() if isinstance(value, kind)), "")
+
+
+@cache
+def entry_names(name: str, shape: tuple[int, ...]) -> tuple[str, ...]:
+    """Return the names of the entries of a vector, matrix or array of this shape, in the order in which messages have
+    them."""
+    places = itertools.product(*map(range, shape))
+    return tuple([f"{name}[{','.join(map(str, place))}]" for place in places])
 
 
 def field_of(name: str, annotation: object) -> Field:

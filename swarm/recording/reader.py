@@ -1,7 +1,7 @@
 """Reads a recording, one message after the other, as far as the file is whole; what is not is named in `damage`."""
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 from zlib import crc32
@@ -170,6 +170,13 @@ class RecordingReader:
 
     def _name(self, at: int, what: str) -> None:
         self.damage.append(f"{self.path}: at byte {at}: {what}")
+
+
+def shapes_of(metadata: Iterable[tuple[str, dict[str, str]]]) -> dict[str, tuple[int, ...]]:
+    """Return the shape of each field with several axes, as a recording's metadata has them."""
+    texts = {field: text for name, entries in metadata if name == SHAPES for field, text in entries.items()}
+    parts = {field: text.split("x") for field, text in texts.items()}
+    return {field: tuple(map(int, sizes)) for field, sizes in parts.items() if all(map(str.isdecimal, sizes))}
 
 
 def _time(text: str) -> int:

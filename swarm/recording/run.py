@@ -4,6 +4,7 @@ import heapq
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import cached_property
 from itertools import groupby
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from swarm.errors import RecordingError
 from swarm.recording import folder
 from swarm.recording.axis import Axis, Clocks, Relation
 from swarm.recording.core.mcap import McapSchema
-from swarm.recording.reader import SUFFIX, RecordedSample, RecordingReader
+from swarm.recording.reader import SUFFIX, RecordedSample, RecordingReader, shapes_of
 from swarm.recording.trajectory import Builder, Trajectory, beside, is_state
 
 _NO_SCHEMA = McapSchema(0, "", "", b"{}")
@@ -66,6 +67,11 @@ class Run:
         """The metadata records of a name."""
         return [entries for known, entries in self._metadata if known == name]
 
+    @cached_property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """The shape of each field with several axes: messages hold them as one row after the other."""
+        return shapes_of(self._metadata)
+
     def states(self, app: str = "") -> dict[str, dict[str, str]]:
         """The topics of an app's states (default: of the one looked at), by channel (the app itself is ``) and
         robot."""
@@ -82,6 +88,8 @@ class Run:
         later one counts; `damage` reports it where the two differ."""
         topics = {topic: robot for robot, topic in self.states(app).get(channel, {}).items()}
         found = {robot: Builder(strict=False) for robot in topics.values()}
+        for builder in found.values():
+            builder.shapes = self.shapes
         told = {each: robot for topic, robot in topics.items() for each in beside(topic)}
         for file in self.files:
             for sample in self._read(file, {*topics, *told}.__contains__):

@@ -7,9 +7,10 @@ from dataclasses import field
 from pathlib import Path
 from typing import Any
 
+from swarm.core.state import entry_names
 from swarm.errors import RecordingError
 from swarm.frozen import frozen
-from swarm.recording.reader import RecordingReader
+from swarm.recording.reader import RecordingReader, shapes_of
 
 WINDOW = 10
 """Iterations of a window. On bipartite graphs (a line, an even loop) lockstep has period 2: single intervals alternate
@@ -35,13 +36,16 @@ class Trajectory:
     """The iterations that one robot's app has computed."""
 
     columns: tuple[str, ...] = ()
-    """Names of the state and result columns: `name`, `vector[0]`..., results as `result.name`."""
+    """Names of the state and result columns: `name`, `vector[0]`, `matrix[0,0]`..., results as `result.name`."""
     times: dict[int, float] = field(default_factory=dict)
     """Seconds of the robot's clock at which state k was there."""
     rows: dict[int, tuple[str, ...]] = field(default_factory=dict)
     """State and result of iteration k, as text (repr of the floats, so that equal text means equal bits)."""
     breaks: tuple[int, ...] = ()
     """The k at which an event-driven or periodic app began anew. It counts from 0 then; here k goes on."""
+
+    returns: tuple[int, ...] = ()
+    """The k at which a synchronous app went on that had lost its state. Its k goes on with that of the others."""
 
     @property
     def last(self) -> int:
@@ -83,14 +87,18 @@ class Builder:
         self._every = 2
         self.forks: set[int] = set()
         """Iterations that stand there twice with different values."""
+        self.shapes: Mapping[str, tuple[int, ...]] = {}
+        """Rows and columns of the app's matrices, by field: messages hold them as one row after the other."""
         self._columns: tuple[str, ...] = ()
         self._times: dict[int, float] = {}
         self._rows: dict[int, tuple[str, ...]] = {}
         self._breaks: list[int] = []
+        self._returns: list[int] = []
+        self._lost = False
 
     def known(self) -> Trajectory:
         """Return the trajectory so far; it grows with further messages."""
-        return Trajectory(self._columns, self._times, self._rows, tuple(self._breaks))
+        return Trajectory(self._columns, self._times, self._rows, tuple(self._breaks), tuple(self._returns))
 
     def add(self, message: Mapping[str, Any], path: Path) -> None:
         """Take the state in a message of the file `path`.
@@ -101,7 +109,7 @@ class Builder:
         state, result = message.get("state"), message.get("result")
         if not (isinstance(k, int) and isinstance(t, float) and isinstance(state, dict) and isinstance(result, dict)):
             raise RecordingError(f"{path}: a state without k, t, state and result")
-        cells = [*_cells("", state), *_cells("result.", result)]
+        cells = [*_cells("", state, self.shapes), *_cells("result.", result, self.shapes)]
         columns = tuple(name for name, _ in cells)
         if not self._columns:
             self._columns = columns
@@ -109,6 +117,9 @@ class Builder:
             raise RecordingError(f"{path}: iteration {k} has other fields than the first: {', '.join(columns)}")
         row = tuple(text for _, text in cells)
         k += self._breaks[-1] if self._breaks else 0
+        if self._lost:
+            self._returns.append(k)
+            self._lost = False
         if self._rows.setdefault(k, row) != row:
             if self._strict:
                 raise RecordingError(f"{path}: iteration {k} stands there twice with different values")
@@ -119,11 +130,13 @@ class Builder:
             self._thin_out()
 
     def heed(self, topic: str, message: Mapping[str, Any]) -> None:
-        """Take what an app has told beside its states: other members, or that it begins anew."""
+        """Take what an app has told beside its states: other members, that it begins anew, or has lost its state."""
         if topic.endswith("/epoch"):
             self.go_back(message)
         elif message.get("phase") == "starting" and self._rows:
             self._breaks.append(max(self._rows) + 1)
+        elif message.get("phase") == "waiting" and message.get("k") == 0 and max(self._rows, default=0) > 0:
+            self._lost = True
 
     def _thin_out(self) -> None:
         newest = sorted(self._rows)[-MOST_ROWS:]
@@ -158,6 +171,8 @@ class TrajectoryReader:
                 return EMPTY
             self._reader = RecordingReader(self._path)
         for sample in self._reader.samples(_tells):
+            if not self._builder.shapes:
+                self._builder.shapes = shapes_of(self._reader.metadata)
             if not self._topic and is_state(sample.topic):
                 self._topic = sample.topic
             if sample.topic == self._topic:
@@ -190,17 +205,19 @@ def beside(states: str) -> tuple[str, str]:
     return prefix + "epoch", prefix + "progress"
 
 
-def _cells(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+def _cells(prefix: str, values: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]]) -> Iterator[tuple[str, str]]:
     for name, value in values.items():
-        yield from _cell(prefix + name, value)
+        if not isinstance(value, tuple):
+            yield prefix + name, _text(value)
+            continue
+        shape = shapes.get(name, ())
+        if math.prod(shape) != len(value):
+            shape = (len(value),)
+        yield from zip(entry_names(prefix + name, shape), map(_text, value), strict=True)
 
 
-def _cell(name: str, value: object) -> Iterator[tuple[str, str]]:
-    if isinstance(value, tuple):
-        for index, entry in enumerate(value):
-            yield from _cell(f"{name}[{index}]", entry)
-    else:
-        yield name, value if isinstance(value, str) else "nan" if value is None else repr(value)
+def _text(value: object) -> str:
+    return value if isinstance(value, str) else "nan" if value is None else repr(value)
 
 
 def iteration_times(trajectories: Mapping[str, Trajectory]) -> list[float]:

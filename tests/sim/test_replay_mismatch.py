@@ -126,7 +126,7 @@ def test_another_algorithm_ends_where_the_recording_does(tmp_path: Path, algorit
     places, files = ((0.5, 1.5), (1.0, 0.5), (1.5, 1.5)), {}
     for ends in ((0.5, 1.0), (0.5, 1.3)):
         for index, place in enumerate(places):
-            rows = [(0.1 * k, *ends) for k in range(200)]
+            rows = [(0.1 * k, *(ends if k else (0.0, 0.0))) for k in range(200)]
             measured = {k: (math.dist(place, (0.5, 1.0)), *place) for k in range(1, 200)}
             files[f"{index}.csv"] = thesis_csv.localization(rows, measured)
         options = ("localization", "--algorithm", algorithm, "--replay", written(tmp_path, files), "--latency", "0ms")

@@ -76,6 +76,21 @@ def test_a_run_that_is_not_there_is_no_service_of_robots() -> None:
         logs.run(parser.parse_args(["runs/none"]))
 
 
+def test_a_name_that_is_nothing_here_names_the_runs_that_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    simulate("consensus", "--robots", "2", "--iterations", "3", "--record", str(tmp_path / "runs" / "first"))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(logs, "find", lambda: None)
+    parser = argparse.ArgumentParser()
+    logs.add_arguments(parser)
+    for name, there in (("firts", "runs/first"), ("runs/firts", "runs/first")):
+        with pytest.raises(LocalError, match=rf"{name}: there is no such run.*; there are: {there}"):
+            logs.run(parser.parse_args([name]))
+    with pytest.raises(
+        LocalError, match=r"may also be that of a service or app .*, where a swarm.toml names the robots"
+    ):
+        logs.run(parser.parse_args(["firts"]))
+
+
 def test_a_sweep_is_not_flooded_by_what_apps_print(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     simulate(write(tmp_path, "SyncApp"), "--robots", "2", "--iterations", "6")
     assert capsys.readouterr().out == ""

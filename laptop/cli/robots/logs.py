@@ -13,16 +13,21 @@ from laptop.fleet.ssh import everyone, robot_command
 from laptop.fleet.ssh.ssh import Host
 from laptop.fleet.units import SERVICES, unit
 from sim.processes.progress import said
+from swarm.config.find import find
 from swarm.errors import LocalError
 from swarm.messages import AppLog
 from swarm.onboard.arguments import show, whole
 from swarm.process.terminal import write_lines
 from swarm.process.text import printable
+from swarm.recording.reader import SUFFIX
 from swarm.recording.run import Run
 
 HELP = "show the logs of all robots over ssh, or of the apps in a recorded run"
 
 FOREVER_S = 1e9
+MOST_RUNS = 8
+"""Runs that an error names."""
+
 FOLLOW_S = 0.3
 """Between two looks into the files of a simulation."""
 
@@ -45,11 +50,12 @@ def run(args: argparse.Namespace) -> int:
     if args.services and Path(args.services[0]).exists():
         return _of_run(args)
     if args.services and "/" in args.services[0]:
-        raise LocalError(f"{args.services[0]}: there is no such run")
+        raise LocalError(f"{args.services[0]}: there is no such run{_runs(Path(args.services[0]).parent)}")
     if args.follow and args.json:
         raise LocalError("--follow and --json do not go together: there is no end to report")
     if (there := robot_command.simulated(args)) is not None:
         return _simulated(args, there)
+    _known(args)
     _, robots, ssh = everyone.chosen(args)
     which = " ".join(f"--unit={name}" for name in map(unit, args.services)) or "--unit='swarm*'"
     command = f"journalctl --no-pager --output=short-iso --lines={args.lines} {which}"
@@ -60,6 +66,23 @@ def run(args: argparse.Namespace) -> int:
         return f"{await ssh.follow(host, command, tell)} lines"
 
     return everyone.run(args, robots, job)
+
+
+def _known(args: argparse.Namespace) -> None:
+    """Raise `LocalError` where a name can only be meant as a run: there are no robots here whose services it names."""
+    if not args.services or args.config is not None or find() is not None:
+        return
+    raise LocalError(
+        f"{args.services[0]}: there is no such run here{_runs(Path())}. The name may also be that of a service or app "
+        f"({', '.join(SERVICES)}, ...), where a swarm.toml names the robots or a simulation runs"
+    )
+
+
+def _runs(place: Path) -> str:
+    """Return the recorded runs in a folder as the rest of a message."""
+    files = sorted(place.glob(f"*/*{SUFFIX}")) + sorted(place.glob(f"*/*/*{SUFFIX}"))
+    found = list(dict.fromkeys(str(file.parent) for file in files))[:MOST_RUNS]
+    return f"; there are: {', '.join(found)}" if found else ""
 
 
 def _of_run(args: argparse.Namespace) -> int:

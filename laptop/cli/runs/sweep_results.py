@@ -1,5 +1,6 @@
 """A sweep's results: a table for people, JSON for programs, a plot."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -97,25 +98,37 @@ def draw_on(made: Any, app: str, points: Sequence[SweepPoint], found: Sequence[S
             "the app has no error: give it `def error(self, truth)` (docs/how-to/apps/measure-the-error.md)"
         )
     made.set_size_inches(4.5 * len(kinds), 4)
+    zeros = {"error": _zero(sums)} if any(filter(None, (y for each in sums for y in _drawn(each, "error")))) else {}
     panels = dict(zip(kinds, made.subplots(1, len(kinds), squeeze=False)[0], strict=True))
     for index, (label, each_line) in enumerate(lines.items()):
         look = {"color": style.colour(index, len(lines)), "marker": style.mark(index), "markersize": 4}
         for name, axes in panels.items():
-            numbers = [(x, {**asdict(each), **each.metrics}) for x, each in each_line]
-            drawn = [(x, known[name], known[f"{name}_most"]) for x, known in numbers if known.get(name) is not None]
+            drawn = [(x, *_drawn(each, name)) for x, each in each_line if _drawn(each, name)]
             if drawn:
-                xs, ys, tops = zip(*drawn, strict=True)
+                xs, *both = zip(*drawn, strict=True)
+                ys, tops = ([max(y, zeros.get(name, y)) for y in each] for each in both)
                 axes.plot(xs, ys, "-", label=label or None, **look)
                 axes.plot(xs, tops, ":", color=look["color"], marker="_")  # a point alone has no line
     for name, axes in panels.items():
         if along is None:  # nothing to be drawn along an axis of numbers
             ticks = [", ".join(value for _, value in point.choices) for point in points]
             axes.set_xticks(range(len(points)), ticks, rotation=20 if len(points) > 4 else 0)
+        elif all(x.is_integer() for line in lines.values() for x, _ in line):
+            style.whole(axes.xaxis)
         what = along or ", ".join(each for each, _ in points[0].choices)
         axes.set(xlabel=what, ylabel=kinds[name], title=f"{app}: median, and worst (dotted)")
         axes.grid(alpha=0.3)
-    if "error" in panels and any((each.error or 0.0) > 0.0 for each in sums):
-        panels["error"].set_yscale("log", nonpositive="mask")  # exact to the last bit: no point
+    for name, axes in panels.items():
+        numbers = [value for each in sums for value in _drawn(each, name)]
+        if numbers and not any(numbers):
+            axes.set_ylim(-0.05, 1.0)
+            axes.text(0.5, 0.5, "exactly 0 in all runs", transform=axes.transAxes, ha="center", color="0.4")
+    if "error" in zeros:
+        axes, zero = panels["error"], zeros["error"]
+        axes.set_yscale("log")
+        if any(0.0 in _drawn(each, "error") for each in sums):
+            axes.axhline(zero, color="0.6", linewidth=0.8, zorder=0)
+            axes.text(1.0, zero, "exactly 0", transform=axes.get_yaxis_transform(), color="0.4")
     if any(lines) and along is not None:
         named = {
             label: line
@@ -123,6 +136,18 @@ def draw_on(made: Any, app: str, points: Sequence[SweepPoint], found: Sequence[S
             for line, label in zip(*axes.get_legend_handles_labels(), strict=True)
         }
         made.legend(named.values(), named.keys(), loc="outside upper center", ncols=2, fontsize="small")
+
+
+def _drawn(each: Summary, name: str) -> tuple[float, ...]:
+    """Return what is drawn of a point: the median and the worst, or nothing."""
+    known = {**asdict(each), **each.metrics}
+    return () if known.get(name) is None else (known[name], known[f"{name}_most"])
+
+
+def _zero(sums: Sequence[Summary]) -> float:
+    """Return where a logarithmic axis has the errors that are exactly 0: a decade below the smallest other one."""
+    least = min(y for each in sums for y in _drawn(each, "error") if y > 0.0)
+    return float(10.0 ** (math.floor(math.log10(least)) - 1))
 
 
 def _metrics(sums: Sequence[Summary]) -> list[str]:

@@ -4,6 +4,7 @@ from array import array
 from collections.abc import Mapping
 
 from services.apps.host.observer import Source, StepRecord
+from swarm.core.state import entry_names
 from swarm.messages.codec import Value
 from swarm.recording.trajectory import EMPTY, MOST_TIMES, Trajectory, is_kept
 
@@ -71,11 +72,13 @@ class TrajectoryBuilder:
             lines = {self._last.k: self._last}
         if self._source is None or not lines:
             return EMPTY
-        shared = [column for field in self._source.runner.schema.fields for column in field.columns]
+        fields = self._source.runner.schema.fields
+        shared = [column for field in fields for column in field.columns]
+        shapes = {field.name: field.shape for field in fields}
         results: list[str] = []
         for name, value in next(iter(lines.values())).result.items():
-            parts = [f"[{index}]" for index in range(len(value))] if isinstance(value, tuple) else [""]
-            results += [f"result.{name}{part}" for part in parts]
+            column = f"result.{name}"
+            results += entry_names(column, shapes.get(name) or (len(value),)) if isinstance(value, tuple) else [column]
         rows = {k: tuple(_cells(line.state) + _cells(line.result)) for k, line in lines.items()}
         times = {k: line.t for k, line in self._lines.items()}
         if self._last is not None and not self._keep:

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from laptop.cli.runs import export
+from laptop.cli.runs import export, plot
 from laptop.runs import tables
+from laptop.runs.results import load
 from sim.virtual.run import simulate
 from swarm.errors import LocalError, RecordingError
 from swarm.recording.run import Run
@@ -63,6 +64,39 @@ def test_what_is_not_installed_is_named(
     monkeypatch.setitem(sys.modules, needs, None)
     with pytest.raises(LocalError, match=f'--format {kind} needs {needs}: pip install "balboa-swarm'):
         exported(recorded, "--table", str(tmp_path), "--topic", "sim/truth", "--format", kind)
+
+
+MATRIX = """
+import numpy as np
+from swarm import Array, SyncApp
+class Matrix(SyncApp):
+    P: Array[2, 2] = np.eye(2)
+    def step(self, neighbours):
+        self.P = self.mix("P")
+    def result(self):
+        return {"P": self.P, "trace": float(np.trace(self.P))}
+"""
+
+
+def test_a_matrix_has_one_name_for_each_entry_wherever_it_is_shown(tmp_path: Path) -> None:
+    (tmp_path / "matrix.py").write_text(MATRIX)
+    place, columns = tmp_path / "run", ["P[0,0]", "P[0,1]", "P[1,0]", "P[1,1]"]
+    outcome = simulate(str(tmp_path / "matrix.py"), "--robots", "2", "--iterations", "3", "--record", str(place))[1]
+    named = (*columns, *(f"result.{name}" for name in columns), "result.trace")
+    assert {path.columns for path in outcome.trajectories.values()} == {named}
+    assert {path.columns for path in Run(place).trajectories().values()} == {named}
+    assert exported(place, "--table", str(tmp_path)) == 0
+    with (tmp_path / "r0.matrix.csv").open() as file:
+        assert next(csv.reader(file)) == ["k", "t", *named]
+    assert exported(place, "--table", str(tmp_path), "--topic", "app/matrix/state") == 0
+    with (tmp_path / "app.matrix.state.csv").open() as file:
+        assert next(csv.reader(file))[3:7] == [f"state.{name}" for name in columns]
+    picture = tmp_path / "P.svg"
+    parser = argparse.ArgumentParser()
+    plot.add_arguments(parser)
+    assert plot.run(parser.parse_args([str(place), "--column", "P[0,1]", "-o", str(picture)])) == 0
+    assert ">P[0,1]<" in picture.read_text()
+    assert set(load(place).columns) == {"P", "trace"}
 
 
 TABLE = {"k": [0, 1], "x[0]": [0.5, None], "x_0": [1.0, 2.0], "2nd": [True, False], "name": ["a", None]}

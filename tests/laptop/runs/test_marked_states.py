@@ -7,7 +7,7 @@ from typing import Annotated
 import pytest
 from numpy import isnan
 
-from swarm import SyncApp, Vector, simulate
+from swarm import PeriodicApp, SyncApp, Vector, simulate
 
 figure = pytest.importorskip("matplotlib.figure")
 
@@ -28,6 +28,17 @@ class Marked(SyncApp):
         return {"spread": self.p[1], "count": self.count}
 
 
+class Steady(PeriodicApp):
+    """Steps ten times a second."""
+
+    x: float
+    period = 0.1
+
+    def step(self, neighbours: object) -> None:
+        """Go on."""
+        self.x += 0.1
+
+
 @pytest.mark.parametrize("skew", [None, "20ppm"])
 def test_what_the_author_marks_comes_first_and_counts_are_steps(skew: str | None) -> None:
     """With clocks of their own each robot has a file, as real robots have, and each file names the marked states."""
@@ -44,6 +55,20 @@ def test_the_line_of_a_robot_that_others_went_on_without_has_a_gap_in_both_panel
         away = [int(isnan(line.get_ydata()).sum()) for line in axes.lines]
         assert away[2] == 1, "r2 was away once"
         assert axes.get_xlabel() != "iteration" or away[:2] == [0, 0]
+
+
+@pytest.mark.parametrize("kind", ["periodic", "off for less time than the others wait"])
+def test_a_robot_that_was_away_is_marked_over_iterations(kind: str) -> None:
+    app, away = (Steady, "5s") if kind == "periodic" else ("consensus", "4s")
+    run = simulate(app, robots=3, topology="full", seconds=12, faults=[f"off r2@2s,{away}"], absent="drop",
+                   progress=False)  # fmt: skip
+    left, right = run.plot().axes[:2]
+    for axes in (left, right):
+        marks = [line for line in axes.lines if line.get_linestyle() == "None" and len(line.get_xdata())]
+        own = [line.get_marker() for line in marks if line.get_color() == axes.lines[2].get_color()]
+        assert own[-2:] == ["x", "o"]  # over time each also waits for the others at the start
+    assert len([line for line in left.lines if line.get_linestyle() == "None"]) == 2
+    assert [text.get_text() for text in right.get_legend().get_texts()] == ["stops", "goes on"]
 
 
 def test_names_keep_clear_of_each_other() -> None:

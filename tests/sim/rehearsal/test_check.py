@@ -128,6 +128,29 @@ def test_a_bad_step_is_named_with_file_and_line(tmp_path: Path, short: None, kin
     assert any(f"{file}, line {number}" in problem for number in ([line] if isinstance(line, int) else line)), problem
 
 
+@pytest.mark.parametrize(
+    ("result", "clash"),
+    [
+        ("{'x': self.x - 1, 'far': 0.0}", "its 'x' is (-1.0, -1.0), and the shared state of that name is (0.0, 0.0)"),
+        ("{'x': self.x[0]}", "its 'x' is 0.0, and the shared state of that name is (0.0, 0.0)"),
+        ("{'best': 'r0'}", "its 'best' is 'r0', and the shared state of that name is 0"),
+        ("{'x': self.x, 'best': self.best, 'part': self.part, 'far': 1.0}", None),
+        ("{'x': list(self.x), 'far': np.float64(1.0)}", None),
+    ],
+)
+def test_a_result_that_differs_from_the_state_of_its_name_is_named(
+    tmp_path: Path, short: None, result: str, clash: str | None
+) -> None:
+    file = write(
+        tmp_path,
+        "import numpy as np\nfrom swarm import Array, SyncApp, float32\nclass Clash(SyncApp):\n    x: Array[2]\n"
+        "    best: int\n    part: float32\n    def step(self, neighbours):\n        self.part = 0.1 * self.k\n"
+        f"    def result(self):\n        return {result}\n",
+    )
+    fault = findings(file, iterations=3)[1]["fault"]
+    assert clash in fault if clash else not fault, fault
+
+
 def test_a_step_that_waits_is_named_too(tmp_path: Path, short: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits, "WAIT_LIMIT", 0.3)
     file = write(tmp_path, STEP + "        __import__('time').sleep(100)\n")

@@ -10,7 +10,7 @@ from sim.virtual.apps import trajectory_builder as module
 from sim.virtual.apps.trajectory_builder import TrajectoryBuilder
 from swarm.recording.trajectory import iteration_times, median, percentile
 
-FIELD = SimpleNamespace(columns=("value",))
+FIELD = SimpleNamespace(name="value", columns=("value",), shape=())
 SOURCE = SimpleNamespace(runner=SimpleNamespace(schema=SimpleNamespace(fields=(FIELD,))))
 
 

@@ -11,6 +11,7 @@ from sim.virtual.run import PLACE, simulate
 from sim.virtual.run import VirtualRun as Virtual
 from swarm.messages import SetAppParameters, read
 from swarm.recording.run import Run
+from swarm.recording.thesis_ranges import cost
 
 EDGES_OF_LINE = 5
 SIX = ("consensus", "--robots", "6", "--iterations", "60")
@@ -120,7 +121,11 @@ def test_localization_measures_and_finds_the_target():
 
 def test_a_replay_ends_where_the_recording_does(tmp_path):
     """Rows come as the dwm service would answer them."""
-    rows = "100,0,0,0,0,0,0\n" + "".join(f"{101 + k},0,0,0,0,0,0,0,0,{60 + k},50,{150 - k}\n" for k in range(12))
+    measured = [(60.0 + k, 50.0, 150.0 - k) for k in range(12)]
+    rows = "100,0,0,0,0,0,0\n" + "".join(
+        f"{101 + k},0,0,0,0,0,0,0,{cost(distance, 0.0, 0.0, x, y)},{distance},{x},{y}\n"
+        for k, (distance, x, y) in enumerate(measured)
+    )
     for robot in range(2):
         (tmp_path / f"{robot}.csv").write_text(rows)
     report, outcome = simulate("localization", "--replay", str(tmp_path), "--latency", "0ms")

@@ -1,10 +1,12 @@
 """What an app author may write, and what the platform says when it is wrong."""
 
+import enum
 import logging
 import re
 from collections.abc import Callable
 from typing import Annotated, Any
 
+import numpy as np
 import pytest
 
 from services.apps.runner import Runner
@@ -15,6 +17,10 @@ from swarm.errors import AppError
 from swarm.messages import Measurement
 
 LINE = Graph.of_shape("line", ["r0", "r1", "r2"])
+
+
+class Mood(enum.Enum):
+    GOOD = 1
 
 
 class Tracker(SyncApp):
@@ -100,8 +106,24 @@ def test_a_mistyped_name_is_an_error_that_says_how_to_declare() -> None:
         app.valeu = 1.0
     text = str(caught.value)
     assert "Tracker declares no 'valeu', it declares value, coarse, count, on, place, _last, _seen, _free" in text
-    assert "`valeu: float` is shared" in text
-    assert "`_valeu: float = 0.0` is private" in text
+    assert "Is 'value' meant? Else declare it in the class: `valeu: float` is shared" in text
+    assert "`_valeu: float` is private" in text
+
+
+@pytest.mark.parametrize(
+    ("value", "shared"),
+    [(1, "int"), (True, "bool"), (1.5, "float"), (Mood.GOOD, "Mood"), ({}, None), (np.float64(1), "float")],
+)
+def test_a_mistyped_name_is_proposed_with_the_type_of_its_value(value: object, shared: str | None) -> None:
+    with pytest.raises(AttributeError) as caught:
+        make().cuont = value
+    text = str(caught.value)
+    assert "Is 'count' meant?" in text
+    assert text.endswith(
+        f"`cuont: {shared}` is shared with the neighbours, `_cuont: {shared}` is private"
+        if shared
+        else "in the class: `_cuont: dict` is private"
+    )
 
 
 def test_a_parameter_cannot_be_assigned() -> None:

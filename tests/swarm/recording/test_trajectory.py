@@ -6,13 +6,16 @@ from swarm.errors import RecordingError
 from swarm.messages import AppEpoch, AppState
 from swarm.recording import trajectory
 from swarm.recording.core.writer import Writer
+from swarm.recording.reader import SHAPES
 
 TOPIC = "swarm/r0/app/consensus/state"
 
 
-def write(tmp_path, *rows, topic=TOPIC):
+def write(tmp_path, *rows, topic=TOPIC, shapes=None):
     """A recording with states of (k, t, state, result)."""
     writer = Writer("test", epoch_ns=0)
+    if shapes:
+        writer.metadata(SHAPES, shapes)
     for k, t, state, result in rows:
         writer.write(topic, t, AppState(t, k, state, result), "consensus.State")
     path = tmp_path / "r0.consensus.mcap"
@@ -33,9 +36,9 @@ def test_reads_what_a_host_writes(tmp_path):
 
 
 def test_every_kind_of_value_has_its_columns(tmp_path):
-    state = {"q": (0.1 + 0.2, -0.0), "m": ((1.0, 2.0), (3.0, 4.0)), "n": 3, "on": True, "who": 'say "a, b"'}
-    found = trajectory.read(write(tmp_path, (0, 1.0, state, {})))
-    assert found.columns == ("q[0]", "q[1]", "m[0][0]", "m[0][1]", "m[1][0]", "m[1][1]", "n", "on", "who")
+    state = {"q": (0.1 + 0.2, -0.0), "m": (1.0, 2.0, 3.0, 4.0), "n": 3, "on": True, "who": 'say "a, b"'}
+    found = trajectory.read(write(tmp_path, (0, 1.0, state, {}), shapes={"m": "2x2", "q": "2x2", "n": "x"}))
+    assert found.columns == ("q[0]", "q[1]", "m[0,0]", "m[0,1]", "m[1,0]", "m[1,1]", "n", "on", "who")
     assert found.rows[0] == ("0.30000000000000004", "-0.0", "1.0", "2.0", "3.0", "4.0", "3", "True", 'say "a, b"')
 
 
