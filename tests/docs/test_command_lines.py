@@ -1,0 +1,105 @@
+"""Command lines of all pages: each is one that the command takes, and those of virtual time are run."""
+
+import argparse
+import contextlib
+import importlib
+import re
+import shlex
+import subprocess
+from pathlib import Path
+from typing import NoReturn
+
+import pytest
+from test_tutorial import commands_on_the_path
+
+from laptop.cli.commands import SECTIONS
+from laptop.fleet.ssh import robot_command
+from sim.scenario import options as simulation
+from swarm.onboard.arguments import add_json, add_robots, add_run_dir
+from swarm.onboard.command_line import Command, CommandGroup, commands_of, parser_of
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+INDENTED = re.compile(r"^ {4}((?:\./run )?swarm (?:.*\\\n)*.*)$", re.MULTILINE)
+COMMANDS = commands_of(SECTIONS)
+PLACEHOLDER = re.compile(r"\b(?:NAME_OR_FILE|RUN|DIR|HOST|ID|KIND)\b|\[--|<\w+>|\.\.\.")
+
+
+def lines_of(page: Path) -> list[str]:
+    """The commands `swarm` of a page as they are typed, in their order, each without what comes before `swarm`."""
+    text = page.read_text(encoding="utf-8")
+    blocks = [m[2] for m in FENCE.finditer(text) if m[1] == "sh"] + INDENTED.findall(FENCE.sub("", text))
+    lines = "\n".join(blocks).replace("\\\n", " ").splitlines()
+    parts = [part.strip() for line in lines for part in re.split(r";|&&|\|", re.sub(r"(^|\s)#.*", "", line))]
+    typed = [part.removeprefix("./run ").rstrip("& ") for part in parts]
+    return [line for line in typed if line.startswith("swarm ") and not PLACEHOLDER.search(line)]
+
+
+TYPED = [(str(page.relative_to(ROOT)), line) for page in PAGES for line in dict.fromkeys(lines_of(page))]
+
+
+class _Refused(Exception):
+    pass
+
+
+def refuse(parser: argparse.ArgumentParser, message: str) -> NoReturn:
+    raise _Refused(f"{parser.prog}: {message}")
+
+
+def parsed(words: list[str]) -> None:
+    """Have the command's own parser read its words."""
+    name, *rest = words
+    command: Command | CommandGroup | None = COMMANDS.get(name)
+    assert command is not None or name == "--version", f"no command {name}"
+    if isinstance(command, CommandGroup):
+        chosen = rest.pop(0) if rest and rest[0] in command.commands else command.alone
+        assert chosen, f"{name} {rest}"
+        name, command = f"{name} {chosen}", command.commands[chosen]
+    if command is None or name == "demo":
+        return
+    if name == "sim":
+        simulation.parse(rest)
+        return
+    if command.alone and (not rest or rest[0].startswith("-")):
+        rest = [command.alone, *rest]
+    if not hasattr(importlib.import_module(command.module), "add_arguments"):
+        return
+    if command.far:  # what leads to real robots is taken off before the command reads its words
+        reader = argparse.ArgumentParser(prog=f"swarm {name}", add_help=False, allow_abbrev=False)
+        robot_command.add_arguments(reader)
+        add_robots(reader, "")
+        add_run_dir(reader)
+        add_json(reader)
+        _, rest = reader.parse_known_args(rest)
+    parser_of(name, command).parse_args([*command.first, *rest])
+
+
+def test_there_are_command_lines() -> None:
+    assert len(TYPED) > 150
+
+
+@pytest.mark.parametrize(("page", "line"), TYPED)
+def test_a_command_line_is_one_that_the_command_takes(page: str, line: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(argparse.ArgumentParser, "error", refuse)
+    with contextlib.suppress(SystemExit):  # --help
+        parsed(shlex.split(line)[1:])
+
+
+def in_virtual_time(line: str) -> bool:
+    return line.startswith("swarm sim ") and "--virtual" in line and "--view" not in line and ".py" not in line
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("page", sorted({page for page, line in TYPED if in_virtual_time(line)}))
+def test_simulations_of_a_page_in_virtual_time_run(page: str, tmp_path: Path) -> None:
+    tools, home = tmp_path / "tools", tmp_path / "home"
+    tools.mkdir()
+    (home / "docs" / "images").mkdir(parents=True)
+    environment = commands_on_the_path(tools)
+    for line in (line for where, line in TYPED if where == page and in_virtual_time(line)):
+        done = subprocess.run(
+            ["/bin/sh", "-c", line], cwd=home, env=environment, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
