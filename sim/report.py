@@ -64,6 +64,8 @@ class RunOutcome:
     """The trajectories of other apps that the robots ran meanwhile."""
     never: tuple[str, ...] = ()
     """What was to happen and did not, since the run ended before."""
+    radio: Mapping[str, float] = field(default_factory=dict)
+    """How late the process was that is the radio (`sim.processes.radio`)."""
 
     def target(self, t: float) -> tuple[float, float]:
         """Return the target's place at a time of the trajectories, m."""
@@ -106,6 +108,8 @@ def summary(outcome: RunOutcome) -> Json:
         "never": list(outcome.never),
         **({"scene": dict(outcome.scene)} if outcome.scene else {}),
     }
+    if outcome.radio:
+        report["radio"] = dict(outcome.radio)
     if outcome.beside:
         report["beside"] = {
             app: {
@@ -342,6 +346,12 @@ def _sentences(report: Json, outcome: RunOutcome) -> list[str]:
         lines.append(f"start       {outcome.started_s:.2f} s from the command to {ready}")
     if outcome.computed_s is not None:
         lines.append(f"virtual     {outcome.seconds:.2f} s of the robots' time in {outcome.computed_s:.2f} s")
+    if late := outcome.radio:
+        stood = f"; it stood still for {late['stood_still_s']:g} s" if late["stood_still_s"] else ""
+        lines.append(
+            f"radio       {1e3 * late['late_mean_s']:.1f} ms late on average, {1e3 * late['late_most_s']:.1f} ms at "
+            f"most, with {late['frames']} frames{stood}"
+        )
     if report["rss_mib_per_robot"] is not None:
         lines.append(
             f"memory      {report['rss_mib_per_robot']} MiB resident a robot (shared pages counted in each process)"

@@ -117,20 +117,11 @@ def do(runtime: Path, args: argparse.Namespace) -> str:
             service, pid = end_service(runtime, args.service, args.signal)
             return f"{service} (pid {pid}): SIG{args.signal}"
         case "cut":
-            cut(runtime.parent, args.robot, args.peer, args.seconds)
+            link_cuts.cut(runtime.parent, args.robot, args.peer, args.seconds)
             return f"link to {args.peer} " + (f"cut for {args.seconds:g} s" if args.seconds else "mended")
         case _:
             power_switch.reboot(runtime.parent, args.robot, args.off)
             return f"off, and on again in {args.off:g} s"
-
-
-def cut(run_dir: Path, robot: str, peer: str, seconds: float) -> None:
-    """Cut the radio between two robots of a simulation for some seconds; 0 mends it. Raises `LocalError`."""
-    for end, other in ((robot, peer), (peer, robot)):
-        try:
-            link_cuts.silence(run_dir, end, other, seconds)
-        except OSError as error:
-            raise LocalError(f"not cut: the mesh of {end} is not running at this moment ({error.strerror})") from None
 
 
 SIGNALS = ("KILL", "TERM", "STOP", "CONT")

@@ -25,7 +25,7 @@ def scene(feed: LiveFeed | ViewedRecording, control: Control | None) -> dict[str
 
 def _target(config: Config) -> dict[str, Any] | None:
     """Return the target's true place; of real robots it is unknown, unless the target is one of the anchors."""
-    simulated = all(str(robot.link).startswith("sim:") for robot in config.robots)
+    simulated = all(str(robot.link).startswith(("sim:", "slots:")) for robot in config.robots)
     if config.dwm.target is None or not simulated:
         return None
     x, y = config.simulation.target

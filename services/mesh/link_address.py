@@ -1,6 +1,7 @@
 """Link addresses: where a link leads, as one line of text `type:parameters`.
 
 sim:PATH         a Unix socket with a simulated radio behind it
+slots:PATH       a Unix socket at which the process calls that simulates a Bluetooth radio for all robots
 tcp:HOST:PORT    Wi-Fi or Ethernet; HOST may be [IPv6]
 rfcomm:ADDRESS   Bluetooth Classic; ADDRESS is that of the robot's adapter, XX:XX:XX:XX:XX:XX
 """
@@ -22,6 +23,13 @@ class Sim:
 
 
 @frozen
+class Slots:
+    """A robot at a simulated Bluetooth radio, which calls it here."""
+
+    path: Path
+
+
+@frozen
 class Tcp:
     """A TCP address."""
 
@@ -36,7 +44,7 @@ class Rfcomm:
     address: str
 
 
-LinkAddress = Sim | Tcp | Rfcomm
+LinkAddress = Sim | Slots | Tcp | Rfcomm
 
 _ADDRESS = re.compile(r"([0-9A-Fa-f]{2}:){5}[0-9A-Fa-f]{2}")
 
@@ -44,9 +52,9 @@ _ADDRESS = re.compile(r"([0-9A-Fa-f]{2}:){5}[0-9A-Fa-f]{2}")
 def parse(text: str) -> LinkAddress:
     """Read a link address; raises `ConfigError` with what was expected."""
     kind, _, rest = text.partition(":")
-    if kind == "sim" and rest:
-        path = Path(rest)
-        return Sim(socket_path(path.parent, path.name))
+    if kind in ("sim", "slots") and rest:
+        path = socket_path(Path(rest).parent, Path(rest).name)
+        return Sim(path) if kind == "sim" else Slots(path)
     if kind == "tcp":
         return parse_address(rest, text)
     if kind == "rfcomm" and _ADDRESS.fullmatch(rest):

@@ -60,9 +60,9 @@ def dials_of(
     return found
 
 
-def ground_of(config: Config, *, bluetooth: bool = False) -> Ground:
-    """Return what all topologies of a configuration have in common; `bluetooth` as in `calls_of`."""
-    return Ground(config.names, config.edges, auto=config.auto, links=links_of(config, bluetooth=bluetooth))
+def ground_of(config: Config) -> Ground:
+    """Return what all topologies of a configuration have in common."""
+    return Ground(config.names, config.edges, auto=config.auto, links=links_of(config))
 
 
 def local_of(
@@ -74,9 +74,8 @@ def local_of(
     *,
     insecure: bool,
     keys: Mapping[int, bytes],
-    bluetooth: bool = False,
 ) -> Local:
-    """Return what the links of a robot have in common, by its configuration; `bluetooth` as in `calls_of`."""
+    """Return what the links of a robot have in common, by its configuration."""
     settings = config.mesh
     return Local(
         robot=robot,
@@ -90,7 +89,7 @@ def local_of(
         dead=settings.dead,
         handshake=settings.handshake,
         patience=settings.patience,
-        pages=is_bluetooth(config, bluetooth=bluetooth),
+        pages=is_bluetooth(config),
         keys=keys,
     )
 

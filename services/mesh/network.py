@@ -7,7 +7,7 @@ from pathlib import Path
 
 from services.mesh import link_address
 from services.mesh.core.link.calls import Local, has_address
-from services.mesh.links import pybluez, rfcomm, role, sim, supervision, tcp
+from services.mesh.links import pybluez, rfcomm, role, sim, slots, supervision, tcp
 from services.mesh.links.page import Paging
 from services.mesh.links.pipe import Pipe
 from services.mesh.sockets import Listener
@@ -74,7 +74,10 @@ class Network:
         self._record: pybluez.Record | None = None
         self._air = sim.LinkConditions(local.robot, directory) if link_address.Sim in kinds else None
         self.listeners: list[Listener] = []
+        self._me = local.robot
         try:
+            if isinstance(own, link_address.Slots):
+                self.listeners.append(slots.SlotsListener(own.path, directory))
             if link_address.Rfcomm in required:
                 _check_bluetooth(open_bluetooth)
             if isinstance(own, link_address.Sim) and self._air is not None:
@@ -106,6 +109,8 @@ class Network:
                 raise ConnectionError(str(error)) from None
             pipe.limit = partial(self._supervise, self._radio.adapter, address.address)
             return pipe
+        if isinstance(address, link_address.Slots):
+            return slots.dial(address.path, self._me, peer)
         assert self._air is not None
         return sim.dial(address.path, self._air, peer)
 

@@ -1,11 +1,34 @@
-"""Cutting the simulated radio: each end of a link is told by a datagram to its mesh's `sim:` transport."""
+"""Cutting the simulated radio: the process that is the radio is told, or each end of a link by a datagram to its mesh's
+`sim:` transport."""
 
 import socket
 from pathlib import Path
 
 import msgpack
 
+from services.mesh.links import slots
+from swarm.errors import LocalError
+
 SOCKET = "air.sock"
+
+
+def cut(run_dir: Path, robot: str, peer: str, seconds: float) -> None:
+    """Cut the radio between two robots of a simulation for some seconds; 0 mends it. Raises `LocalError`."""
+    radio = run_dir / slots.RADIO_SOCKET
+    if radio.exists():
+        try:
+            slots.ask(radio, slots.Cut(robot, peer, float(seconds))).close()
+        except OSError as error:
+            raise LocalError(f"not cut: the radio is not running at this moment ({error.strerror})") from None
+        return
+    problem = ""
+    for end, other in ((robot, peer), (peer, robot)):
+        try:
+            silence(run_dir, end, other, seconds)
+        except OSError as error:
+            problem = f"not cut: the mesh of {end} is not running at this moment ({error.strerror})"
+    if problem:
+        raise LocalError(problem)
 
 
 def silence(run_dir: Path, robot: str, peer: str, seconds: float) -> None:

@@ -1,6 +1,7 @@
 """A run of a simulated swarm, from the start of its processes to its results."""
 
 import contextlib
+import json
 import math
 import os
 import signal
@@ -22,6 +23,7 @@ from sim.processes import footprint
 from sim.processes.monitor import Monitor, Seen
 from sim.processes.processes import APP_FAULT, Processes
 from sim.processes.progress import ProgressDisplay, said
+from sim.processes.radio import LATENESS
 from sim.report import RunOutcome
 from sim.scenario.options import PRESS_S, Options
 from sim.scenario.scenario import Scenario
@@ -40,6 +42,8 @@ SERVICE_MODULES = {
 }
 """Every robot's services and the modules that run them; the balancer gets a simulated body. An app comes on top."""
 APP_SERVICE = "services.apps"
+RADIO, RADIO_MODULE = "radio", "sim.processes.radio"
+"""Name and module of the process that is the radio of all robots, where they have one (`--radio slots`)."""
 
 ASK_S, ASK_AGAIN_S = 1.0, 5.0
 """Seconds between two questions to all services for how they are, until the swarm has started, and then. They say so
@@ -64,7 +68,7 @@ class ProcessRun:
         self._stop = False
         names = scenario.config.names
         _make_records(self._records)
-        for name in names:
+        for name in (*names, *([RADIO] if options.slots is not None else [])):
             (run_dir / name).mkdir()
         (run_dir / "swarm.toml").write_text(dump(scenario.config))
         self._services = (*SERVICE_MODULES, *([f"app/{scenario.app}"] if scenario.app else []))
@@ -90,6 +94,9 @@ class ProcessRun:
             signal.signal(number, self._interrupted)
         for note in self._scenario.notes:
             self._progress.say(note)
+        if (radio := self._options.slots) is not None:
+            words = [RADIO_MODULE, radio.text(), str(self._options.seed)]
+            self._processes.add(RADIO, RADIO, words, self._run_dir / RADIO)
         for name in self._scenario.config.names:
             if name not in self._late:
                 self._start_robot(name)
@@ -119,7 +126,8 @@ class ProcessRun:
                 # An app has named its fault on the bus; else the end of the log is all there is.
                 reason = "" if child.exit_code == APP_FAULT else f": {child.last_words()}"
                 words = f"{child.robot} {child.service} {child.given_up}{reason}"
-                if child.service not in self._services:  # another app: beside, or one that somebody has started
+                # Another app is one beside, or one that somebody has started.
+                if child.service not in (*self._services, RADIO):
                     self._progress.say(words)
                     if child.service in self._beside:
                         self._problems.append(f"{child.robot} {child.service} {child.given_up}: {child.last_words()}")
@@ -219,9 +227,8 @@ class ProcessRun:
         self._progress.say(str(what))
         match what:
             case Cut(a, b, _, seconds):
-                for robot, peer in ((a, b), (b, a)):
-                    with contextlib.suppress(OSError):  # a mesh being restarted has no socket, and no link either
-                        link_cuts.silence(self._run_dir, robot, peer, seconds)
+                with contextlib.suppress(LocalError):  # a mesh being restarted has no socket, and no link either
+                    link_cuts.cut(self._run_dir, a, b, seconds)
             case Off(robot, _, seconds):
                 self._power.off(robot, now, seconds)
             case Kill(robot, service):
@@ -267,6 +274,9 @@ class ProcessRun:
         memory = {name: footprint.resident_mib(self._processes.of(name)) for name in names}
         found = self._world.look(lambda record, contacts: scene.seen(self._scenario, record, contacts, self._commanded))
         self._processes.stop()  # only then are the recordings complete
+        late = {}
+        with contextlib.suppress(OSError, ValueError):  # it has ended in another way
+            late = json.loads((self._run_dir / RADIO / LATENESS).read_text())
         paths = self._trajectories(self._scenario.app) if self._scenario.app is not None else {}
         beside = {each.app: self._trajectories(each.app) for each in self._beside.values()}
         firsts = [path.first_reached() for path in paths.values()]
@@ -293,6 +303,7 @@ class ProcessRun:
             began=self._commanded,
             moves_from=self._moves_from,
             beside=beside,
+            radio=late,
             never=never(self._disturbances, (), 0.0 if started is None else now - started),
         )
 

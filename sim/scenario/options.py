@@ -72,7 +72,7 @@ class Options:
     loss: float
     """Probability that a radio packet is lost and sent again."""
     slots: Parameters | None
-    """The slot radio of virtual time; None: all links have the delays above."""
+    """The slot radio; None: all links have the delays above."""
     clock_skew: float
     """How far the rates of the robots' clocks err at most, 1e-6 = 1 ppm; 0: all have one clock."""
     cuts: tuple[Cut, ...]
@@ -188,8 +188,8 @@ def parser(kind: type[argparse.ArgumentParser] = argparse.ArgumentParser) -> arg
         dest="slots",
         type=slots,
         metavar="slots[:NAME=X,...]",
-        help="under virtual time: a Bluetooth radio with piconets, bridges and pages in place of one "
-        "delay for all links; slots:stay=0.2 changes a parameter",
+        help="a Bluetooth radio with piconets, bridges and pages in place of one delay for all links; "
+        "slots:stay=0.2 changes a parameter",
     )
     radio.add_argument(
         "--cut",
@@ -329,8 +329,6 @@ def parse(arguments: list[str], *, ends: bool = True) -> Options:
         raise ConfigError("--target-velocity and --clock-skew: each robot would have another time, leave out one")
     if options.clock_skew and not options.virtual:
         raise ConfigError("--clock-skew is for --virtual: processes of one machine have one clock")
-    if options.slots is not None and not options.virtual:
-        raise ConfigError("--radio slots is for --virtual: between real processes there are delays alone")
     if options.slots is not None and (options.jitter or options.bandwidth or options.loss or options.mesh == DELAY):
         raise ConfigError("--radio slots has times of its own: leave out --jitter, --bandwidth, --loss, --mesh delay")
     if options.view and not options.virtual:

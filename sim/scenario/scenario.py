@@ -148,12 +148,13 @@ def build(options: Options, run_dir: Path, app: loader.LoadedApp | None = None) 
     if app is None and options.app is not None:
         app = loader.load(options.app)
     apps = _apps(app, options)
+    kind = "sim" if options.slots is None else "slots"
     config = replace(
         base,
         robots=tuple(
             replace(
                 robot,
-                link=f"sim:{socket_path(run_dir / robot.name, 'mesh.sock')}",
+                link=f"{kind}:{socket_path(run_dir / robot.name, 'mesh.sock')}",
                 uwb=robot.uwb or module_address(index),
             )
             for index, robot in enumerate(base.robots)
@@ -208,7 +209,7 @@ def _disturbances(config: Config, options: Options) -> tuple[Disturbance, ...]:
     """Return the disturbances, with robots and times that the seed has drawn."""
     kinds = (options.presses, options.cuts, options.offs, options.kills, options.pushes)
     found = tuple(each for kind in kinds for each in drawn(kind, config.names, options.seed))
-    links = links_of(config, bluetooth=options.slots is not None)
+    links = links_of(config)
     pairs = {frozenset(pair) for pair in (*config.edges, *physical(config.names, config.edges, links))}
     for each in found:
         if isinstance(each, Cut) and not config.auto and frozenset((each.a, each.b)) not in pairs:

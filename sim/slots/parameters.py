@@ -92,6 +92,12 @@ class Parameters:
             raise ConfigError(f"{text!r}: expected loss at most {MAX_LOSS}, spread below 1, scan above scan_window")
         return found
 
+    def text(self) -> str:
+        """Return what `parse` makes these parameters of."""
+        usual = type(self)()
+        names = [field.name for field in fields(self) if getattr(self, field.name) != getattr(usual, field.name)]
+        return ",".join(f"{name}={getattr(self, name)!r}" for name in names)
+
 
 MAX_LOSS = 0.9
 

@@ -38,6 +38,13 @@ class EventQueue:
         """Return the value of `now` in a call that was planned for `time`."""
         return time
 
+    @property
+    def next_time(self) -> float:
+        """Return the time of the next call; infinity where none is planned."""
+        if self._soon or self._present:
+            return self.now
+        return self._times[0] if self._times else _NEVER
+
     def at(self, time: float, call: Callable[..., object], *arguments: Any) -> None:
         """Call at `time`; at once, but not before what is planned already, where it is past."""
         if time <= self.now:

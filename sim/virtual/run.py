@@ -93,7 +93,7 @@ class VirtualRun:
         mesh = options.mesh or (FROM_START if len(names) <= MAX_FROM_START or scenario.config.auto else SETTLED)
         if mesh == DELAY and scenario.config.auto:
             raise ConfigError("--mesh delay: an automatic topology is found by meshes, name another --topology")
-        links = links_of(scenario.config, bluetooth=options.slots is not None)
+        links = links_of(scenario.config)
         if mesh != FROM_START and links != GRAPH:
             raise ConfigError(f"--mesh {mesh}: links = {links!r} are made by meshes from their start")
         model = AirModel(options.latency, options.jitter, options.bandwidth, options.seed, loss=options.loss)

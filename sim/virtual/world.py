@@ -125,8 +125,8 @@ class VirtualWorld:
         """`body`: which model of `sim.virtual.robot.body`; `mesh`: one of `options.MESHES`; `lying`: the side on
         which robots begin, if they do not stand; `skew`: how far the rates of their clocks err at most, 1e-6 = 1 ppm
         (then their zeros differ, too); `scene_record`: who is told what is to be seen;
-        `slots`: links are those of such a radio, not of `air`; `processes_end`: apps keep what a process that is
-        killed leaves to the next."""
+        `slots`: the radio of links whose addresses are `slots:`, in place of `air`; `processes_end`: apps keep what a
+        process that is killed leaves to the next."""
         self.config = config
         self.seed = seed
         self.time = EventQueue()
@@ -149,7 +149,7 @@ class VirtualWorld:
         self._processes_end = processes_end
         self._launched: dict[tuple[str, str], Launch] = {}
         self._begin_with: dict[tuple[str, int, int], topology.RunPlace] = {}
-        self._common = Common(config, bluetooth=slots is not None)
+        self._common = Common(config)
         self.robots = {name: self._robot(name) for name in config.names}
         self.contacts = contacts_of(config)
         ContactWatch(self.time, self.contacts, {name: robot.balancer for name, robot in self.robots.items()})

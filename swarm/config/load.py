@@ -160,7 +160,7 @@ def _robot(table: Table) -> RobotConfig:
                 raise table.error("link", f"{shown(link)} is not the robot's bluetooth address {bluetooth}")
             bluetooth, link = rest, None
         elif not (kind == "tcp" and sections.HOST_PORT.fullmatch(rest) and sections.is_port(rest)) and not (
-            kind == "sim" and 0 < len(os.fsencode(rest)) <= MAX_SOCKET_PATH
+            kind in ("sim", "slots") and 0 < len(os.fsencode(rest)) <= MAX_SOCKET_PATH
         ):
             raise table.wrong("link", _LINK)
     board = table.choice("board", "zero2w", ("zero2w", "pi4"))

@@ -32,7 +32,8 @@ class RobotConfig:
     bluetooth: str | None = None
     """Address of the Bluetooth adapter, B8:27:EB:12:34:56."""
     link: str | None = None
-    """The address for other robots where it is not Bluetooth: `tcp:HOST:PORT`, or `sim:SOCKET` in a simulation."""
+    """The address for other robots where it is not Bluetooth: `tcp:HOST:PORT`; in a simulation `sim:SOCKET`, or
+    `slots:SOCKET` with its Bluetooth radio."""
     host: str | None = None
     """The robot's name for ssh (a name of ~/.ssh/config, user@address); None = its own name."""
     uwb: str | None = None

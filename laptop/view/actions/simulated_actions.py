@@ -6,7 +6,7 @@ from typing import Any
 from laptop.cli import hand
 from laptop.view.actions.robot_actions import PageAction, cut, named, settings_of
 from laptop.view.feeds.feed import SimulationFeed
-from sim.control import app_requests, send_action
+from sim.control import app_requests, link_cuts, send_action
 from sim.core.actions import Carry, Lay, Press, Push
 from swarm.errors import LocalError
 from swarm.messages.codec import Value
@@ -67,7 +67,7 @@ class SimulatedActions:
 
     def _cut(self, asked: Mapping[str, Any]) -> str:
         ends, seconds = cut(asked, self._feed.buses)
-        hand.cut(self._feed.directory, *ends, seconds)
+        link_cuts.cut(self._feed.directory, *ends, seconds)
         return f"{' - '.join(ends)}: " + (f"cut for {seconds:g} s" if seconds else "mended")
 
     def _order(self, act: str, asked: Mapping[str, Any]) -> str:

@@ -8,7 +8,6 @@ from that peer and neither can dial the other. Both ends must be told.
 
 import contextlib
 import ctypes
-import fcntl
 import logging
 import os
 import random
@@ -16,12 +15,14 @@ import socket
 import struct
 import threading
 from pathlib import Path
+from typing import IO
 
 from services.mesh.links.pipe import Pipe, describe
 from services.mesh.links.radio_model import AirModel, DelayLine
 from swarm import clock
 from swarm.errors import LocalError, PayloadError
 from swarm.messages.codec import unpack
+from swarm.process.locks import take_lock
 from swarm.process.paths import socket_path
 
 AIR_SOCKET = "air.sock"
@@ -52,21 +53,10 @@ class LinkConditions:
         self.quiet_until = 0.0
         """Until then nothing can arrive that has not been put on the air already: see `SimPipe.read`."""
         self._cuts: dict[str, float] = {}
-        # Who holds the lock owns the sockets here; the kernel lets go of it however the owner ends.
-        try:
-            self._lock = (directory / LOCK).open("w")
-        except OSError as error:
-            raise LocalError(f"{directory / LOCK}: {describe(error)}") from None
-        try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            self._lock.close()
-            raise LocalError(f"{directory}: another mesh of this robot runs already") from None
+        self._lock = only_mesh(directory)
         self._path = socket_path(directory, AIR_SOCKET)
-        self._sock = _bound(self._path, socket.SOCK_DGRAM)
-        # The kernel may delay a timer by 50 us to save power; here that would be latency nobody asked for. Threads
-        # inherit it from the one that starts them.
-        ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1)
+        self._sock = bound(self._path, socket.SOCK_DGRAM)
+        precise_timers()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="air", daemon=True)
         self._thread.start()
@@ -217,7 +207,7 @@ class SimListener:
     def __init__(self, path: Path, air: LinkConditions) -> None:
         self._air = air
         self._path = path
-        self._sock = _bound(path, socket.SOCK_STREAM)
+        self._sock = bound(path, socket.SOCK_STREAM)
         self._sock.listen(16)
         self._sock.setblocking(False)
 
@@ -249,7 +239,28 @@ def dial(path: Path, air: LinkConditions, peer: str) -> Pipe:
     return SimPipe(sock, air, peer)
 
 
-def _bound(path: Path, kind: socket.SocketKind) -> socket.socket:
+def precise_timers() -> None:
+    """Have timers of this thread, and of those that it starts, end when they are due. The kernel may delay one by 50 us
+    to save power; here that would be latency nobody asked for."""
+    ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1)
+
+
+def only_mesh(directory: Path) -> IO[str]:
+    """Return the lock of a robot's runtime directory, open. Who holds it owns the sockets there; the kernel lets go of
+    it however the owner ends. Raises `LocalError` where another mesh has it."""
+    try:
+        lock = (directory / LOCK).open("w")
+    except OSError as error:
+        raise LocalError(f"{directory / LOCK}: {describe(error)}") from None
+    try:
+        take_lock(lock.fileno())
+    except BlockingIOError:
+        lock.close()
+        raise LocalError(f"{directory}: another mesh of this robot runs already") from None
+    return lock
+
+
+def bound(path: Path, kind: socket.SocketKind) -> socket.socket:
     """Bind a Unix socket at `path`, in place of one that a killed run left."""
     sock = socket.socket(socket.AF_UNIX, kind)
     try:

@@ -4,7 +4,7 @@ import random
 from functools import partial
 
 from services.mesh.bus_interface import BusInterface
-from services.mesh.core.routing.physical_links import calls_of
+from services.mesh.core.routing.physical_links import calls_of, is_bluetooth
 from services.mesh.core.routing.wanted_links import InitialLinks
 from services.mesh.core.wire.frames import NONCE_SIZE
 from services.mesh.mesh import Chance, Mesh, dials_of, ground_of, local_of
@@ -21,14 +21,12 @@ FIRST_INCARNATION = 1
 class Common:
     """The common part of all robots' meshes; made once, since it grows with the swarm."""
 
-    def __init__(self, config: Config, *, bluetooth: bool = False) -> None:
-        """`bluetooth`: links are of such a radio, on which it matters who calls."""
+    def __init__(self, config: Config) -> None:
         self.config = config
-        self.bluetooth = bluetooth
-        self._calls = calls_of(config, bluetooth=bluetooth)
+        self._calls = calls_of(config)
         self.robots = {robot.name: robot for robot in config.robots}
         self.names = frozenset(self.robots)
-        self.ground = ground_of(config, bluetooth=bluetooth)
+        self.ground = ground_of(config)
         near: dict[str, set[str]] = {name: set() for name in config.names}
         for a, b in config.edges:
             near[a].add(b)
@@ -74,9 +72,8 @@ class VirtualMesh(Mesh):
                 numbers.getrandbits(64),
                 insecure=True,
                 keys={},
-                bluetooth=common.bluetooth,
             ),
-            InitialLinks(common.ground, dials, pages=common.bluetooth),
+            InitialLinks(common.ground, dials, pages=is_bluetooth(common.config)),
             Chance(numbers.random, partial(numbers.randbytes, NONCE_SIZE)),
             incarnation,
             surroundings,

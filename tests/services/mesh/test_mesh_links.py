@@ -13,7 +13,7 @@ import pytest
 from conftest import wait_until
 
 from services.mesh import link_address
-from services.mesh.link_address import Rfcomm, Sim, Tcp
+from services.mesh.link_address import Rfcomm, Sim, Slots, Tcp
 from services.mesh.links import sim, tcp
 from services.mesh.links.pipe import Pipe
 from swarm import clock
@@ -265,6 +265,7 @@ def test_a_port_in_use_is_named() -> None:
 
 def test_link_addresses_are_read() -> None:
     assert link_address.parse("sim:/tmp/r0/mesh.sock") == Sim(Path("/tmp/r0/mesh.sock"))
+    assert link_address.parse("slots:/tmp/r0/mesh.sock") == Slots(Path("/tmp/r0/mesh.sock"))
     assert link_address.parse("tcp:robot.local:7447") == Tcp("robot.local", 7447)
     assert link_address.parse("rfcomm:b8:27:eb:00:00:01") == Rfcomm("B8:27:EB:00:00:01")
     assert link_address.parse("tcp:[::1]:7447") == Tcp("::1", 7447)

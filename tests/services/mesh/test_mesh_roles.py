@@ -6,7 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.mesh.core.routing.physical_links import callers, piconets, waiting
+from services.mesh.core.routing.physical_links import callers, calls_of, is_bluetooth, links_of, piconets, waiting
+from sim.scenario.options import parse
+from sim.scenario.scenario import build
+from sim.virtual.run import PLACE
 from swarm.core.graph import Graph
 
 
@@ -61,3 +64,26 @@ def test_the_hub_of_a_star_calls():
     names = [f"r{number}" for number in range(6)]
     assert callers(names, [("r0", name) for name in names[1:]]) == {("r0", name) for name in names[1:]}
     assert callers(names, [(name, "r5") for name in names[:5]]) == {("r5", name) for name in names[:5]}
+
+
+@pytest.mark.parametrize("virtual", [(), ("--virtual",)])
+@pytest.mark.parametrize("links", ["graph", "tree"])
+def test_on_a_simulated_radio_robots_call_as_on_a_real_one(virtual, links):
+    options = parse(
+        ["consensus", "--robots", "4", "--topology", "loop", "--links", links, "--radio", "slots", *virtual]
+    )
+    config = build(options, PLACE).config
+    assert is_bluetooth(config)
+    assert links_of(config) == links
+    if links == "graph":  # one side calls the other
+        assert calls_of(config) == callers(config.names, config.edges)
+        assert max(piconets(list(calls_of(config))).values()) == 2
+    else:
+        assert ("r0", "r3") in calls_of(config)
+
+
+def test_the_delays_of_plain_links_are_no_radio():
+    config = build(parse(["consensus", "--robots", "4", "--topology", "loop"]), PLACE).config
+    assert not is_bluetooth(config)
+    assert links_of(config) == "graph"
+    assert calls_of(config) == ()

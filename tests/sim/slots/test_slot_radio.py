@@ -221,6 +221,13 @@ def test_all_robots_of_a_full_graph_can_call_each_other_at_once():
     assert swarm.made.keys() == set(pairs)
 
 
+@given(st.floats(0.001, 10.0), st.integers(1, 99), st.floats(0.0, 0.9), st.floats(0.1, 9.0))
+def test_parameters_are_written_as_they_are_read(stay, buffers, loss, scan):
+    found = Parameters(stay=stay, buffers=buffers, loss=loss, scan=scan)
+    assert Parameters.parse(found.text()) == found
+    assert Parameters().text() == ""
+
+
 def test_parameters_are_read_and_refused_by_name():
     assert Parameters.parse("stay=0.2,buffers=6") == Parameters(stay=0.2, buffers=6)
     for wrong in ("stay=0", "stay=long", "speed=2", "loss=0.95", "loss=-1", "stay=nan", "spread=1"):

@@ -59,7 +59,7 @@ def test_a_robot_that_was_absent_for_long_knocks_and_is_called_back():
 
 
 @pytest.mark.parametrize(
-    "more", [(), ("--virtual", "--loss", "0.1"), ("--virtual", "--jitter", "10ms"), ("--virtual", "--mesh", "delay")]
+    "more", [("--loss", "0.1"), ("--jitter", "10ms"), ("--bandwidth", "78kB"), ("--virtual", "--mesh", "delay")]
 )
 def test_what_contradicts_the_slot_radio_is_refused(more):
     with pytest.raises(ConfigError, match="--radio slots"):

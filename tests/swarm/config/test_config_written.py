@@ -62,7 +62,7 @@ def swarms(draw):
     robot_names = draw(st.lists(names, min_size=1, max_size=8, unique=True))
     robots = []
     for i, name in enumerate(robot_names):
-        kind = draw(st.sampled_from(["rfcomm", "tcp", "sim", "both"]))
+        kind = draw(st.sampled_from(["rfcomm", "tcp", "sim", "slots", "both"]))
         robots.append(
             RobotConfig(
                 name,
@@ -71,6 +71,7 @@ def swarms(draw):
                 link={
                     "tcp": f"tcp:[::1]:{7000 + i}",
                     "sim": f"sim:/run/ü {i}/mesh.sock",
+                    "slots": f"slots:/run/ü {i}/mesh.sock",
                     "both": f"tcp:host-{i}:1",
                 }.get(kind),
             )

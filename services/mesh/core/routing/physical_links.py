@@ -26,7 +26,8 @@ _NEVER = float("inf")
 
 
 def links_of(config: Config, *, bluetooth: bool = False) -> str:
-    """Return which links carry the topology: `graph`, or what asks for others; `bluetooth` as in `calls_of`."""
+    """Return which links carry the topology: `graph`, or what asks for others; `bluetooth`: as if all links were of
+    Bluetooth."""
     if config.mesh.links != AUTO_LINKS:
         return config.mesh.links
     if config.auto:
@@ -34,20 +35,20 @@ def links_of(config: Config, *, bluetooth: bool = False) -> str:
     others = len(config.robots) - 1
     one_hub = len(config.edges) == others and any(len(config.neighbours(name)) == others for name in config.names)
     fits = one_hub and others <= MAX_RFCOMM_LINKS
-    return TREE if is_bluetooth(config, bluetooth=bluetooth) and not fits else GRAPH
+    return TREE if (bluetooth or is_bluetooth(config)) and not fits else GRAPH
 
 
-def is_bluetooth(config: Config, *, bluetooth: bool) -> bool:
-    """Return whether all links are of Bluetooth."""
-    return bluetooth or all(each.bluetooth and each.link is None for each in config.robots)
+def is_bluetooth(config: Config) -> bool:
+    """Return whether all links are of Bluetooth, of real radios or of a simulated one."""
+    return all(each.link.startswith("slots:") if each.link else each.bluetooth for each in config.robots)
 
 
-def calls_of(config: Config, *, bluetooth: bool = False) -> Collection[tuple[str, str]]:
+def calls_of(config: Config) -> Collection[tuple[str, str]]:
     """Return who calls whom, where the configuration says it: of a fixed topology whose links are of Bluetooth, and of
-    links that are not the topology's own. `bluetooth`: as a simulation says."""
-    if links_of(config, bluetooth=bluetooth) != GRAPH:
+    links that are not the topology's own."""
+    if links_of(config) != GRAPH:
         return calls(config.names)
-    if config.auto or not is_bluetooth(config, bluetooth=bluetooth):
+    if config.auto or not is_bluetooth(config):
         return ()
     return callers(config.names, config.edges)
 
