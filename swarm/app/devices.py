@@ -31,18 +31,18 @@ from swarm.messages.keys import key
 LED_CLAIM, LED_REPEAT = 3.0, 1.0
 """Seconds for which LEDs and display are claimed, and after which they are claimed again."""
 DRIVE_CLAIM, DRIVE_REPEAT = 0.5, 0.2
-"""Likewise the drive: a robot whose app died stops within half a second."""
+"""The same for driving. A robot whose app has died stops within half a second."""
 SILENT = 2.0
-"""Seconds without a word of the balancer after which nobody knows the robot's posture."""
+"""Seconds without a message of the balancer after which the robot's posture counts as unknown."""
 POSE_LOST = 5.0
-"""Seconds after which a pose is none any more."""
+"""Seconds after which a pose is too old to be used."""
 
 MAX_TEXT = 200
-"""Letters for the display that the balancer takes; it shows fewer."""
+"""The most letters of a text that the balancer accepts for the display, which shows fewer."""
 
 BUTTONS = ("a", "b", "c")
 MODES = {"balancing": "standing", "standing_up": "standing_up", "lying_down": "lying_down"}
-"""Posture of a robot in these modes of the balancer; in the others it is as the tilt has it."""
+"""The posture of a robot in these modes of the balancer. In the other modes it follows from the tilt."""
 
 M = TypeVar("M")
 _log = logging.getLogger("devices")
@@ -89,7 +89,7 @@ class Devices:
         self._velocity: tuple[float, float] | None = None
         self._leds_at = self._display_at = self._drive_at = math.inf
         self.on_claim: Callable[[], None] | None = None
-        """Called when there may be another `next_deadline`, on the thread of who takes something."""
+        """Called when `next_deadline` may have changed, on the thread that made a claim."""
 
     # -- looking
 

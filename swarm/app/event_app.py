@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from swarm.app.overlays import Message
 
 SHORTEST_PERIOD = 0.01
-"""s: a Pi has other things to do."""
+"""The shortest period, s: a Pi has other things to do."""
 
 
 class EventApp(BaseApp):
@@ -243,7 +243,7 @@ class ChannelView:
     begun: bool
     """Whether the host has started it: from then on its state can only be read."""
     change: Callable[[Mapping[str, Value]], None]
-    """Puts other parameters in force: at once as long as nothing runs, then as the host does it."""
+    """The function that puts changed parameters in force: at once before the app runs, later as its host decides."""
     k: int
     _values: Mapping[str, Item]
 

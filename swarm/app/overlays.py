@@ -31,11 +31,12 @@ MAX_OPEN = 1024
 """Requests that are remembered, answered or not; the oldest ones are forgotten."""
 
 SMALL = 4096
-"""Bytes of a payload up to which the whole request is repeated; of larger ones only its ticket is."""
+"""Largest payload, in bytes, with which the whole request is repeated. Of a larger request only the ticket is
+repeated."""
 
 MAX_COLLECTED = 256
 MAX_COLLECTED_BYTES = 4 * 1024 * 1024
-"""Messages of others that wait to be looked at, and their payloads; the oldest ones are lost."""
+"""Bytes of other robots' messages that wait until the app reads them. Beyond this the oldest ones are lost."""
 
 A = TypeVar("A", Flooded, Sent)
 B = TypeVar("B", Flooded, Sent, Progress)
@@ -58,7 +59,7 @@ class Handle(Generic[A]):
         """`ask()` makes the request, `remind()` repeats it."""
         self._now = now
         self.ticket = ticket
-        """Names the request: what an app keeps of it (`Overlays.answer`)."""
+        """The name of the request, by which an app finds its answer later (`Overlays.answer`)."""
         self.moved = 0
         """Bytes of a large payload that have arrived, as of the last reminder."""
         self._ask = ask
@@ -138,7 +139,7 @@ class Overlays:
         self._lock = threading.Lock()
         self._handles: dict[str, Handle[Any]] = {}
         self.asked: Callable[[FloodRequest | SendRequest], None] = lambda request: None
-        """Called with each request that is made: for a recording."""
+        """The function that gets each request, so that it can be recorded."""
         self._collected: deque[Message] = deque()
         self._collected_bytes = 0
         self._flood_key = key(robot, "mesh", "set", "flood")

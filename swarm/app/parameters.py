@@ -24,9 +24,9 @@ class Parameter:
     high: float | None = None
     choices: tuple[str, ...] = ()
     live: bool | None = None
-    """Whether it may be changed while the app runs; None = as the kind of app has it."""
+    """Whether it may be changed while the app runs; None: the kind of app decides."""
     kind: type = float
-    """float, int, bool or str: the annotation."""
+    """The annotation: float, int, bool or str."""
 
     def expected(self) -> str:
         """Return in words what a value must be."""

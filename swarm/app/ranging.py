@@ -30,7 +30,7 @@ class Ranging:
         self._lock = threading.Lock()
         self._bus = bus
         self.listening = False
-        """Whether somebody has asked."""
+        """Whether the app has asked for ranges."""
 
     @property
     def ranges(self) -> tuple[Range, ...]:

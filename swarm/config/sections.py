@@ -40,7 +40,7 @@ MAX_SPEED = 0.6
 MAX_TURN_RATE = 6.0
 MAX_ACCELERATION = 1.0
 MAX_TURN_ACCELERATION = 20.0
-"""The limits that the tests of driving reach: beyond them a robot may fall (m/s, rad/s, and these a second)."""
+"""The limits up to which driving is tested, in m/s, rad/s, m/s^2 and rad/s^2. Beyond them a robot may fall."""
 
 _UWB_ADDRESS = re.compile(r"[0-9A-Fa-f]{4}")
 _PACKAGE = re.compile(r"[A-Za-z0-9](?:[A-Za-z0-9._-]*[A-Za-z0-9])?(?:(?:==|>=|<=|~=|<|>|!=)[A-Za-z0-9.*+!]+,?)*")

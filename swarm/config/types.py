@@ -28,20 +28,20 @@ class RobotConfig:
 
     name: str
     board: str = "zero2w"
-    """zero2w or pi4: sets the body's mass."""
+    """The Raspberry Pi: zero2w or pi4. It sets the body's mass."""
     bluetooth: str | None = None
     """Address of the Bluetooth adapter, B8:27:EB:12:34:56."""
     link: str | None = None
     """The address for other robots where it is not Bluetooth: `tcp:HOST:PORT`; in a simulation `sim:SOCKET`, or
     `slots:SOCKET` with its Bluetooth radio."""
     host: str | None = None
-    """The robot's name for ssh (a name of ~/.ssh/config, user@address); None = its own name."""
+    """The address for ssh: a name of ~/.ssh/config, or user@address; None: the robot's own name."""
     uwb: str | None = None
-    """Short address of its DWM1001, C933; `dwm/ranges` of the others name the robot by it."""
+    """Short address of its DWM1001, such as C933, by which `dwm/ranges` of the others name the robot."""
     uwb_role: str = "tag"
     """tag (finds its place) or anchor (others range to it; it knows no place of its own)."""
     i2c_clock: int = 100
-    """kHz of the I2C bus, 100 or 400: what `swarm provision` sets."""
+    """The clock of the I2C bus that `swarm provision` sets: 100 or 400 kHz."""
 
 
 @frozen
@@ -49,7 +49,8 @@ class RelayRule:
     """A rule that names keys on the robot's own bus which the mesh carries to other robots."""
 
     keys: str
-    """Key expression; `{self}` is the own name, `{peer}` (a whole chunk) the robot it goes to."""
+    """Key expression. `{self}` stands for the own name, and `{peer}` (a whole chunk) for the robot that the message
+    goes to."""
     overlay: str = "neighbours"
     """neighbours (one link), flood (the whole swarm) or unicast (the robot `{peer}`); of the rules that are always in
     force also around (the neighbour `{peer}`, over other robots than the link)."""
@@ -58,7 +59,7 @@ class RelayRule:
     queue: str = "latest"
     """latest (a newer value replaces a waiting one of its key) or all (in order, none replaced)."""
     max_rate: float | None = None
-    """Hz for each key, for `latest`; None = as published."""
+    """The most messages a second of each key, for `latest`; None: all that are published."""
 
 
 DEFAULT_RELAY = (
@@ -87,30 +88,32 @@ class MeshConfig:
     """Mesh settings; docs/reference/network/frames.md says why the times are as they are."""
 
     insecure: bool = False
-    """True = links are not authenticated: anyone in reach can join."""
+    """True: links are not authenticated, and anyone in reach can join."""
     key: str | None = None
-    """Path of the file with the pre-shared key; None = the usual place. Only where not insecure."""
+    """Path of the file with the pre-shared key; None: the usual place. Not used if `insecure` is true."""
     listen: str | None = None
     """The address HOST:PORT for `tcp:` neighbours; without it nothing listens on the network."""
     heartbeat: float = 0.5
     """Seconds between heartbeats."""
     suspect: float = 1.5
-    """Seconds of silence until a link is suspect; on a link whose round trips are long, what follows from them."""
+    """Seconds of silence after which a link is suspect. On a slow link the time follows from its round trips if that is
+    longer."""
     dead: float = 3.0
-    """Seconds of silence until a link is closed and dialled anew, likewise."""
+    """Seconds of silence after which a link is closed and dialled again. On a slow link it is longer in the same
+    way."""
     handshake: float = 8.0
-    """Seconds that each half of a handshake may take; twice that after each one that was not answered."""
+    """Seconds that each half of a handshake may take. The time doubles after each handshake that was not answered."""
     patience: float = 60.0
-    """Seconds that none of these times exceeds, however slow a link is."""
+    """Upper bound of these times in seconds, however slow a link is."""
     metric: str = "hops"
-    """The length of a route: hops, or time (measured)."""
+    """What the length of a route is measured in: hops, or time (as measured)."""
     links: str = AUTO_LINKS
     """The links that carry the topology: graph (its own), star (the first robot of the file calls all others), tree
     (the same with several hubs) or auto (star or tree on Bluetooth, graph elsewhere)."""
     rfcomm_channel: int = 1
-    """RFCOMM channel the mesh listens at on every robot, 1 to 30 (bluetoothd -C holds 8)."""
+    """RFCOMM channel at which the mesh of every robot listens, 1 to 30 (bluetoothd -C uses channel 8)."""
     rfcomm_encrypt: bool = False
-    """Whether Bluetooth itself encrypts `rfcomm:` links; needs bluetoothd and pairing without questions."""
+    """Whether Bluetooth itself encrypts `rfcomm:` links. This needs bluetoothd, and pairing without questions."""
 
     @property
     def key_file(self) -> Path | None:
@@ -126,13 +129,13 @@ class Body:
     gear_ratio: float = 110.25
     """Motor turns for one wheel turn: 50:1 motor (51.45) with 45:21 gears."""
     track: float = 0.11
-    """Between the wheels, m."""
+    """Distance between the wheels, m."""
     trim: float = 0.0
     """Tilt of the balance point from the IMU's upright, rad."""
     payload: float | None = None
-    """kg on top of the robot as sold: Pi, UWB module, display; None = what the robot's board says."""
+    """Mass of what was added to the robot as sold (Pi, UWB module, display), kg; None: as `board` implies."""
     payload_height: float = 0.071
-    """m above the axle: that payload's centre of mass."""
+    """Height of the payload's centre of mass above the axle, m."""
 
 
 @frozen
@@ -146,13 +149,13 @@ class Balancing:
     max_turn_rate: float = 3.0
     """Highest turn rate, rad/s."""
     acceleration: float = 0.5
-    """m/s^2, of driving."""
+    """Acceleration in driving, m/s^2."""
     turn_acceleration: float = 6.0
     """Turn acceleration, rad/s^2."""
     battery_warning: float = 6.6
-    """V: 1.1 a cell of six."""
+    """Voltage below which the robot warns, V: 1.1 V for each of six cells."""
     battery_limit: float = 6.0
-    """V: below it lies down; NiMH cells below 1 V suffer."""
+    """Voltage below which the robot lies down, V. NiMH cells are damaged below 1 V each."""
     flip_left_motor: bool = False
     """Whether the left motor's wires are reversed: a command to go forward is written as one to go backward."""
     flip_right_motor: bool = False
@@ -184,26 +187,27 @@ class Dwm:
     """serial:PATH (a DWM1001 in generic mode), balancer (one that is wired to the ATmega32U4) or replay:DIR (a
     recording); `{robot}` = the own name."""
     target: str | None = None
-    """Address of the module that is the target."""
+    """Address of the UWB module that is the target."""
     rate: float = 10.0
-    """Hz; the module's maximum is 10."""
+    """Measurements a second; the module's maximum is 10."""
     filter: str = "auto"
-    """The filter that estimates the pose: ekf, multilateration or average; auto = ekf while there is odometry, else
-    average."""
+    """The filter that estimates the pose: ekf, multilateration or average. auto stands for ekf while there is odometry,
+    and else for average."""
     filters: Mapping[str, str] = field(default_factory=dict)
-    """The same for single robots, by name."""
+    """Filters of single robots by name, in place of `filter`."""
     window: int = 5
-    """Length of the moving average of ranges; 1 = off."""
+    """Number of ranges in the moving average; 1: no averaging."""
     position_window: int | None = None
-    """The same for places; None = as `window`."""
+    """Number of places in the moving average; None: as `window`."""
     latency: float = 0.06
     """Seconds from a measurement until its report is read."""
     height: float = 0.0
     """Height of the robots' antennas in the frame of the anchors, m."""
     lever: float = 0.0
-    """Height of the antenna above a robot's axle, m: it swings on this lever as the body leans."""
+    """Height of the antenna above a robot's axle, m. The antenna moves on this lever when the body leans."""
     calibration: str | None = None
-    """File made by `swarm calibrate`, `{robot}` = the own name; its models go before `distance` and `position`."""
+    """File that `swarm calibrate` writes; `{robot}` stands for the own name. Its models replace `distance` and
+    `position`."""
     distance: Linear = field(default_factory=Linear)
     position: Affine = field(default_factory=Affine)
 
@@ -229,7 +233,7 @@ class Recordings:
     """The limits of the recordings that a robot keeps."""
 
     budget: float = 2e9
-    """Bytes of its disk they may take; beyond, the oldest finished runs are deleted."""
+    """Bytes that the recordings of a robot may take. Beyond that the robot deletes the oldest finished runs."""
 
 
 @frozen
@@ -239,11 +243,11 @@ class SimulationConfig:
     target: tuple[float, float] = (0.5, 1.0)
     """The target's place, m."""
     target_velocity: tuple[float, float] = (0.0, 0.0)
-    """m/s, from the first iteration of all robots on."""
+    """The target's velocity from the first iteration of all robots on, m/s."""
     places: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
-    """x, y in m and heading in rad, by robot."""
+    """Each robot's first place (x, y in m) and heading in rad, by name."""
     scl: float | None = None
-    """Hz: the clock of the simulated I2C bus; None here and below: as the parts' data sheets say."""
+    """The clock of the simulated I2C bus, Hz. None, here and below: as the data sheets of the parts say."""
     battery: float | None = None
     """The battery's voltage, V."""
     gyro_noise: float | None = None
@@ -271,10 +275,10 @@ class Config:
 
     path: Path
     network: str
-    """Robots of another network are refused."""
+    """The name of the swarm's network. A mesh refuses robots of another network."""
     robots: tuple[RobotConfig, ...]
     edges: tuple[tuple[str, str], ...]
-    """The topology to begin with: each link once, as (name, name) in the order of `robots`."""
+    """The first topology: each link once, as (name, name) in the order of `robots`."""
     relay: tuple[RelayRule, ...]
     anchors: tuple[Anchor, ...] = ()
     mesh: MeshConfig = field(default_factory=MeshConfig)
@@ -289,7 +293,7 @@ class Config:
     recordings: Recordings = field(default_factory=Recordings)
     simulation: SimulationConfig = field(default_factory=SimulationConfig)
     packages: tuple[str, ...] = ()
-    """Python packages that robots carry beside ours, as pip names them: for apps that import them."""
+    """Further Python packages that robots carry, by their names for pip, for apps that import them."""
     auto: bool = False
     """Whether the robots find their links themselves; `edges` is empty then."""
 

@@ -41,14 +41,14 @@ class AppEpoch:
 
     t: float
     epoch: int
-    """The number of epochs before it in this run."""
+    """The number of earlier epochs in this run."""
     k: int
     """The iteration at which it began."""
     members: tuple[str, ...]
     links: tuple[tuple[str, ...], ...]
     """Pairs of members."""
     away: tuple[str, ...]
-    """Robots that an operator has sent away."""
+    """Robots that an operator has dropped."""
     forced: bool
     """Whether an operator has ordered it without a majority."""
     frames: int
@@ -60,13 +60,13 @@ class SetAppEpoch:
     """Command on `swarm/<robot>/app/<app>/set/epoch`: agree on other members, or on the links in force, now."""
 
     ticket: str
-    """Names the request: a repetition is not done again."""
+    """The name of the request. A repetition of it is not carried out again."""
     drop: tuple[str, ...]
     """Robots that are to leave the run."""
     add: tuple[str, ...]
-    """Robots that were sent away and may come back."""
+    """Robots that were dropped and may come back."""
     force: bool
-    """Go on even without a majority: only where the others are known to have stopped."""
+    """Whether to go on without a majority. Use it only if the others are known to have stopped."""
 
 
 @frozen

@@ -36,9 +36,9 @@ class BalancerState:
     posture: str = "unknown"
     """upright, front (lying on it), back, leaning, or unknown before the first estimate: by the tilt alone."""
     demanded_speed: float = 0.0
-    """m/s it drives with at this moment: the command's, after limits and ramps."""
+    """The commanded speed after limits and ramps, m/s."""
     demanded_turn_rate: float = 0.0
-    """rad/s, to the left."""
+    """The commanded turn rate after limits and ramps, rad/s to the left."""
     battery_level: str = "ok"
     """ok, low (a warning) or empty (it lies down, and does not stand up)."""
     battery_left: float | None = None
@@ -46,7 +46,7 @@ class BalancerState:
     scl: float = 0.0
     """Hz: the clock of the I2C bus as its transfers show it, the kernel's time for them included; 0 where unknown."""
     behind: str = ""
-    """Tasks for which the I2C bus has no time, as `uwb, display`; empty where it has time for all."""
+    """Tasks for which the I2C bus has no time, such as `uwb, display`; empty: it has time for all."""
 
 
 @frozen
@@ -64,7 +64,7 @@ class Odometry:
     """Distance rolled by the left wheel, corrected by body pitch, m."""
     right: float
     x: float
-    """Way of the axle's middle by wheels and `heading`, in the frame of the start: x ahead, m."""
+    """Place of the axle's middle from wheels and `heading`, in the frame of the start: x points ahead, m."""
     y: float
     """Distance to the left, m."""
     heading: float
@@ -85,11 +85,12 @@ class BalancerFault:
 
     t: float
     name: str
-    """fell, lifted, cannot_stand, bus, device, estimate, clock, battery or stopped; empty: there is none (any more)."""
+    """fell, lifted, cannot_stand, bus, device, estimate, clock, battery or stopped; empty: there is no fault (any
+    more)."""
     reason: str
     """The reason in words."""
     recovery: str
-    """What a person must do about it: no fault goes by itself."""
+    """What a person must do. No fault ends by itself."""
 
 
 @frozen
@@ -131,10 +132,10 @@ class SetLeds:
     yellow: bool
     green: bool
     seconds: float = 3.0
-    """Seconds after which they show the balancer's own state again; at most 60."""
+    """Seconds after which the LEDs show the balancer's own state again, at most 60."""
     at: float | None = None
-    """The time from which they hold, by the robot's monotonic clock, at most 10 s ahead; at once without it. An
-    earlier order for that time or later is void."""
+    """The time from which the LEDs are set, by the robot's monotonic clock, at most 10 s ahead; None: at once. Earlier
+    orders for that time or later are cancelled."""
 
 
 @frozen
@@ -154,7 +155,7 @@ class SetVelocity:
     turn_rate: float
     """Turn rate to the left, rad/s."""
     seconds: float
-    """Seconds for which it holds, at most 10."""
+    """Seconds for which the command is valid, at most 10."""
 
 
 @frozen

@@ -19,7 +19,7 @@ from swarm.errors import LocalError, PayloadError
 from swarm.frozen import frozen
 
 MAX_PAYLOAD = 64 * 1024
-"""Largest payload accepted on the bus, in bytes: messages stay small, files go by other ways."""
+"""Largest payload of a message on the bus, in bytes. Files are sent in other ways."""
 
 MAX_BINARY = 960 * 1024
 """Largest payload of raw bytes that the bus carries: what one app sends to another. Files go by other ways. A larger
@@ -29,10 +29,10 @@ MAX_REQUEST = MAX_BINARY + 4096
 """Largest request that carries such a payload: ticket, names and numbers come on top."""
 
 Value = float | int | bool | str | tuple[float, ...]
-"""A value of a free-form map on the bus (an app's state, say)."""
+"""A value of a free-form map on the bus, such as an app's state."""
 
 MAX_COUNT = (1 << 63) - 1
-"""The greatest number of what is counted up by one, such as starts of a process, and said to others."""
+"""The greatest value of a number that is counted up by one and reported to others, such as the starts of a process."""
 
 _SHOWN = 60
 """Characters of a wrong value or name that an error shows."""

@@ -11,7 +11,7 @@ class UwbRange:
     anchor: str
     """Short UWB address as printed on the module, e.g. C933."""
     distance: float
-    """m, raw; whole millimetres."""
+    """The raw distance in whole millimetres, m."""
     quality: int
     """Quality of the range, 0-100."""
     x: float
@@ -27,21 +27,21 @@ class Uwb:
     """The ATmega's UWB block, on `swarm/<robot>/balancer/uwb`: on each new report, and once a second without any."""
 
     t: float
-    """The time at which the block was read, s."""
+    """The time at which the balancer read the block, s."""
     state: str
     """The ATmega's last poll of the module: ok, silent, refused, broken or paused (for the mailbox)."""
     error: int
     """The module's error code of its last refusal; 0 = none so far."""
     bad: int
-    """Polls whose answer was not whole, since the balancer found the ATmega."""
+    """Polls with an incomplete answer since the balancer found the ATmega."""
     sequence: int
-    """Counts reports since the balancer started: another number is a new one. 0 = none yet; then the rest is zero."""
+    """The number of reports since the balancer started. 0: there is no report yet, and all other fields are zero."""
     lost: int
     """Reports that came to the ATmega and were not read in time, since the balancer started."""
     age: float
     """Seconds since the ATmega got the report, at `t`; 65.535 = that or more."""
     x: float
-    """Own position as the module reckons it, m."""
+    """The robot's place as the module computes it, m."""
     y: float
     z: float
     quality: int
@@ -56,7 +56,8 @@ class ModuleRequest:
     """Command on `balancer/set/module`: one request to the DWM1001."""
 
     ticket: str
-    """Names the request; the answer carries it. The one under way and the last one answered are not done twice."""
+    """The name of the request, which the answer repeats. The current request and the last one answered are not carried
+    out twice."""
     request: bytes
     """Type, length and value as in the DWM1001's generic mode: 2 to 255 bytes."""
 
@@ -68,9 +69,9 @@ class ModuleAnswer:
     t: float
     ticket: str
     answer: bytes
-    """Status and data parts, `40 01 err ...`; what came instead where `problem` says so."""
+    """Status and data parts, `40 01 err ...`; or the bytes that arrived instead, if `problem` says so."""
     problem: str
-    """Why there is no proper answer; empty where there is one (which may be a refusal by the module)."""
+    """Why there is no proper answer; empty if there is one, which may be a refusal by the module."""
 
 
 @frozen
@@ -88,7 +89,7 @@ class Firmware:
 
     t: float
     layout: int
-    """Version of what it offers at the I2C bus."""
+    """Version of the firmware's layout on the I2C bus."""
     revision: int
     """Release of the firmware."""
 
@@ -103,7 +104,7 @@ class Buttons:
     b: bool
     c: bool
     presses_a: int
-    """Since the balancer started: a press that was missed shows here."""
+    """Presses of A since the balancer started. A program that has missed a press sees it here."""
     presses_b: int
     presses_c: int
 
@@ -113,9 +114,9 @@ class ImuRequest:
     """Command on `balancer/set/imu`: tell the IMU's samples for a while."""
 
     rate: float
-    """Hz: above 0, at most 100."""
+    """Samples a second: above 0, at most 100."""
     duration: float
-    """s, at most 60; 0 ends an earlier request."""
+    """Seconds for which samples are published, at most 60; 0 ends an earlier request."""
 
 
 @frozen
@@ -126,7 +127,7 @@ class ImuSample:
     t: float
     """The time of the control step that read it, s."""
     sequence: int
-    """Counts these messages."""
+    """The number of these messages so far."""
     gyro: tuple[float, ...]
     """rad/s, three axes, with the sensor's zero offset."""
     acceleration: tuple[float, ...]
@@ -150,7 +151,7 @@ class SetNotes:
     """Command on `balancer/set/notes`: play this instead of whatever plays; nothing = silence."""
 
     notes: tuple[Note, ...]
-    """64 at most."""
+    """At most 64 notes."""
 
 
 @frozen
@@ -160,7 +161,7 @@ class SetDisplay:
     text: str
     """Four lines of 21 letters (ASCII) are shown, longer ones are wrapped; empty = the app's values again."""
     seconds: float | None = None
-    """Seconds after which those are shown again; None = as long as no other text comes."""
+    """Seconds after which the app's values are shown again; None: the text stays until another one arrives."""
 
 
 @frozen
@@ -198,11 +199,11 @@ class I2CRates:
     failed: int
     """Transfers that failed; they are not in the rates."""
     read: float | None
-    """bit/s of data: select, pause, read, pause. None where none succeeded."""
+    """Rate of reading, bit/s of data, with the selection of the index and both pauses; None if no read succeeded."""
     write: float | None
-    """bit/s of data: write, pause."""
+    """Rate of writing, bit/s of data, with the pause."""
     problem: str
-    """Why it was given up; empty otherwise."""
+    """Why the measurement was given up; empty otherwise."""
 
 
 TOPICS = with_telemetry(

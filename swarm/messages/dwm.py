@@ -14,17 +14,17 @@ class Range:
     anchor: str
     """Short UWB address as printed on the module and in shell output, e.g. C933."""
     distance: float
-    """m, calibrated and filtered as the service is configured."""
+    """The distance, calibrated and filtered as the service is configured, m."""
     raw: float
-    """m, as the module reported it."""
+    """The distance as the module reported it, m."""
     quality: int
-    """0-100 as the module reported it."""
+    """The quality as the module reported it, 0-100."""
     age: float
-    """Seconds since it was measured, at `t` of the message."""
+    """Age of the measurement at `t` of the message, s."""
     sequence: int
-    """Counts new measurements of this anchor; a repeat keeps its number."""
+    """The number of measurements of this anchor so far. A repeated measurement keeps its number."""
     stale: bool = False
-    """Whether it was not measured for longer than the module needs: the numbers are of then."""
+    """Whether the last measurement is older than the module's period; the numbers are of that time."""
     robot: str | None = None
     """The robot that carries this module; None for one that stands by itself."""
 
@@ -48,12 +48,12 @@ class Pose:
     sequence: int
     """The number of the module report it comes from, as in `Ranges`."""
     x: float
-    """m, in the frame of the anchors."""
+    """Place in the frame of the anchors, m."""
     y: float
     heading: float | None
     """rad, counter-clockwise from x; None where the filter does not estimate it."""
     quality: int
-    """0-100; 0 = no fix, the numbers are not to be used."""
+    """Quality, 0-100; 0: there is no fix, and the other numbers must not be used."""
     source: str
     """The filter that made it: ekf, multilateration, average, module, external or recording."""
     deviation_x: float | None = None
@@ -76,7 +76,7 @@ class ExternalReport:
     calibration and filter."""
 
     x: float | None = None
-    """m, in the frame of the anchors."""
+    """Place in the frame of the anchors, m."""
     y: float | None = None
     heading: float | None = None
     """rad, counter-clockwise from x; None where it is not known."""
@@ -93,7 +93,7 @@ class Measurement:
     """Row k of a replayed recording, answered by `dwm/measurement?sequence=k`: range to target, own place."""
 
     t: float
-    """The recording's own time, s since its start: a row has one answer, whenever it is asked for."""
+    """The recording's own time since its start, s. So a row has the same answer whenever it is asked for."""
     sequence: int
     distance: float
     """Range to the target, m."""

@@ -14,14 +14,14 @@ class LinkState:
     state: str
     """down, connecting, up or suspect."""
     connection: int
-    """Counts the connections so far: a change tells that the link was renewed, even between two samples."""
+    """The number of connections so far. It shows that the link was renewed, even between two samples."""
     rtt: float | None
     """Smoothed round-trip time, s; None before the first heartbeat came back."""
     sent: int
     """Frames sent since the service started."""
     received: int
     reason: str
-    """Why it is down; empty otherwise."""
+    """Why the link is down; empty otherwise."""
     rtt_min: float | None = None
     """Smallest round-trip time of the heartbeats of the last minute, s; likewise median and 99th percentile."""
     rtt_median: float | None = None
@@ -65,13 +65,13 @@ class Member:
 
     robot: str
     state: str
-    """here (there is a way to it), left (it said that it stops), gone, or never (not seen yet)."""
+    """here (there is a path to it), left (it announced its stop), gone, or never (not seen yet)."""
     since: float
     """Time of the last change of state."""
     hops: int | None
-    """Links on the way to it; None where there is no way."""
+    """Hops on the path to the robot; None without a path."""
     via: str | None
-    """The neighbour that the way begins with."""
+    """The neighbour with which the path begins."""
 
 
 @frozen
@@ -122,7 +122,7 @@ class Watch:
 
     t: float
     seconds: float
-    """Seconds for which it holds, at most 60."""
+    """Seconds for which the request is valid, at most 60."""
 
 
 @frozen
@@ -148,13 +148,14 @@ class GraphRobot:
     since: float
     """Time of the last change of state; 0 for self."""
     hops: int | None
-    """Links on the way to it; None where there is no way."""
+    """Hops on the path to the robot; None without a path."""
     via: str | None
-    """The neighbour that the way begins with."""
+    """The neighbour with which the path begins."""
     links: dict[str, float]
-    """The links it says it has, with their one-way times, s. One counts where both ends tell of it."""
+    """The links that the robot reports, with their one-way times, s. A link counts only if both of its ends report
+    it."""
     stopped: bool | None
-    """Whether it says that it is stopped; None where it has not said anything since it was started."""
+    """Whether the robot reports that it is stopped; None: it has reported nothing since it was started."""
 
 
 @frozen
@@ -163,9 +164,9 @@ class MeshGraph:
 
     t: float
     robots: tuple[GraphRobot, ...]
-    """The robots by name, at most 100; `?after=NAME` asks for those behind NAME."""
+    """At most 100 robots by name. The query `?after=NAME` asks for the robots that follow NAME."""
     more: bool
-    """Whether there are robots behind the last one."""
+    """Whether more robots follow the last one."""
 
 
 @frozen
@@ -194,7 +195,7 @@ class EchoRequest:
 
     peer: str
     sequence: int
-    """Given back in the answers."""
+    """A number that the answers repeat."""
     size: int
     """Bytes of each ping's payload, at least 11."""
     count: int = 1
@@ -218,7 +219,7 @@ class Echo:
     rtt: float | None
     """Seconds from handing the ping to the link's queue until its answer was there; None where it could not be sent."""
     reason: str
-    """Why it could not be sent; empty otherwise."""
+    """Why the ping could not be sent; empty otherwise."""
 
 
 @frozen
@@ -228,7 +229,8 @@ class HoldLink:
 
     peer: str
     seconds: float
-    """Seconds, at most 600; 0 = the link may come back now. A mesh that starts holds none."""
+    """Seconds for which the link is held down, at most 600; 0: the link may come back now. A mesh that starts holds no
+    link."""
 
 
 @frozen
@@ -236,9 +238,9 @@ class TopologyRequest:
     """Command on `mesh/set/topology`: other links for the whole swarm; the answer is a `TopologySet`."""
 
     ticket: str
-    """Names this request; a repetition of it is answered again, not done again."""
+    """The name of this request. A repetition of it gets the same answer and is not carried out again."""
     shape: str
-    """line, loop, full, thesis-d, random:SEED or auto; empty where `edges` say it."""
+    """line, loop, full, thesis-d, random:SEED or auto; empty if `edges` gives the links."""
     edges: tuple[tuple[str, ...], ...]
     """Pairs of robots."""
     after: int | None
@@ -263,7 +265,7 @@ class Topology:
 
     t: float
     version: int
-    """Counts what was set; 0 = as configured."""
+    """The number of topologies that were set so far; 0: that of the configuration."""
     step: int
     """Counts the changes of the automatic rule within a version."""
     issuer: str
@@ -275,13 +277,14 @@ class Topology:
     edges: tuple[tuple[str, ...], ...]
     """All neighbours of the swarm, each pair once."""
     wanted: tuple[str, ...]
-    """Neighbours of this robot in it."""
+    """The neighbours of this robot in this topology."""
     up: tuple[str, ...]
     """The neighbours whose links are up, or to which other links lead."""
     kept: tuple[str, ...]
-    """Links that are up and not in it: they alone hold the swarm together, or are about to go."""
+    """Links that are up and not part of the topology: either they alone hold the swarm together, or they are about to
+    end."""
     missing: dict[str, str]
-    """Robots out of reach that this one has called, and why in vain."""
+    """Robots out of reach that this robot has called, and why each call failed."""
     links: tuple[tuple[str, ...], ...] = ()
     """Links that carry the topology, where these are not its own."""
 

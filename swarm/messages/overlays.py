@@ -13,7 +13,7 @@ class FloodRequest:
 
     LIMIT = MAX_REQUEST
     ticket: str
-    """Names this request; a repetition of it is not flooded again but gets the answer again."""
+    """The name of this request. A repetition of it gets the same answer and is not flooded again."""
     app: str
     payload: bytes
     priority: str
@@ -29,12 +29,12 @@ class Flooded:
     t: float
     """The time at which this robot learned it."""
     ticket: str
-    """The ticket of the request; empty elsewhere than at the origin."""
+    """The ticket of the request at the origin; empty on other robots."""
     app: str
     robots: tuple[str, ...]
     """The robots that it reached, besides the origin."""
     complete: bool
-    """Whether these are all that could be reached."""
+    """Whether these are all robots that could be reached."""
     problem: str
     """Why it is not complete; empty otherwise."""
 
@@ -53,7 +53,7 @@ class SendRequest:
     payload: bytes
     priority: str
     timeout: float
-    """Seconds after which it is given up."""
+    """Seconds after which the message is given up."""
 
 
 @frozen
@@ -70,9 +70,9 @@ class Progress:
     t: float
     ticket: str
     known: bool
-    """Whether there is such a request here: one that is not known was lost, and is to be made again."""
+    """Whether the mesh knows the request. An unknown request was lost and must be made again."""
     size: int
-    """Bytes of its payload; 0 where it is small, which takes no time worth telling."""
+    """Bytes of the payload; 0 for a small one, whose progress is not worth reporting."""
     moved: int
     """Bytes that have arrived: at the receiver, or at every neighbour that hands a flood on."""
 
@@ -88,7 +88,7 @@ class Sent:
     delivered: bool
     """Whether the other robot's mesh has confirmed it."""
     problem: str
-    """Why not; empty otherwise. It may have arrived all the same where the answer was lost."""
+    """Why it was not confirmed; empty otherwise. The message may have arrived nevertheless if the answer was lost."""
 
 
 @frozen
@@ -98,14 +98,14 @@ class Passed:
 
     t: float
     app: str
-    """Empty for an answer on its way: it does not say to what."""
+    """The app; empty for an answer, which does not name it."""
     sender: str
     """The robot that has sent the message, also where this is the answer."""
     to: str
     number: int
     """Counts what the sender's mesh has sent to that robot since its start."""
     back: bool
-    """Whether it is the answer."""
+    """Whether this is the answer on its way back."""
     next: str
     """The neighbour to which it went."""
     ticket: str
