@@ -14,15 +14,15 @@ from swarm.messages.json_input import read_json
 from swarm.onboard.arguments import add_json, add_robots, add_run_dir, show
 
 TIMEOUT_S = 600.0
-"""For each robot: a measurement may take minutes."""
+"""Seconds to wait for each robot: a measurement may take minutes."""
 
 FROM_ONE = ("mesh topology", "mesh epoch", "measure rtt", "measure throughput", "measure radio")
-"""Commands that one robot carries out for all: the one that is named first, else the first one."""
+"""Commands that one robot carries out for all: the robot that is named first, else the first of the configuration."""
 OF_EACH = ("measure i2c",)
-"""Commands whose arguments are the robots that each carry them out."""
+"""Commands whose arguments name the robots, each of which carries them out."""
 
 _HERE = {"-h", "--help", "--port", "--ranges"}
-"""Words by which a command is about something on this computer."""
+"""Options with which a command concerns this computer, not the robots."""
 
 
 def run(name: str, words: Sequence[str]) -> int | None:

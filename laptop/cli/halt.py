@@ -29,9 +29,9 @@ from swarm.process.terminal import columns
 
 PROGRAM = "/opt/swarm/current/bin/swarm"
 THERE_S = 3.0
-"""That the robot waits for its own balancer and mesh."""
+"""Seconds for which the command on the robot waits for the robot's own balancer and mesh."""
 _SLACK_S = 15.0
-"""For the connection and a robot that is slow to start Python."""
+"""Further seconds for the connection, and for a robot that is slow to start Python."""
 
 
 @dataclass
@@ -39,9 +39,9 @@ class _Answers:
     """The answers of ssh, bus and mesh."""
 
     outcomes: dict[str, everyone.RobotOutcome] = field(default_factory=dict)
-    """By robot: whether it was reached and has confirmed, and how."""
+    """The outcome of ssh by robot: whether it was reached and has confirmed, and how."""
     seen: dict[str, str] = field(default_factory=dict)
-    """Robots that another one has seen confirm, over the mesh: its name."""
+    """Robots whose confirmation another robot has seen over the mesh, with that robot's name."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

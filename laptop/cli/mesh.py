@@ -13,7 +13,8 @@ from swarm.onboard.mesh.collected import CollectedMesh
 HELP = "show the robots of the swarm, their links and the graph"
 
 ON_A_CIRCLE = 12
-"""Robots up to which a circle shows every link; more are placed by their distances."""
+"""The most robots that are drawn on a circle, where every link can be seen. More robots are placed by their
+distances."""
 
 Place = tuple[float, float]
 

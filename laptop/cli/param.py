@@ -10,7 +10,7 @@ from swarm.onboard import param
 HELP = "show or change parameters of a running app"
 
 COMMAND = "sudo -n /opt/swarm/current/bin/swarm app param"
-"""On a robot."""
+"""The command `swarm` on a robot."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

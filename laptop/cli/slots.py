@@ -33,7 +33,7 @@ HELP = "fit the slot radio to recorded runs of consensus"
 APP = "consensus"
 STAYS = (0.04, 0.08, 0.15, 0.25, 0.4)
 HOSTS = (0.0005, 0.0015, 0.004, 0.008, 0.016)
-"""s; the values of the two parameters that are simulated."""
+"""The values of the parameters `host` and `stay` that are simulated, s."""
 VALUES = {"host": HOSTS, "stay": STAYS}
 SEEDS = (11, 12)
 UNLIKE = 1.3
@@ -47,15 +47,15 @@ class Radio:
     """The behaviour of a radio in a run, recorded or simulated."""
 
     pace: float
-    """Seconds an iteration, median"""
+    """Median of the seconds that an iteration takes."""
     rtt_median: float | None
-    """s, of the link whose median is the middle one"""
+    """Median round trip of the link whose median is the middle one of all links, s."""
     rtt_p99: float | None
-    """s, of the link with the longest"""
+    """99th percentile of the round trips of the link with the longest one, s."""
     lost: int
-    """Links that were lost, and came back or not."""
+    """Links that were lost, whether or not they came back."""
     wrong: tuple[str, ...]
-    """Ends of links whose role is not the one wanted."""
+    """Ends of links with a role that is not the desired one."""
 
 
 @frozen
@@ -66,7 +66,7 @@ class Recorded:
     robots: int
     links: int
     piconets: int
-    """In which the busiest robot is."""
+    """The number of piconets in which the busiest robot is."""
     radio: Radio
 
 

@@ -26,7 +26,7 @@ APPS = "/var/lib/swarm/apps"
 SETTINGS = "/etc/swarm/apps"
 
 _PLAIN = re.compile(r"[A-Za-z0-9_.,:+=\[\]/-]+")
-"""What a setting may hold: systemd splits its arguments at spaces, and knows quotes."""
+"""Characters that a setting may contain: systemd splits arguments at spaces and interprets quotes."""
 
 _START = """set -e; umask 022
 systemctl show --property=InvocationID --value {unit}
@@ -67,9 +67,9 @@ class StartedApp(NamedTuple):
     """The way an app was started on a robot."""
 
     digest: str
-    """SHA-256 of its settings; equal where it is the same run, started in the same way."""
+    """SHA-256 of the app's settings. It is equal for the same run, started in the same way."""
     built_in: bool
-    """Whether it comes with the release; else it is a file that was brought."""
+    """Whether the app is part of the release; otherwise its file was copied to the robot."""
 
 
 class AppStart:

@@ -14,7 +14,7 @@ INQUIRY_S = 25.0
 """An inquiry of 10.24 s finds most devices, two of them find those that were missed."""
 
 LISTENS_S = 20.0
-"""Until the called robot must have its agent and be found."""
+"""Seconds within which the called robot must have its agent and be found."""
 
 
 async def look(ssh: Ssh, host: Host) -> dict[str, Any]:

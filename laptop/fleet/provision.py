@@ -29,10 +29,10 @@ from swarm.errors import LocalError
 from swarm.frozen import frozen
 
 BACK_S = 180.0
-"""Until a robot that was told to reboot must answer again; a Zero 2 W takes about 40 s."""
+"""Seconds within which a robot must answer again after a reboot; a Zero 2 W takes about 40 s."""
 
 ASK_S = 2.0
-"""Between looks whether it is back."""
+"""Seconds between two tries to reach a robot that reboots."""
 
 
 @frozen

@@ -23,7 +23,7 @@ _POSE_FIELDS = tuple(field.name for field in dataclasses.fields(Pose))
 _POSE_NEEDS = frozenset(field.name for field in dataclasses.fields(Pose) if field.default is dataclasses.MISSING)
 
 _LEVELS = {"info": 2, "warning": 3, "error": 4}
-"""Of `foxglove.Log`."""
+"""The levels of `foxglove.Log`."""
 
 
 class Message(NamedTuple):
@@ -32,7 +32,7 @@ class Message(NamedTuple):
     topic: str
     schema_name: str
     value: object
-    """What the schema is made of; a pose has a schema of its own."""
+    """The value from which the schema is made; a pose has a schema of its own."""
     data: bytes
     """JSON text."""
 

@@ -14,11 +14,11 @@ from swarm.recording.core import foxglove
 
 SCENE = "/scene"
 BODY_RADIUS, BODY_HEIGHT = 0.055, 0.11
-"""Of a Balboa 32U4 with its wheels of 80 mm, m."""
+"""Size of a Balboa 32U4 with its wheels of 80 mm, m."""
 
 _KINDS = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
 _LINE_LIST = 2
-"""Two points each make a line."""
+"""The kind of line in which every two points make a line."""
 
 Color = tuple[float, float, float, float]
 _ROBOT: Color = (0.0, 0.45, 0.70, 1.0)

@@ -22,7 +22,7 @@ except ModuleNotFoundError:
     raise MissingPackageError("swarm foxglove", "foxglove-sdk", "foxglove") from None
 
 PERIOD = 0.05
-"""Seconds between two looks at what is new."""
+"""Seconds between two searches for new messages."""
 HOST = "127.0.0.1"
 
 _log = logging.getLogger("foxglove")
@@ -41,7 +41,7 @@ class FoxgloveServer:
         self._channels: dict[str, foxglove.Channel] = {}
         self._version = 0
         self._late = threading.Event()
-        """Somebody has subscribed since the last look."""
+        """Whether a client has subscribed since the last search."""
         self._event = 0
         try:
             self._server = foxglove.start_server(

@@ -11,9 +11,9 @@ from swarm.errors import LocalError
 from swarm.recording.run import Run
 
 PERIODS = 8
-"""Flashes shown in the panel of LEDs."""
+"""Number of flashes that the panel of LEDs shows."""
 NEAR_MS, FAR_MS = 20.0, 60.0
-"""Differences between flashes up to which the scale is linear, and beyond which it is not."""
+"""If differences between flashes exceed FAR_MS, their scale is linear up to NEAR_MS and logarithmic beyond."""
 STANDING = "balancing"
 """The balancer's mode when a robot stands."""
 

@@ -9,10 +9,10 @@ from swarm.errors import LocalError
 from swarm.recording.run import Run
 
 PANELS = 6
-"""Floods or messages shown, the last ones."""
+"""The most floods or messages that are shown. They are the last ones."""
 
 CLOCKS = 0.01
-"""Seconds by which clocks of two robots may differ: a message may seem to come so long before it has left."""
+"""Seconds by which the clocks of two robots may differ. So a message may seem to arrive before it has left."""
 
 OUT, BACK = style.COLOURS[0], style.COLOURS[1]
 
@@ -66,7 +66,7 @@ class JourneyLeg(NamedTuple):
     next: str
     back: bool
     until: float | None
-    """The time at which it was there; None where it was not seen there."""
+    """The time of arrival; None if no arrival was recorded."""
 
 
 def legs(passes: Iterable[Pass], sender: str, to: str, arrived: float | None, known: float | None) -> list[JourneyLeg]:

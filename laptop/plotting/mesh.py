@@ -10,16 +10,16 @@ from swarm.errors import LocalError
 from swarm.recording.run import Run, natural
 
 CROWD = 24
-"""Links or robots from which on the mesh is drawn without words."""
+"""Number of links or robots from which on the mesh is drawn without labels."""
 
 APART = 0.15
-"""Robots nearer than this, m, hide each other; and ..."""
+"""Distance below which two drawn robots hide each other, m."""
 BESIDE = 0.12
-"""... so near a link, as a share of the picture, one that has no part in it seems to."""
+"""Distance from a link, as a share of the picture, below which a third robot seems to belong to it."""
 ALONG = (0.5, 0.4, 0.6, 0.3, 0.7, 0.22, 0.78)
-"""Where on a link its words may stand, the best place first."""
+"""Places on a link where its label may stand, the best one first."""
 CLEAR = 0.13
-"""Distance of words from others, from robots and from crossings, as a share of the picture."""
+"""Least distance of a label from other labels, robots and crossings, as a share of the picture."""
 
 Pair = tuple[str, str]
 
@@ -31,7 +31,7 @@ class DrawnLink(NamedTuple):
     rtt: float | None
     """Round-trip time, s."""
     text: str = ""
-    """What stands on it besides the round-trip time."""
+    """Text on the link besides the round-trip time."""
 
 
 def mesh(figure: Any, run: Run) -> None:

@@ -22,13 +22,13 @@ Spread = tuple[float, float, float]
 """Variance of x, covariance, variance of y, m^2; NaN where they are not known."""
 
 PLACED = ("swarm/*/dwm/pose", "swarm/*/sim/truth", "swarm/*/app/*/measurement")
-"""Topics that tell where robots are, the best one first."""
+"""Topics with the places of robots, the best one first."""
 
 MOVING = ("formation", "goto")
-"""Apps of which it matters how near robots come to each other."""
+"""Apps whose picture shows how near robots come to each other."""
 
 SIGMAS = 2.0
-"""Standard deviations of the ellipses drawn: 86 % of a plane's normal distribution."""
+"""Half-axes of the ellipses in standard deviations. They contain 86 % of a plane's normal distribution."""
 
 
 class _Estimate(NamedTuple):

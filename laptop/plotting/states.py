@@ -16,14 +16,14 @@ _Panel = tuple[str, str, dict[str, Trajectory]]
 """Label, column, and the robots' trajectories."""
 
 DOTS = 120
-"""Iterations up to which each has a dot."""
+"""The most iterations that are drawn with a dot each."""
 AWAY_S = 0.5
-"""Seconds without an iteration that are a gap in a line, at least."""
+"""Least time without an iteration that is drawn as a gap in a line, s."""
 STOPS: dict[str, Any] = {"marker": "x", "linestyle": "", "markersize": 5}
 GOES_ON: dict[str, Any] = {"marker": "o", "linestyle": "", "markersize": 5, "fillstyle": "none"}
 """The marks at the ends of a gap in a line: over iterations the ends are side by side."""
 PANELS = 6
-"""Columns shown at most, where none are asked for."""
+"""The most columns that are shown if none are requested."""
 
 
 def states(figure: Any, run: Run, columns: Sequence[str] = (), labels: Mapping[str, str] | None = None) -> None:

@@ -20,7 +20,7 @@ MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")
 
 GREY = "0.45"
 FEW = len(COLOURS)
-"""Robots up to which each has a colour of its own and a line in the legend."""
+"""The most robots that have a colour of their own and a line in the legend."""
 
 RC = {
     "font.size": 9,

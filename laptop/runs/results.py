@@ -39,7 +39,7 @@ class RunData:
         Raises `RecordingError` where there is no recording."""
         self.path = path
         self.recording = Run(path, app)
-        """All that was recorded: `recording.samples("swarm/*/dwm/pose")` and the like."""
+        """The whole recording, for example `recording.samples("swarm/*/dwm/pose")`."""
         self.app = self.recording.app
         """The app's name."""
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WITHIN = 0.01
-"""How near its last value a result has settled, in its unit."""
+"""Distance from its last value within which a result counts as settled, in its unit."""
 
 
 class SweepTable:

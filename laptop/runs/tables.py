@@ -12,12 +12,12 @@ from swarm.recording.run import Run
 FORMATS = ("csv", "npz", "mat", "parquet")
 
 Table = dict[str, list[Any]]
-"""Columns by name, all of one length; None where a row has nothing."""
+"""Columns by name, all of the same length; None marks a row without a value."""
 
 _LONGEST_VARIABLE = 63
 
 _EXTRA = {"npz": ("numpy", "lab"), "mat": ("scipy", "tables"), "parquet": ("pyarrow", "tables")}
-"""What a format needs, and the extra that brings it."""
+"""The package that each format needs, and the extra that installs it."""
 
 
 def of_topic(recorded: Run, topic: str) -> Table:

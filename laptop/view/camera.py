@@ -12,7 +12,7 @@ from swarm.errors import LocalError
 
 _BUSY: web.AppKey[asyncio.Lock] = web.AppKey("busy")
 _SHOWN = ("token", "theme", "run")
-"""What the page that is shown is told, too."""
+"""Parameters of the address that the page in the picture gets, too."""
 
 
 def add_camera(app: web.Application, recording: ViewedRecording | None) -> None:

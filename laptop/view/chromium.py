@@ -20,10 +20,10 @@ from swarm.errors import LocalError
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 PATIENCE_S = 60.0
-"""For its start, and for each answer: machines may be slow, and a picture of a large page takes its time."""
+"""Seconds to wait for the start and for each answer: machines may be slow, and a large picture takes long."""
 POLL_S = 0.05
 _LONGEST = 1 << 27
-"""Bytes of a message: a picture of 4096 x 2160 pixels, in base64."""
+"""The most bytes of a message: a picture of 4096 x 2160 pixels in base64."""
 
 
 def browser() -> str:
@@ -39,7 +39,7 @@ class Page:
 
     def __init__(self, pid: int, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.pid = pid
-        """Of the browser, and of its process group."""
+        """Process id of the browser and of its process group."""
         self._reader, self._writer = reader, writer
         self._number = 0
         self._session: str | None = None

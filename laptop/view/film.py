@@ -19,13 +19,13 @@ FORMATS = {
     ".mp4": "-c:v libx264 -crf 18 -pix_fmt yuv420p -movflags +faststart -f mp4",
     ".webp": "-c:v libwebp_anim -quality 60 -compression_level 6 -loop 0 -f webp",
 }
-"""What the encoder is told, by the file's suffix: a film, or an animated picture that a page of text can show."""
+"""Options of the encoder by the file's suffix: a film, or an animated picture that a page of text can show."""
 
 DESK = 1280
-"""Pixels across of the page that a film shows; a film of fewer shows it smaller."""
+"""Width in pixels of the page that a film shows. A narrower film shows the page smaller."""
 
 MAX_FRAMES = 200_000
-"""Some two hours; more is a slip of the hand."""
+"""The most pictures of a film, some two hours. More are probably a mistake."""
 
 
 @frozen
@@ -33,11 +33,11 @@ class Film:
     """The content of a film, and how it is shown."""
 
     begin: float
-    """Seconds of the recording."""
+    """Beginning of the film, in seconds of the recording."""
     end: float
-    """s"""
+    """End of the film, in seconds of the recording."""
     size: tuple[int, int] = (1280, 720)
-    """Pixels; both even, as the encoder wants it."""
+    """Width and height in pixels. Both are even, as the encoder requires."""
     fps: float = 30.0
     """Pictures a second."""
     speed: float = 1.0
@@ -120,7 +120,7 @@ async def shoot(address: str, film: Film, path: Path, tell: Callable[[int, int],
 
 
 SIZE = (1400, 1000)
-"""Pixels."""
+"""Size of the picture in pixels."""
 
 SETTLE_S = 4.0
 """Seconds that a live page has to connect, and for trails and charts to grow."""

@@ -19,7 +19,7 @@ MAX_NAME = 40
 MAX_SPAN = 6
 
 Panel = tuple[str, int, int]
-"""Name, columns and rows that it spans."""
+"""A panel's name, and the columns and rows that it spans."""
 
 
 def default_path() -> Path:
@@ -34,7 +34,7 @@ class Layouts:
         self._path = path
         self._lock = threading.Lock()
         self.current = ""
-        """The name of the one that was used last; empty: the page's own."""
+        """Name of the layout that was used last; empty: the page's own layout."""
         self.named: dict[str, list[Panel]] = {}
         # A file that cannot be read, or that somebody has written by hand, costs no more than the layouts in it.
         with contextlib.suppress(OSError, ValueError, LocalError, TypeError, KeyError, AttributeError, RecursionError):

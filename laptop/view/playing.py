@@ -14,7 +14,7 @@ from swarm.recording import folder
 from swarm.recording.reader import SUFFIX
 
 MAX_RUNS = 200
-"""Recordings of a folder that are listed; the newest."""
+"""The most recordings of a folder that are listed. They are the newest ones."""
 
 EXPECTED = (
     "expected {seek: {since, t}}, {series: {topic, fields}}, {runs}, {open: RUN}, {beside: RUN or null} or "

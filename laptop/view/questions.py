@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 MAX_WAITING = 32
-"""Questions of one page that wait for those before them, and answers that wait for a page to read them."""
+"""The most questions of a page that wait for earlier ones, and the most answers that wait to be read."""
 
 Answer = dict[str, Any]
 """`{"done": TEXT}`, `{"refused": TEXT}` or `{"history": ROWS}`."""

@@ -20,7 +20,7 @@ LEVELS = ("error", "warning", "info")
 MAX_MARKS = 400
 
 JUMP_S = 3.0
-"""A page that goes further than this at once does not play, it jumps."""
+"""Seconds. A page that advances by more than this at once has jumped and does not play."""
 
 
 class ViewedRecording:
@@ -33,7 +33,7 @@ class ViewedRecording:
         run = Run(path)
         self.path = path
         self.first, self.last = 0.0, 0.0
-        """Of its messages, s; 0 is the first iteration."""
+        """Times of the first and the last message, s; 0 is the first iteration."""
         self._rows: dict[str, dict[str, tuple[list[float], list[bytes]]]] = {}
         self._events: list[Event] = []
         teller = Picture()
@@ -53,7 +53,7 @@ class ViewedRecording:
             teller.events.clear()
         self.damage = list(run.damage)
         self.config = config_of(path)
-        """Of the run; None where it was not kept or is of another version."""
+        """The run's configuration; None if it was not kept or is of another version."""
         self.robots = run.robots
 
     def step(self, since: float | None, t: float) -> dict[str, Any]:

@@ -7,10 +7,10 @@ from typing import Any
 from swarm.errors import LocalError
 
 MOST = 600
-"""Points of one robot that a chart gets at most."""
+"""The most points of one robot in a chart."""
 
 MOST_IN_ALL = 24_000
-"""Points of all robots together: a chart of hundreds of robots has bands, not lines."""
+"""The most points of all robots together. A chart of hundreds of robots has bands, not lines."""
 
 MAX_FIELDS = 8
 MAX_DEPTH = 6

@@ -35,19 +35,20 @@ from swarm.messages.json_input import read_json
 
 HOST = "127.0.0.1"
 RATE = 25.0
-"""Steps a second that a page gets at most: places are told of at 10 Hz; the page draws the way between."""
+"""The most steps a second that a page gets. Places arrive at 10 Hz, and the page draws the movement between them."""
 
 FULL = 5
-"""Steps of which one has all keys, events and services: nobody reads numbers that change more often."""
+"""One in so many steps has all keys, events and services: nobody reads numbers that change more often."""
 
 CROWD = 50
-"""Robots from which on a page gets the full steps only."""
+"""The number of robots from which on a page gets full steps only."""
 
 HEARTBEAT_S = 10.0
-"""Seconds between two pings; a page that takes half of it to answer is let go of, and connects again when it can."""
+"""Seconds between two pings. The server closes the connection of a page that needs half of that to answer, and the page
+connects again when it can."""
 
 REPEAT_S = 0.2
-"""Seconds between two looks whether robots have confirmed a stop."""
+"""Seconds between two checks whether robots have confirmed a stop."""
 
 PAGE = Path(__file__).with_name("page")
 _MAX_REQUEST = 4096
@@ -55,7 +56,7 @@ _POLICY = (
     "default-src 'self'; img-src 'self' data:; style-src 'self' 'unsafe-inline'; connect-src 'self' ws:; "
     "frame-ancestors 'none'"
 )
-"""Nothing from the network at run time."""
+"""The policy by which a page loads nothing from the network."""
 
 EXPECTED = (
     "expected {series: {topic, fields}}, {do: {act, ...}}, {pace: {speed, paused}}, {look: {t}} or "

@@ -14,7 +14,7 @@ from swarm.messages.keys import key
 from swarm.process.service import Service
 
 _POLL = 0.25
-"""Seconds between looks at whether to stop: a signal does not wake a queue."""
+"""Seconds between two checks whether to stop: a signal does not wake a waiting queue."""
 
 
 def serve(service: Service) -> None:

@@ -10,7 +10,7 @@ from swarm.config.types import Config
 from swarm.frozen import frozen
 
 FASTEST = UpdateRate(1, 1)
-"""10 Hz, standing still too: a balanced robot is still, and still needs its place."""
+"""The rate of 10 Hz, also while the robot stands still: a balancing robot stands still and needs its place."""
 
 
 @frozen
@@ -18,12 +18,12 @@ class ModuleInfo:
     """All that a module tells of itself."""
 
     identity: int
-    """64 bits; the low 16 are the short address."""
+    """The module's 64-bit id. Its low 16 bits are the short address."""
     version: Version
     settings: Settings
     rate: UpdateRate
     place: Position
-    """Of an anchor, where it was set up to be; of a tag, where it finds itself."""
+    """The place that is stored in an anchor, or that a tag computes."""
     status: ModuleStatus
 
     @property
@@ -38,10 +38,10 @@ class DesiredModule:
 
     anchor: bool
     initiator: bool | None = None
-    """None = as it is."""
+    """Whether the anchor starts the network; None: leave it as it is."""
     rate: UpdateRate = FASTEST
     place: Position | None = None
-    """Of an anchor; None = as it is."""
+    """The place of an anchor; None: leave it as it is."""
 
 
 def inspect(line: ModuleConnection) -> ModuleInfo:

@@ -29,7 +29,7 @@ MOST_RUNS = 8
 """Runs that an error names."""
 
 FOLLOW_S = 0.3
-"""Between two looks into the files of a simulation."""
+"""Seconds between two looks into the log files of a simulation."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

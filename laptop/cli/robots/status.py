@@ -30,7 +30,7 @@ HELP = "show services, battery, links, pose, apps and versions of all robots, ov
 
 WATCH_EVERY_S = 2.0
 LISTEN_S = 1.3
-"""Long enough for what is sent once a second."""
+"""Seconds of listening to each robot's bus: long enough for messages that are sent once a second."""
 
 _MARK = "== "
 _BYTES = re.compile(r"[0-9]{1,18}")
@@ -42,7 +42,7 @@ class StatusRow:
 
     release: str
     firmware: str | None
-    """Of the ATmega."""
+    """The firmware of the ATmega."""
     failed: list[str]
     """Services and apps that do not run."""
     battery_v: float | None
@@ -50,17 +50,17 @@ class StatusRow:
     mode: str | None
     fault: str | None
     next: str | None
-    """What makes it stand: the command, or what has to be done before; None while it stands or is about to."""
+    """The command that makes the robot stand, or what must be done before; None while it stands or is about to."""
     links: dict[str, str]
-    """State by neighbour."""
+    """The state of each link, by neighbour."""
     clashes: list[str]
-    """Names that two robots have, as its mesh knows."""
+    """Names that two robots have, as the robot's mesh reports."""
     pose: list[float] | None
-    """x, y in m."""
+    """Place of the robot: x and y in m."""
     apps: dict[str, dict[str, Any]]
-    """Phase and iteration by app."""
+    """Phase and iteration of each app, by name."""
     recorded: int | None
-    """Bytes of its disk that recordings take."""
+    """Bytes that recordings take on the robot's disk."""
     misunderstood: list[str]
     """Topics whose messages have other types than they should; they are left out."""
 

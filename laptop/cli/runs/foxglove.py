@@ -8,7 +8,7 @@ from laptop.view import live
 
 HELP = "serve the running swarm to Foxglove"
 PORT = 8765
-"""The one that Foxglove proposes."""
+"""The port that Foxglove proposes."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -25,7 +25,7 @@ KINDS: dict[str, Callable[[Any, Run], None]] = {
 }
 
 TIME = "time / s"
-"""How an axis of the run's time is labelled."""
+"""The label of an axis that shows the run's time."""
 
 OF_APP = {
     "localization": "map",
@@ -36,7 +36,7 @@ OF_APP = {
     "flooding_demo": "floods",
     "unicast_demo": "unicasts",
 }
-"""What is drawn of an app where nothing is asked for; of others: states."""
+"""The default kind of picture of an app; of apps that are not listed it is the states."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -21,11 +21,11 @@ from swarm.recording.run import Run
 HELP = "publish a recorded run on a bus again, for z_sub and other viewers"
 
 NAME = "replay"
-"""What its bus is called: all robots' keys are on it."""
+"""The name of the replay's bus, which has the keys of all robots."""
 OPENING_S = 5.0
 """Seconds that the bus may take to open."""
 SETTLE_S = 0.3
-"""Seconds before the first message and after the last one: watchers come and messages go meanwhile."""
+"""Seconds before the first message, in which programs subscribe, and after the last one, in which messages arrive."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -14,7 +14,7 @@ from swarm.errors import LocalError
 from swarm.process.terminal import columns
 
 _UNITS = {"consensus": " from the mean", "localization": " / cm"}
-"""Of the errors of our own apps."""
+"""The units of the errors of the built-in apps."""
 
 _NUMBERS = {
     "runs": "runs",

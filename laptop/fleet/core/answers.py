@@ -4,7 +4,7 @@ from swarm.errors import RemoteError
 from swarm.process.text import printable
 
 MISUNDERSTOOD = (RemoteError, LookupError, ValueError, TypeError, AttributeError, RecursionError)
-"""What code raises that takes such an answer apart."""
+"""The errors that code may raise when it decodes such an answer."""
 
 
 def misunderstood(error: BaseException) -> str:

@@ -59,7 +59,7 @@ def address(facts: Facts, wish: DesiredRobot) -> Verdict:
 
 
 CLOCK_S = 30.0
-"""Off by more than this, logs and recordings cannot be read beside each other."""
+"""Largest error of a robot's clock, s. Beyond it, logs and recordings of robots cannot be compared."""
 
 
 def clock(facts: Facts, wish: DesiredRobot) -> Verdict:

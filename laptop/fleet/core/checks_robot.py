@@ -6,7 +6,7 @@ from services.balancer.core.devices import balboa, imu
 from services.mesh.core.routing.physical_links import calls_of
 
 LOW_SCL = 0.9
-"""Of the clock that the I2C bus is told to have: below it the Pi's core clock is not the one of its full speed."""
+"""Share of the configured I2C clock. If the bus is slower, the Pi's core clock is below its full speed."""
 
 
 def devices(robot: ExaminedRobot) -> Finding:

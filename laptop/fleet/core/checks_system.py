@@ -8,11 +8,11 @@ from laptop.fleet.core.wish import DesiredRobot, ProvisioningStep, wish
 
 LOW_DISK = 200_000_000
 LOW_MEMORY = 40_000_000
-"""Bytes."""
+"""Bytes of free memory below which the check warns."""
 HOT_C = 75.0
-"""The Pi slows down from 80 degrees on."""
+"""Temperature above which the check warns, degrees Celsius: a Pi slows down from 80 on."""
 RESTARTS = 3
-"""Restarts of a service since it was started by hand, from which on it is not well."""
+"""Number of restarts of a service, since it was started by hand, from which on the check warns."""
 
 PROVISION = "swarm provision {robot}"
 
@@ -61,7 +61,7 @@ def memory(robot: ExaminedRobot) -> Finding:
 
 
 _NOW = {0: "too little voltage", 1: "slowed down", 2: "throttled", 3: "at its limit of heat"}
-"""Bits of get_throttled; 16 bits higher: since it was switched on."""
+"""Bits of get_throttled about the present. The same bits, 16 places higher, are about the time since power-on."""
 
 
 def heat(robot: ExaminedRobot) -> Finding:

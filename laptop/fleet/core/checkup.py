@@ -19,17 +19,17 @@ class ExaminedRobot:
     name: str
     config: Config
     system: Mapping[str, Any] | None
-    """Of `swarm.onboard.bootstrap.examine`; None for a simulated robot, which has none of its own."""
+    """The answer of `swarm.onboard.bootstrap.examine`; None for a simulated robot, which has no computer of its own."""
     bus: Mapping[str, Any] | None
-    """Newest messages by topic; None where nobody could listen."""
+    """The newest message of each topic; None if the bus could not be heard."""
     digest: str = ""
     """SHA-256 of our swarm.toml."""
     now: float = 0.0
-    """Seconds since 1970, here, when it was asked."""
+    """Time of this computer when the robot was asked, seconds since 1970."""
     disk: int | None = None
     """Bytes left where a simulated robot keeps its files."""
     addresses: Mapping[str, str] = field(default_factory=dict)
-    """Bluetooth addresses by robot, as the config has them."""
+    """The Bluetooth addresses in the configuration, by robot."""
     key: Mapping[str, Any] | None = None
     """Mode, owner and ids of the key file."""
 
@@ -50,11 +50,11 @@ class Finding:
     """The result of a check."""
 
     state: str
-    """ok, warning, bad, or skipped where it does not apply."""
+    """ok, warning, bad, or skipped if the check does not apply."""
     text: str
-    """What is so."""
+    """What the check has found."""
     remedy: str = ""
-    """What to do; empty where nothing is to be done."""
+    """What to do; empty if nothing has to be done."""
 
 
 @frozen
@@ -63,7 +63,7 @@ class Check:
 
     name: str
     question: str
-    """The checklist's line: what is so on a robot that is well."""
+    """The check's line in the checklist, which says what is true on a robot without faults."""
     judge: Callable[[ExaminedRobot], Finding]
 
 
@@ -88,4 +88,4 @@ def skipped(text: str) -> Finding:
 
 
 SIMULATED = skipped("a simulated robot has none")
-"""What a check says that asks for a simulated robot's own computer."""
+"""The answer of a check that would examine a simulated robot's own computer."""

@@ -17,13 +17,13 @@ from swarm.errors import RemoteError
 from swarm.frozen import frozen
 
 RUNS = "/var/lib/swarm/runs"
-"""Where a robot keeps a folder for each run, APP-NUMBER."""
+"""The directory in which a robot has a folder for each run, APP-NUMBER."""
 
 _PART = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.:+-]{0,127}")
-"""What a folder or file may be called: nothing that leads out of its folder, and nothing a shell would read."""
+"""Allowed names of folders and files. None of them leads out of its folder or means something to a shell."""
 _MAX_PARTS = 4
 _MAX_DIGITS = 19
-"""Of a file's size; Python converts no text of more than 4300 digits."""
+"""The most digits of a file's size: Python converts no text of more than 4300 digits."""
 _SUM_LINE = re.compile(rb"([0-9a-f]{64})  -\n")
 _SUM_SIZE = 68
 
@@ -45,7 +45,8 @@ while read -r sum size path; do
     fi
 done
 find . -mindepth 1 -type d -empty -delete"""
-"""For the robot's shell, `runs` is RUNS. Nothing in them is a single quote: they are handed on in such."""
+"""Commands for the robot's shell, in which `runs` is RUNS. They contain no single quote, because they are passed on in
+single quotes."""
 
 
 @frozen
@@ -140,7 +141,7 @@ class Stream:
     def __init__(self, wanted: Sequence[Wanted]) -> None:
         self._todo = list(reversed(wanted))
         self._left: int | None = None
-        """Bytes of the first file that are to come; None before its mark."""
+        """Bytes of the first file that have not arrived yet; None before the file's mark."""
         self._rest = b""
 
     @property

@@ -24,7 +24,7 @@ clock over a divider that the kernel sets once; left to itself the clock drops w
 `core_freq_min` at the same value keeps it (pelwell in raspberrypi/linux 4884 and 5434)."""
 
 FILES = (*CONFIG_TXT, *CMDLINE, BLUETOOTH_CONF, MODULES, LIMITS, NETWORK_CONF, WIFI, CLOUD, HOSTS, HOSTNAME)
-"""All that are looked at."""
+"""All files that are examined."""
 
 
 def _first(facts: Facts, paths: tuple[str, ...]) -> tuple[str, str] | None:

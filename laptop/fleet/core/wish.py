@@ -8,16 +8,17 @@ from swarm.config.types import Config
 from swarm.frozen import frozen
 
 SUITES = {"bookworm": "3.11", "trixie": "3.13"}
-"""Raspberry Pi OS: its Debian's name, and that one's Python."""
+"""The supported Debian releases of Raspberry Pi OS, with their versions of Python."""
 
 BOARDS = {"Raspberry Pi Zero 2 W": "zero2w", "Raspberry Pi 4 Model B": "pi4"}
-"""Beginning of what the device tree calls a board, and what `board` in swarm.toml does."""
+"""The beginning of a board's name in the device tree, and its name for `board` in swarm.toml."""
 
 PACKAGES = ("bluez", "python3", "python3-bluez", "python3-venv", "rfkill")
-"""What every robot needs; python3-bluez is the PyBluez that works, seen by the release's environment."""
+"""Packages that every robot needs. python3-bluez is the version of PyBluez that works, and the release's environment
+can import it."""
 
 FIRMWARE_PACKAGE = "bluez-firmware"
-"""Of Raspberry Pi's archive: the Bluetooth firmware of its boards."""
+"""The package of Raspberry Pi's archive with the Bluetooth firmware of its boards."""
 
 MIN_KERNEL = (6, 12)
 """6.1 crashes (krfcommd) when an RFCOMM call meets a page time-out; 6.12 is the oldest that was tested not to."""
@@ -25,7 +26,8 @@ MIN_KERNEL = (6, 12)
 KERNEL_PACKAGE = "linux-image-rpi-v8"
 
 MIN_FREE = {"/": 400_000_000, "/boot/firmware": 20_000_000}
-"""Bytes: a release is 60 MB unpacked, two are kept, one more is being unpacked, and packages beside."""
+"""Free bytes that a robot needs: a release has 60 MB, two are kept, a third is being unpacked, and packages need room
+too."""
 
 
 @frozen
@@ -33,7 +35,7 @@ class Packages:
     """The changes that apt would make on the robot with the bundle's packages."""
 
     files: Mapping[str, int] = field(default_factory=dict)
-    """Bytes by file of the bundle; nothing = all is there."""
+    """Size in bytes of the bundle's files that the robot lacks, by name; empty: it has all of them."""
     problem: str = ""
     names: tuple[str, ...] = ()
     """All packages that the bundle holds."""
@@ -45,27 +47,27 @@ class DesiredRobot:
 
     robot: str
     board: str
-    """As in swarm.toml: zero2w, pi4."""
+    """The board as in swarm.toml: zero2w or pi4."""
     address: str
-    """How ssh reaches it."""
+    """The address by which ssh reaches the robot."""
     now: float
-    """Seconds since 1970."""
+    """The time, in seconds since 1970."""
     uart: str | None = None
-    """A port of the Pi's own UART that the DWM1001 is wired to; None = it hangs elsewhere."""
+    """The port of the Pi's own UART to which the DWM1001 is wired; None: it is connected elsewhere."""
     bluetooth: bool = True
-    """Whether its links are Bluetooth's."""
+    """Whether the robot's links use Bluetooth."""
     key: bool = False
-    """Whether a key is brought."""
+    """Whether this run brings a key to the robot."""
     i2c_clock: int = 100
-    """kHz of the I2C bus."""
+    """The clock of the I2C bus, kHz."""
     secure: bool = True
-    """Whether one is needed."""
+    """Whether the robot needs a key."""
     wifi: tuple[str, str] | None = None
     """Name and password of a wireless network to join."""
     architecture: str = "arm64"
     packages: tuple[str, ...] = PACKAGES
     bundle: Packages | None = None
-    """None = no bundle for this robot's Debian."""
+    """The bundle for this robot's Debian; None if there is none."""
 
 
 def wish(
@@ -101,10 +103,10 @@ class Verdict:
     state: str
     """ok, change or failed."""
     text: str
-    """What is so; what will be changed; what is wrong and how to mend it."""
+    """By state: what is in order, what will be changed, or what is wrong and how to repair it."""
     changes: tuple[Change, ...] = ()
     reboot: bool = False
-    """In force only after a reboot."""
+    """Whether the change is in force only after a reboot."""
 
 
 def ok(text: str) -> Verdict:

@@ -14,7 +14,7 @@ from swarm.errors import ConfigError, LocalError
 from swarm.files import atomic_write, make_folder
 
 SETTING = "calibration/{robot}.toml"
-"""`[dwm] calibration` where robots have it."""
+"""The value of `[dwm] calibration` on robots."""
 
 _THERE = "/etc/swarm/calibration/{robot}.toml"
 

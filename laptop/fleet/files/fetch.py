@@ -24,7 +24,7 @@ JOURNAL = "journal"
 """Folder of the journals, beside those of the runs."""
 
 _TOLD_EVERY = 10_000_000
-"""Bytes between two words of progress."""
+"""Bytes between two reports of progress."""
 _ACTIVE = "systemctl list-units --plain --no-legend --state=active,activating,reloading 'swarm-app@*'"
 
 
@@ -37,9 +37,9 @@ class Got:
     received: int = 0
     """Bytes that crossed the network."""
     verified: dict[File, str] = field(default_factory=dict)
-    """Sum by file: the copy here has it, too."""
+    """Checksum of each file whose copy here has the same checksum."""
     strange: list[str] = field(default_factory=list)
-    """Names that are none of ours: left where they are."""
+    """Unknown names, whose files stay where they are."""
 
 
 class RecordingFetch:
@@ -49,7 +49,7 @@ class RecordingFetch:
         self._ssh, self._host, self._folder, self._tell = ssh, host, folder, tell
         self._got = Got()
         self._differs: set[File] = set()
-        """Files that are not what another robot has under the same name."""
+        """Files that differ from another robot's file of the same name."""
 
     async def recordings(self, runs: list[str]) -> Got:
         """Bring what is missing of the wanted runs (all without any); raises `HostError`."""

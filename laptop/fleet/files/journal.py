@@ -15,7 +15,7 @@ from swarm.process.text import printable
 FIELDS = "MESSAGE,_SYSTEMD_UNIT,UNIT,PRIORITY,_PID,SYSLOG_IDENTIFIER"
 _LEVELS = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
 _MAX_DIGITS = 20
-"""Of a size in a mark; Python converts no text of more than 4300 digits."""
+"""The most digits of a size in a mark: Python converts no text of more than 4300 digits."""
 
 
 @frozen

@@ -40,7 +40,7 @@ class Repository:
     folder: Path
     index: str
     packages: Mapping[tuple[str, str], Package]
-    """By name and version."""
+    """The packages by name and version."""
 
     def data(self, package: Package) -> bytes:
         """Return the file of a package after checking it. Raises `LocalError`."""
@@ -118,7 +118,7 @@ DEBIAN_KEYS = Path("/usr/share/keyrings/debian-archive-keyring.gpg")
 PI = "http://archive.raspberrypi.com/debian"
 PI_KEYS = tuple(Path("/usr/share/keyrings") / f"raspberrypi-archive-keyring.{end}" for end in ("pgp", "gpg"))
 PI_PACKAGES = (FIRMWARE_PACKAGE, KERNEL_PACKAGE)
-"""Raspberry Pi's own: an image of the last two years has both."""
+"""Packages of Raspberry Pi's own archive. Images of the last two years contain both."""
 
 
 @frozen

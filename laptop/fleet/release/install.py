@@ -20,14 +20,15 @@ from swarm.errors import LocalError
 from swarm.frozen import frozen
 
 FOLDER = ".cache/balboa-swarm"
-"""On the robot, below the home of the user who logs in."""
+"""The folder on the robot, below the home of the user who logs in."""
 
 _LACKS = f"""set -e; umask 022; mkdir -p {FOLDER}; cd {FOLDER}; cat > SUMS
 sha256sum --check --quiet SUMS 2>/dev/null | sed -n 's/: FAILED.*//p'
 find . -type f ! -name SUMS | cut -c3- | while read -r name; do
     grep -qF "  $name" SUMS || rm -f "$name"
 done"""
-"""Prints the names of files that are not there as they should be, and removes those of other releases."""
+"""A program for the robot. It prints the names of files that are missing or differ, and removes files of other
+releases."""
 
 
 @frozen
@@ -39,7 +40,7 @@ class Release:
     machine: str
     python: str
     files: dict[str, bytes]
-    """Content by name."""
+    """The content of each file, by name."""
     modes: dict[str, int]
 
     @property
@@ -129,7 +130,7 @@ _INSTALL = (
     "umask 077; own=$(mktemp -d) || exit 1; trap 'rm -rf $own' EXIT; "
     f"tar --extract --file=- --directory=$own && cd {FOLDER} && sudo -n ./install --name $robot "
 )
-"""Config and key come as a tar; nothing of them stays behind in a home folder."""
+"""A command for the robot. Configuration and key arrive as a tar archive, so no copy of them stays in a home folder."""
 
 
 def read_files(config: Path, key: Path | None) -> dict[str, bytes]:

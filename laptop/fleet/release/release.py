@@ -41,10 +41,11 @@ FIRMWARE = PARTS / "firmware" / "balboa.hex"
 """The Balboa's firmware, made from its sources (firmware/Makefile)."""
 
 _PLATFORMS = ("manylinux_2_28", "manylinux_2_27", "manylinux2014", "manylinux_2_17")
-"""Wheels' names for glibc 2.28 and older; Bookworm has 2.36."""
+"""Platform names of wheels for glibc 2.28 and older; Bookworm has 2.36."""
 _ZIP_TIME = (1980, 1, 1, 0, 0, 0)
 _TAR_TIME = 315532800
-"""Seconds since 1970: the same moment, so that equal sources give equal bytes."""
+"""The time of all files in the archive, in seconds since 1970. It is constant, so that equal sources give equal
+bytes."""
 
 
 def build(folder: Path, machine: str, python: str, packages: Sequence[str] = (), *, lock: Path = PARTS / LOCK) -> Path:

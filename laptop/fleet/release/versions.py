@@ -9,7 +9,7 @@ from swarm.messages.json_input import read_json
 
 ROBOT_ENV = "/etc/swarm/robot.env"
 OWN_NAME = f"sed -n s/^SWARM_ROBOT=//p {ROBOT_ENV} 2>/dev/null; true"
-"""For the robot's shell: the name it was installed under."""
+"""A command for the robot's shell that prints the name under which the robot was installed."""
 
 _MARK = "== "
 _SUM = re.compile(r"[0-9a-f]{64}")
@@ -25,7 +25,7 @@ class Versions:
     firmware: str | None
     """`revision R (layout L)`."""
     name: str | None = None
-    """That it was installed under."""
+    """The name under which the robot was installed."""
 
 
 def question(robot: str) -> str:

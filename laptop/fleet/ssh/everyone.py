@@ -28,19 +28,19 @@ class RobotOutcome:
     text: str
     seconds: float
     lines: tuple[str, ...] = ()
-    """What was told of it on the way."""
+    """The lines that were reported while the job ran."""
 
 
 T = TypeVar("T")
 
 ReportProgress = Callable[[str], None]
-"""Says how far a robot has come."""
+"""A function that reports the progress of one robot."""
 Job = Callable[[Host, ReportProgress], Awaitable[str]]
 """Does the work on one robot and returns a line about it; raises `HostError`."""
 
 
 FAILURES = (TimeoutError, *MISUNDERSTOOD)
-"""What a job may raise without harm to the other robots; a `HostError` is one of them."""
+"""Errors that end the job of one robot and not those of the others; `HostError` is one of them."""
 
 
 def failure(error: BaseException, timeout_s: float) -> str:

@@ -56,7 +56,7 @@ _REASONS = (
 
 
 _WITH_DBUS = ("pairing", "examine")
-"""Modules that speak to bluetoothd."""
+"""Modules that communicate with bluetoothd."""
 _DBUS = ("auth", "bus", "bus_messages", "fds", "low_level", "wrappers", "io.blocking", "io.common")
 """The modules of jeepney that are needed for it."""
 

@@ -15,16 +15,16 @@ from swarm.frozen import frozen
 from swarm.process.text import printable
 
 CONNECT_TIMEOUT_S = 10
-"""Until a robot that does not answer is given up."""
+"""Seconds after which a robot that does not answer is given up."""
 
 _ALIVE = ("-o", "ServerAliveInterval=5", "-o", "ServerAliveCountMax=3")
-"""A robot that goes away in mid-command is noticed after 15 s."""
+"""Options of ssh by which a robot that disappears during a command is noticed after 15 s."""
 
 _CLIENT_FAILED = 255
 """Exit code of `ssh` itself, where no command has run or its end was not seen."""
 
 _END_S = 2.0
-"""Seconds that the end of a command that was broken off may take."""
+"""Seconds that a cancelled command may take to end."""
 
 _CHUNK = 1 << 16
 _LONGEST = 16 << 20

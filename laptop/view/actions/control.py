@@ -18,17 +18,17 @@ from swarm.messages.keys import STOP, is_name, key
 
 REASON = "the page of swarm view"
 DRIVE_S = 0.4
-"""Seconds that a robot drives without being asked again: a page that hangs, or is gone, leaves it standing."""
+"""Seconds that a robot drives after a request. If the page hangs or is closed, the robot stops after this time."""
 MAX_SPEED = 0.3
-"""m/s"""
+"""The fastest speed that a page may command, m/s."""
 MAX_TURN = 3.0
-"""rad/s"""
+"""The fastest turn rate that a page may command, rad/s."""
 MODES = ("stand", "rest", "lie")
-"""What a page may have a balancer do."""
+"""The modes that a page may command."""
 ANSWER_S = 5.0
-"""Seconds for which an app is asked to set a parameter: it may be about to start, and a bus may lose a request."""
+"""Seconds for which a request to set a parameter is repeated: the app may be starting, and a bus may lose a request."""
 START_S = 60.0
-"""The same for an app that was started for it: over ssh, and as slow as a robot is."""
+"""The same for an app that is started first, over ssh on a slow robot."""
 
 
 @frozen
@@ -46,12 +46,13 @@ class Control:
         self._feed = feed
         self._actions = actions
         self._halting = threading.Lock()
-        """Held while a stop or its end goes out, so that the later of two holds on every robot."""
+        """A lock that is held while a stop, or its end, is sent. So the later of two commands is in force on every
+        robot."""
         self._wanted: _Halt | None = None
         self._asked: dict[tuple[str, str], tuple[SetAppParameters, float]] = {}
-        """What apps have not answered yet: by robot and app, and until when they are asked."""
+        """Unanswered requests by robot and app, each with the time until which it is repeated."""
         self.acts: dict[str, PageAction] = {}
-        """What pages may ask for."""
+        """The actions that pages may request."""
         if actions is not None:
             self.acts |= {
                 "stop": lambda _: self._halt(stop=True),

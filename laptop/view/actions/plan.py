@@ -21,10 +21,10 @@ class Plan:
         self._versions: dict[str, Versions] = {}
         self._known: dict[str, apps.StartedApp | None] = {}
         self._refused: dict[str, str] = {}
-        """What was wrong, and the robot that was told first."""
+        """The problems that robots have reported, and the first robot of each."""
         self._anew: bool | None = None
         self._run: apps.StartedApp | None = None
-        """What they go on with."""
+        """The app's run that the robots continue; None before the first one has answered."""
 
     def found(self, robot: str, versions: Versions, known: apps.StartedApp | None) -> None:
         """Note the versions on a robot, and how the app was started there last."""

@@ -32,19 +32,20 @@ from swarm.messages.codec import Value, encode
 from swarm.messages.keys import key
 
 TIMEOUT_S = 60.0
-"""For each robot, as the commands have it."""
+"""Seconds to wait for each robot, as in the commands of the command line."""
 
 COMPARE_S = 15.0
-"""For which robots that are seen are waited for before a start, so that it can be said that all run the same."""
+"""Seconds to wait for visible robots before a start, so that their versions can be compared."""
 
 SEEN_S = 20.0
-"""Seconds after its start within which an app has told the robot's bus that it is there; a Zero 2 W takes 4 for it."""
+"""Seconds after its start within which an app appears on the robot's bus; a Zero 2 W takes 4 s."""
 
 CUT_S, MEND_S = 8.0, 15.0
-"""Seconds after which a link that is not as it should be is named; a robot calls another one each 6 s at the latest."""
+"""Seconds after which a link is reported that is not cut or not up as requested. A robot calls another one every 6 s at
+the latest."""
 
 APPS = "view/apps"
-"""What this side says of a real robot: the apps that were started on it, running or not."""
+"""Topic of the apps that were started on a real robot, running or not. The laptop adds it."""
 
 _LOOK_EVERY_S = 0.25
 
@@ -61,9 +62,9 @@ class RemoteActions:
         self._hosts = {host.robot: host for host in hosts(view.config)}
         self._order = itertools.count()
         self._newest: dict[tuple[str, str], int] = {}
-        """The number of the last order about an app, or a link, of a robot."""
+        """The number of the newest order about an app or a link of a robot."""
         self._known: dict[str, set[str]] = {}
-        """Apps of each robot."""
+        """The apps of each robot."""
         self._turns: dict[tuple[str, str], asyncio.Lock] = {}
         self._tasks: set[asyncio.Task[None]] = set()
         self._loop = asyncio.new_event_loop()

@@ -19,7 +19,7 @@ from swarm.process.paths import bus_endpoint
 from swarm.process.simulations import CONFIG, is_live, robots
 
 _LOOK_EVERY = 0.5
-"""Seconds between two looks for buses that have come."""
+"""Seconds between two searches for new buses."""
 
 
 class Publisher(Protocol):
@@ -78,7 +78,7 @@ class RealTime:
 
     def __init__(self) -> None:
         self.began = clock.now()
-        """The page counts its seconds from here."""
+        """The time from which the page counts seconds."""
 
     def now(self) -> float:
         """The page's time, s."""
@@ -109,14 +109,14 @@ class SimulationFeed(RealTime):
         super().__init__()
         self.picture = Picture()
         self.lock = threading.Lock()
-        """Around the picture."""
+        """The lock that protects the picture."""
         self.directory = directory
         self.live = True
-        """Whether it still runs, as it was at the last look."""
+        """Whether the run was still going on at the last look."""
         self.config: Config | None = None
-        """The swarm's configuration; None as long as it is not there."""
+        """The swarm's configuration; None until it is known."""
         self.buses: dict[str, Bus] = {}
-        """Of each robot."""
+        """The bus of each robot."""
         self._traffic: list[Traffic] = []
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._look, name="feed", daemon=True)

@@ -8,16 +8,16 @@ from collections import deque
 from collections.abc import Iterator
 
 HISTORY_S = 120.0
-"""How far back it goes, s."""
+"""Length of the history, s."""
 
 HISTORY_STEP_S = 0.2
-"""Seconds between two entries of a key at least."""
+"""Least time between two entries of a key, s."""
 
 MAX_KEY = 1 << 20
-"""Bytes of one key. A message of empty maps takes seventy times its size when it is decoded."""
+"""The most bytes of one key. A message of empty maps takes seventy times its size when it is decoded."""
 
 MAX_ROBOT = 16 << 20
-"""Bytes of all keys of a robot; the newest sample of each key is kept beyond it."""
+"""The most bytes of all keys of a robot. The newest sample of each key is kept in any case."""
 
 _ENTRY = 128
 """Bytes that an entry takes beside its payload."""
@@ -32,7 +32,7 @@ class History:
         self._keys: dict[str, _Rows] = {}
         self._sizes: dict[str, int] = {}
         self._size = 0
-        """Of all keys, bytes."""
+        """Size of all keys, bytes."""
 
     def add(self, topic: str, payload: bytes, now: float) -> None:
         """Keep a sample where the newest of its key is older than a step; what is too old or too much goes."""

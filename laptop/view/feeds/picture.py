@@ -40,21 +40,21 @@ MAX_HOPS = 4096
 """Pairs of robots whose messages are counted, for the same reason."""
 
 MAX_BYTES = 256
-"""Of a raw payload within a message that a page is told."""
+"""The most bytes of a raw payload within a message that a page gets."""
 
 MAX_NAMED = 6
-"""Robots that are waited for and named in an event."""
+"""The most robots that an event names as waited for."""
 
 TRAIL_S = 30.0
-"""How much of its way a robot draws behind it, s."""
+"""Length of the trail behind a robot, s."""
 
 
 AT_ONCE = frozenset(("sim/truth", "sim/leds", "balancer/leds"))
-"""Topics of what moves on the map: a page is told of them as often as it can draw them. Where no true pose is known
-`dwm/pose` is one of them."""
+"""Topics of what moves on the map. A page gets them as often as it can draw them. If no true pose is known, `dwm/pose`
+is one of them."""
 
 REACH = "view/reach"
-"""What this side says of a real robot: `by` ssh, the mesh or nothing, and `why`."""
+"""Topic that the laptop adds for a real robot: `by` what it is reached (ssh, the mesh, or nothing), and `why` not."""
 
 
 class Event(NamedTuple):
@@ -69,11 +69,11 @@ class Event(NamedTuple):
 
 
 _NOTHING = object()
-"""In place of what could not be decoded."""
+"""The value that stands for a payload that could not be decoded."""
 
 _TOLD = frozenset(("mesh/links", "mesh/stopped", "balancer/fault", REACH))
 _TOLD_OF_ALL = ("/status", "/progress")
-"""Topics, and the ends of others, that events come from."""
+"""Topics, and endings of topics, that cause events."""
 
 
 class _Packed:
@@ -91,15 +91,15 @@ class Picture:
         self.version = 0
         self.events: deque[Event] = deque(maxlen=MAX_EVENTS)
         self.refused = 0
-        """Samples that were dropped."""
+        """Number of samples that were dropped."""
         self._named: set[tuple[str, str]] = set()
-        """Robots and topics whose wrong messages have been named."""
+        """Robots and topics whose wrong messages have been reported."""
         self._now = 0.0
         """Time of the newest sample."""
         self._topics: dict[str, dict[str, tuple[int, object]]] = {}
         self._alive: dict[str, dict[str, bool]] = {}
         self._sizes: Counter[str] = Counter()
-        """Bytes of the newest samples, by robot."""
+        """Bytes of the newest samples of each robot."""
         self._history: dict[str, History] = {}
         self._hops: dict[str, int] = {}
         self._numbered = 0

@@ -17,20 +17,21 @@ from swarm.messages.codec import decode
 from swarm.messages.keys import key, parse, whose_token
 
 WATCH_S, WATCH_EVERY_S = 15.0, 5.0
-"""How long the others are asked to tell, and how often: two requests may be lost."""
+"""Seconds for which other robots are asked to report, and between two requests: two requests may be lost."""
 
 SEEK_EVERY_S = 2.0
-"""The same while some robots are not seen."""
+"""Seconds between two requests while some robots are not visible."""
 
 SILENT_S = 4.0
-"""Seconds without a word after which a robot with an ssh connection counts as silent: it says something each second."""
+"""Seconds without a message after which a robot with an ssh connection counts as silent. A robot sends something each
+second."""
 
 VIEW_SILENT_S = 5.0
 SHARE_S = 0.8
-"""The same over the mesh, and what each robot of the swarm adds to it: large swarms tell less often."""
+"""The same over the mesh, and the seconds that each robot of the swarm adds: large swarms report less often."""
 
 GRACE_S = 5.0
-"""s at the start before a robot that the mesh has not brought anything of is called out of reach."""
+"""Seconds after the start before a robot counts as out of reach if the mesh has carried nothing of it."""
 
 BY_SSH, BY_MESH = "ssh", "mesh"
 
@@ -62,7 +63,7 @@ class Robots(RealTime):
         self._viewed: dict[str, float] = {}
         self._watched_at = -WATCH_EVERY_S
         self.buses = {host.robot: Tunnel(ssh, host, partial(self._take, host.robot), self._turn.set) for host in hosts}
-        """The way to each robot that has one."""
+        """The connection to each robot that has one."""
         try:
             self._wait()
         except HostError:

@@ -21,7 +21,7 @@ from swarm.onboard.lookout import MAX_COMMAND
 
 PROGRAM = "sudo -n /opt/swarm/current/bin/python -P -m swarm.onboard.lookout"
 RETRY_S = (1.0, 2.0, 5.0)
-"""Seconds until the first, second and all later tries again."""
+"""Seconds before the first, the second and all later tries to connect again."""
 
 _CLIENT_FAILED = 255
 _OLD_RELEASE = "No module named swarm.onboard.lookout"
@@ -31,7 +31,7 @@ _GARBAGE = "it says what this program does not understand: is its release anothe
 
 _log = logging.getLogger("view")
 _LARGEST = 4 << 20
-"""bytes that a robot may say at once; the largest message that a bus takes is a quarter of that."""
+"""The most bytes of one message of a robot, four times the largest message on a bus."""
 
 
 class Tunnel:
@@ -42,14 +42,14 @@ class Tunnel:
         `connected` or `problem` change."""
         self.host = host
         self.connected = False
-        """Whether the robot's lookout speaks."""
+        """Whether the robot's lookout is connected."""
         self.problem = ""
-        """Why not, in words; empty where it does or was not tried yet."""
+        """Why it is not connected, in words; empty if it is, or if nobody has tried yet."""
         self._arguments = ssh.arguments(host, f"{PROGRAM} {host.robot}")
         self._take = take
         self._changed = changed
         self._lock = threading.Lock()
-        """Around the process and its input."""
+        """The lock that protects the process and its input."""
         self._process: subprocess.Popen[bytes] | None = None
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"tunnel {host.robot}", daemon=True)

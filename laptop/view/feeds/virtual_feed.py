@@ -21,23 +21,23 @@ TOPICS = (
     "mesh/stopped", "mesh/topology", "app/*/state", "app/*/progress", "app/*/*/state", "app/*/*/progress",
     "app/*/parameters", "app/*/out/*", "app/*/record/*",
 )  # fmt: skip
-"""Of a robot, below its name."""
+"""Topics of a robot, below its name."""
 ESTIMATED = 12
-"""Robots up to which their estimates of places are told: the filters of `dwm` cost more than all else."""
+"""The most robots whose estimated places are shown: the filters of `dwm` take more time than everything else."""
 
 FRAMES = ("app/*/sync/*", "app/*/sync/*/*", "app/*/latest/*")
 CROWD = 50
-"""Robots from which on the messages between them are not counted: nobody could see them."""
+"""The number of robots from which on messages between them are not counted, because nobody could see them."""
 
 TICK_S = 0.02
 """Seconds of virtual time between two looks at the real one."""
 TELL_S, TELL_CROWD_S = 0.04, 0.1
 """Seconds of real time between two handovers to the picture."""
 BEHIND_S = 0.25
-"""Seconds of real time: more is not caught up, the run is as slow as it is."""
+"""Seconds of real time that a late run catches up at most."""
 MEASURE_S = 1.0
 LAST_S = 0.2
-"""Seconds of virtual time until everybody has told how the run has ended."""
+"""Seconds of virtual time until all robots have reported the end of the run."""
 
 
 class VirtualFeed:
@@ -49,10 +49,10 @@ class VirtualFeed:
         """`speed`: s of virtual time a second; infinity: as fast as it computes."""
         self.picture = Picture()
         self.lock = threading.Lock()
-        """Around the picture."""
+        """The lock that protects the picture."""
         self.config: Config | None = config
         self.live = True
-        """Whether it still runs."""
+        """Whether the run is still going on."""
         self.buses: Mapping[str, Publisher] = {}
         self._time = world.time
         self._now = 0.0
@@ -60,14 +60,14 @@ class VirtualFeed:
         self._paused = False
         self._actual = 0.0
         self._turn = threading.Condition()
-        """Around speed and pause; notified when they change."""
+        """The condition that protects speed and pause. It is notified when they change."""
         self._closing = False
         self._newest: dict[tuple[str, str], bytes] = {}
         self._hops: dict[tuple[str, str], int] = {}
         self._tell_every = TELL_S if len(config.names) < CROWD else TELL_CROWD_S
         self._told_at = self._measured_at = -math.inf
         self._anchor = self._measured = (0.0, 0.0)
-        """A virtual and a real time that belong together."""
+        """A virtual time and the real time at which it was reached."""
         world.watched = True
         for name, robot in world.robots.items():
             self._join(name, VirtualBus(robot.router), len(config.names))

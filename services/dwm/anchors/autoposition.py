@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 _STEPS = 100
 _CONVERGED = 1e-9
 _STIFF = 1e-4
-"""Smallest part of the largest singular value of a layout that does not give way."""
+"""Smallest share of the largest singular value with which a layout is rigid."""
 
 
 @frozen
@@ -29,7 +29,7 @@ class Layout:
     """Anchors in a plane."""
 
     places: Places
-    """m, by address."""
+    """The anchors' places by address, m."""
     residuals: dict[Pair, float]
     """Measured minus computed distance, m."""
 

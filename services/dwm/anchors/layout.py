@@ -15,7 +15,7 @@ from swarm.config import Config
 from swarm.errors import LocalError
 
 POOR = 0.10
-"""m: root of the mean squared residual beyond which the layout is not to be trusted."""
+"""Root mean square of the residuals beyond which the layout is not trusted, m."""
 
 
 def lay_out(

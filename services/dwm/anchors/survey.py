@@ -25,7 +25,7 @@ SECONDS = 5.0
 """Seconds of ranging at each place: some 50 ranges, whose median errs by a centimetre."""
 
 LEAST = 5
-"""Ranges to one anchor that make a median."""
+"""Least number of ranges to an anchor for a median."""
 
 PERIOD = 0.1
 

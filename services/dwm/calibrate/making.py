@@ -21,11 +21,12 @@ from swarm.frozen import frozen
 from swarm.messages.json_input import read_json
 
 SLACK = 0.01
-"""m: a check may err half as much again as the fit did at places left out, and by this more: it has fewer samples."""
+"""Allowance of a check, m. Its error may be one and a half times that of the fit at places left out, plus this: a check
+has fewer samples."""
 
 
 _LONGEST_REPORT = 1 << 20
-"""Bytes of a report that is read."""
+"""The most bytes of a report that is read."""
 
 
 @frozen
@@ -33,13 +34,13 @@ class LearnedOffset:
     """The amount by which a robot's ranges are too long, and the samples from which it was learned."""
 
     offset: float
-    """m."""
+    """The robot's own range offset, m."""
     places: int
     samples: int
     left: float
-    """rms of what is left of the errors, m."""
+    """Root mean square of the remaining errors, m."""
     sha256: str
-    """Of the samples, or of the report."""
+    """SHA-256 of the samples, or of the report."""
 
 
 @frozen

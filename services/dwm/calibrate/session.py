@@ -27,12 +27,12 @@ KEYS = {
     " ": GuideButton.START, "\n": GuideButton.START, "\r": GuideButton.START, "s": GuideButton.START,
     "n": GuideButton.NEXT, "r": GuideButton.REDO, "q": GuideButton.QUIT, "\x04": GuideButton.QUIT,
 }  # fmt: skip
-"""What a key means; of a line from a pipe the first letter counts, an empty one starts."""
+"""The meaning of each key. Of a line from a pipe the first letter counts, and an empty line starts a measurement."""
 
 HELP = "space or button A: start, stop   n or B: next place   r or C: place anew   q: end"
 
 SILENT = 5.0
-"""Seconds without a report after which that is said."""
+"""Seconds without a report after which the session says so."""
 
 _POLL = 0.1
 

@@ -19,21 +19,21 @@ HELP = "turn a game pad into keys: swarm pad | swarm drive r2"
 
 DEVICE = Path("/dev/input/js0")
 EVENT = struct.Struct("<IhBB")
-"""Time in ms, value, kind, number of the axis or button."""
+"""An event of the pad: time in ms, value, kind, number of the axis or button."""
 AXIS, BUTTON, AT_START = 0x02, 0x01, 0x80
-"""Kinds; the last one is added to what tells the state at the start."""
+"""Kinds of events. The last one is added to the kind of events that report the state at the start."""
 SIDEWAYS, UPRIGHT = (0, 6), (1, 7)
 """Axes of the left stick and of the cross: to the right and down are positive."""
 SHOULDERS = (4, 5)
 STOPS = (0, 1, 2, 3)
-"""The four buttons at the right: each stops all robots."""
+"""The four buttons at the right. Each of them stops all robots."""
 THRESHOLD = 16384
-"""Half of the way of a stick."""
+"""Half of the way of a stick, from which on it counts as moved."""
 
 REPEAT_S = 0.1
-"""Between two keys: `swarm drive` holds a repeated key for 0.2 s."""
+"""Seconds between two keys: `swarm drive` holds a repeated key for 0.2 s."""
 KEYS = {(1, 0): "w", (-1, 0): "s", (0, 1): "a", (0, -1): "d", (1, 1): "q", (1, -1): "e", (-1, 1): "s", (-1, -1): "s"}
-"""By forward and left."""
+"""The key of each direction, by forward and left."""
 RELEASE, STOP = ".", " "
 """A key that is no direction ends the motion at once."""
 

@@ -33,13 +33,13 @@ class Evidence:
     """The samples from which a model was made, and its accuracy."""
 
     model: str
-    """Its name."""
+    """Name of the model."""
     made: str
-    """UTC, ISO 8601."""
+    """Date and time of the calibration: UTC, ISO 8601."""
     places: int
     samples: int
     sha256: str
-    """Of the samples."""
+    """SHA-256 of the samples."""
     left_out: Mapping[str, float]
     nested: float
     residuals: tuple[tuple[float, ...], ...]
@@ -51,9 +51,9 @@ class CalibrationFile:
 
     robot: str
     layout: str
-    """`layout_of` the anchors it was made with."""
+    """Hash of the anchors with which the calibration was made (`layout_of`)."""
     anchors: tuple[str, ...]
-    """The same for people: `D001 (0, 0, 0)`."""
+    """The same anchors as text for people: `D001 (0, 0, 0)`."""
     distance: tuple[RangeModel, Evidence] | None = None
     position: tuple[Affine, Evidence] | None = None
 

@@ -31,7 +31,7 @@ still (2.65 cm at places left out, curved 2.72, linear 2.90), but with halves of
 worse than the linear one twice as often (9 % of the halves against 5 %)."""
 
 _SAME = 0.05
-"""m: distances as near as that count as one."""
+"""Distances that differ by less than this count as one, m."""
 _FEWEST_DISTANCES = 5
 """With fewer different distances only the linear model is tried."""
 _FEWEST_ORIENTATIONS = 3
@@ -48,9 +48,9 @@ class FittedRanges:
     name: str
     model: RangeModel
     left_out: dict[str, float]
-    """By model, and `raw` without any: error at places left out."""
+    """Error at places left out, by model; `raw` stands for no model."""
     nested: float
-    """The same of the whole procedure, the choice of the model included."""
+    """Error at places left out of the whole procedure, with the choice of the model."""
     residuals: tuple[tuple[float, float], ...]
     """(true distance, error of the calibrated mean) of each group."""
 

@@ -19,20 +19,20 @@ SAMPLES = 10
 """Reports for each orientation."""
 
 SETTLE = 2
-"""Reports left out after the start: what they tell may have been measured while the robot was being moved."""
+"""Reports that are left out after the start: they may have been measured while the robot was moved."""
 
 
 class GuideButton(Enum):
     """The wish of the person at the guide."""
 
     START = "start"
-    """Begin to measure here, or stop before it is enough."""
+    """Begin to measure here, or stop before there are enough reports."""
     NEXT = "next"
     """Go on to the next place."""
     REDO = "redo"
     """Forget what was measured at this place and measure it anew."""
     QUIT = "quit"
-    """End with what there is."""
+    """End with the samples that there are."""
 
 
 @frozen

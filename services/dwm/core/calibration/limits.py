@@ -18,19 +18,20 @@ from swarm.errors import LocalError
 FEWEST_RANGE_PLACES = 3
 FEWEST_PLACES = 4
 SCALES = (0.6, 1.6)
-"""What the slope of a range's model, and the scale of a place's model along any direction, may be."""
+"""Bounds of the slope of a model of ranges, and of the scale of a model of places in any direction."""
 LONGEST_BIAS = 1.0
-"""m: by how much a model may change a range that was measured."""
+"""Largest change of a measured range by a model, m."""
 DISTANCES = 0.3
-"""m: by how much the distances to the modules must differ at least; else a range's noise of 4 cm passes for a scale."""
+"""Least difference between the distances to the modules, m. With less, a range's noise of 4 cm would look like a
+scale."""
 WIDTH = 0.1
-"""m: least standard deviation of the places across the line that fits them best."""
+"""Least standard deviation of the places across the line that fits them best, m."""
 RANGE_ERROR = 0.10
-"""m, rms at places left out of the fit; the thesis' recording has 0.027."""
+"""Largest error of ranges at places left out of the fit, m rms; the thesis' recording has 0.027."""
 PLACE_ERROR = 0.25
-"""The same of places; the thesis' recording has 0.051."""
+"""Largest error of places at places left out of the fit, m rms; the thesis' recording has 0.051."""
 TURN = 45.0
-"""Degrees by which a model of places may turn them."""
+"""Largest angle by which a model of places may turn them, degrees."""
 
 
 def check_distances(groups: Sequence[SampleGroup]) -> None:

@@ -21,11 +21,11 @@ class RangeModel:
     gain: float = 1.0
     offset: float = 0.0
     log: float = 0.0
-    """m; 0 = the model is linear."""
+    """Coefficient of the logarithm, m; 0: the model is linear."""
     low: float = 0.0
-    """Shortest range of the fit; only where `log` is not 0."""
+    """Shortest range of the fit; used only if `log` is not 0."""
     robot: float = 0.0
-    """By how much this robot's ranges are too long after all the rest."""
+    """Length by which this robot's ranges are too long after the other corrections."""
     antenna: tuple[float, float] = (0.0, 0.0)
     """(a, b): ranges are longer by a cos(heading) + b sin(heading)."""
 

@@ -38,7 +38,7 @@ THESIS_PLACES: tuple[Place, ...] = tuple((x / 100, y / 100) for x, y in THESIS_P
 
 _MM = 1000.0
 _MAX_RANGE = 1000.0
-"""m: a larger number is none."""
+"""Largest range that is accepted, m."""
 
 Point3 = tuple[float, float, float]
 
@@ -48,15 +48,15 @@ class RangeSample(NamedTuple):
 
     place: int
     x: float
-    """Where the robot truly was."""
+    """The robot's true place."""
     y: float
     heading: float | None
-    """rad, as told; None where it was not."""
+    """The robot's heading as given, rad; None if it was not given."""
     t: float
-    """s; the same for all ranges of a report."""
+    """Time in s, the same for all ranges of a report."""
     module: str
     distance: float
-    """As reported."""
+    """Distance as reported."""
     px: float | None
     """The place as the module reported it; None without a fix."""
     py: float | None

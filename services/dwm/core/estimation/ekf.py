@@ -21,13 +21,13 @@ from typing import NamedTuple
 from swarm.frozen import frozen
 
 X, Y, HEADING, GYRO, SCALE, BIAS = range(6)
-"""Places in the state; the bias of anchor i is at BIAS + i."""
+"""Indices in the state; the bias of anchor i is at BIAS + i."""
 
 GATE = 6.63
 """chi-square quantile, 1 degree of freedom, 99 %."""
 
 PATIENCE = 12
-"""Rejections in a row of one anchor, then one is accepted."""
+"""Number of ranges to one anchor that are rejected in a row. The next one is accepted."""
 
 Point = tuple[float, float, float]
 
@@ -37,23 +37,23 @@ class EkfNoise:
     """The assumed standard deviations of motion and ranges."""
 
     along: float = 0.005
-    """m / sqrt(s) along the way at any speed: slip and sway while standing."""
+    """Deviation along the way at any speed, m / sqrt(s): slip, and sway while standing."""
     along_share: float = 0.03
-    """Of the way."""
+    """Deviation along the way, as a share of its length."""
     across: float = 0.003
-    """m / sqrt(s)."""
+    """Deviation across the way, m / sqrt(s)."""
     turn: float = 0.003
-    """rad / sqrt(s)."""
+    """Deviation of the heading, rad / sqrt(s)."""
     turn_share: float = 0.02
-    """rad for each m of the way."""
+    """Deviation of the heading for each metre of the way, rad / m."""
     gyro: float = 2e-4
-    """rad/s / sqrt(s): drift of the gyro's zero."""
+    """Drift of the gyro's zero, rad/s / sqrt(s)."""
     scale: float = 1e-4
-    """1 / sqrt(s)."""
+    """Drift of the odometry's scale, 1 / sqrt(s)."""
     bias: float = 0.002
-    """m / sqrt(s): drift of an anchor's bias, since it changes with place and orientation."""
+    """Drift of an anchor's bias, m / sqrt(s): it changes with place and orientation."""
     range: float = 0.045
-    """m: one calibrated range in line of sight."""
+    """Deviation of a calibrated range in line of sight, m."""
     start_place: float = 0.2
     """m."""
     start_gyro: float = 0.01
@@ -70,7 +70,7 @@ class Innovation(NamedTuple):
     error: float
     """Measured minus expected range, m."""
     variance: float
-    """Of `error` as the filter expected it, m^2."""
+    """Variance of `error` that the filter expected, m^2."""
     accepted: bool
 
 

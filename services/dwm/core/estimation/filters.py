@@ -13,11 +13,11 @@ from math import floor, fsum, hypot
 
 QUARTILES = (25.0, 75.0)
 ORIGINAL_PERCENTILES = (40.0, 60.0)
-"""What the original program takes for Q1 and Q3 of positions."""
+"""The percentiles that the original program uses as Q1 and Q3 of positions."""
 
 _REACH = 1.5
 _FEWEST = 4
-"""Of fewer values nothing can be told to be an outlier."""
+"""Least number of values in which an outlier can be recognised."""
 
 Place = tuple[float, float]
 

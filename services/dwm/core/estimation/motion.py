@@ -10,7 +10,7 @@ KEPT = 0.5
 """s."""
 
 _AHEAD = 0.1
-"""s: the motion is continued at its last speed for at most so long."""
+"""Longest time for which the motion is continued at its last speed, s."""
 
 
 class OdometryNode(NamedTuple):

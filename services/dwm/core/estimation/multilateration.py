@@ -23,11 +23,11 @@ TOO_LONG = 2.576
 
 _STEPS = 50
 _CONVERGED = 1e-6
-"""m: the last step."""
+"""Length of a step below which the search has converged, m."""
 _FLAT = 0.02
 """The anchors count as lying in a line when their spread across it is a smaller part of that along it."""
 _FAR = 1000.0
-"""m: a solution farther away is none."""
+"""Distance beyond which a solution is rejected, m."""
 _DAMPING = 1e-3
 
 Point = tuple[float, float, float]
@@ -45,7 +45,7 @@ class Fix:
     residuals: tuple[float, ...]
     """Measured minus computed distance, m, in the order of the ranges."""
     weights: tuple[float, ...]
-    """0 to 1: how much each range was believed."""
+    """Weight of each range in the solution, 0 to 1."""
 
 
 @frozen

@@ -16,7 +16,7 @@ from swarm.config.types import Anchor, Dwm
 from swarm.messages import Pose, Range, Ranges
 
 _GOOD = 0.05
-"""m: a place whose standard deviation is not larger has quality 100."""
+"""Largest standard deviation of a place with quality 100, m."""
 
 
 class Pipeline:
@@ -54,7 +54,7 @@ class Pipeline:
             lever=settings.lever,
             antenna=self._models.ranges.antenna,
         )
-        """Takes the odometry; idle without any."""
+        """The tracker of the pose, which gets the odometry; it is idle without odometry."""
 
     def dropped(self) -> Counter[str]:
         """Return the counters of what was dropped since the last call, by reason."""

@@ -42,7 +42,7 @@ class DistanceFigures:
     samples: int
     outliers: int
     gain: float
-    """Of eq. 2.4, m = gain d + offset; eq. 2.8 is its inverse."""
+    """The gain of eq. 2.4, m = gain d + offset; eq. 2.8 is its inverse."""
     offset: float
     uncalibrated: tuple[float, float]
     """Mean and rms about it, table 2.3."""

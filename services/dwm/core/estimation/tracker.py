@@ -21,7 +21,7 @@ LATENCY = 0.060
 """Seconds from a measurement until its report is read: half a period, computing in the module, transfer."""
 
 SILENCE = 0.5
-"""Seconds without odometry until there counts as none."""
+"""Seconds without odometry after which it counts as absent."""
 
 START_REPORTS = 5
 """The first place is made of the medians of so many reports: one range in twenty is a detour by decimetres, and with
@@ -31,20 +31,20 @@ HYPOTHESES = 8
 _APART = 10.0
 """A hypothesis whose likelihood is e^10 times smaller than the best one's is given up."""
 _TOGETHER = 0.6
-"""rad: hypotheses that agree so far are one."""
+"""Difference of headings within which two hypotheses are one, rad."""
 _SURE = 0.35
-"""rad: standard deviation below which a heading counts as known."""
+"""Standard deviation below which a heading counts as known, rad."""
 _MOVED = 0.05
-"""m until hypotheses of the heading make sense."""
+"""Length of the motion from which on there are hypotheses of the heading, m."""
 _TRIED = 0.3
-"""m rolled until one of them may be believed."""
+"""Length of the way from which on one of the hypotheses may be accepted, m."""
 _DOUBT = 0.6
 """Share of rejected ranges, over about `_MEMORY` of them, at which the filter and not the ranges must be wrong."""
 _MEMORY = 40.0
 _STANDING = 3.0
-"""s: motion is told from the drift of odometry by this long a look back."""
+"""Seconds of odometry by which motion is distinguished from drift."""
 _LOOSE = 0.005
-"""m / sqrt(s): assumed sway of a robot whose heading, and so the direction of its motion, is not known."""
+"""Assumed sway of a robot with unknown heading, so with an unknown direction of motion, m / sqrt(s)."""
 
 
 @frozen
@@ -67,7 +67,7 @@ class PoseEstimate:
 class _Hypothesis:
     ekf: Ekf
     likelihood: float = 0.0
-    """Logarithm, up to a constant."""
+    """Logarithm of the likelihood, up to a constant."""
 
 
 class Tracker:
@@ -104,7 +104,7 @@ class Tracker:
         self.problem = "no ranges yet"
         """Why there is no estimate; empty where there is one."""
         self.restarts = 0
-        """How often everything began anew because the ranges contradicted."""
+        """Number of times that the tracker started again because the ranges contradicted it."""
 
     def odometry(self, t: float, distance: float, turn: float, tilt: float = 0.0) -> None:
         """The robot rolled `distance` (m) and turned by `turn` (rad) since the last call, and leans by `tilt`."""

@@ -11,7 +11,7 @@ from services.dwm.core.estimation.filters import Place
 from swarm.messages import Pose, Ranges
 
 GAP_S = 0.3
-"""s: between two reports of the truth that lie farther apart nothing is known."""
+"""Longest time between two reports of the truth that are joined, s. In a longer gap the truth is unknown."""
 
 
 class TruthComparison:

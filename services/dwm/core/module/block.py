@@ -5,7 +5,7 @@ from services.dwm.core.module.tlv import ERRORS, AnchorRange, Location, Position
 from swarm.messages import Uwb, UwbRange
 
 PATIENCE = 3.0
-"""Seconds without any word: the balancer tells the ATmega's view at least once a second."""
+"""Seconds without a message after which the source counts as silent: the balancer publishes at least once a second."""
 
 _TROUBLES = {
     "silent": "the module does not answer the ATmega: is it wired (its TX to pin 0), powered and in generic mode?",
@@ -14,7 +14,7 @@ _TROUBLES = {
 }
 _NOBODY = "the balancer tells nothing of the module (balancer/uwb): is it running?"
 _FAILURES = 3
-"""Messages in a row of one trouble until it is told: one broken answer is none."""
+"""Messages in a row with the same trouble after which it is reported: one broken answer is no trouble."""
 
 
 class Block:

@@ -23,9 +23,9 @@ POS_SET, TAG_SET, ANCHOR_SET, RATE_SET = 0x01, 0x05, 0x07, 0x03
 """Types of the requests that carry a value."""
 
 RATE_UNIT = 0.1
-"""s: update rates are told as a period in this unit, 1 = 10 Hz."""
+"""Unit of the period in which update rates are given, s: 1 stands for 10 Hz."""
 SLOWEST = 600
-"""Of that unit: a minute (API guide, dwm_upd_rate_set: 0.1 s to 60 s)."""
+"""The longest period in this unit: a minute (API guide, dwm_upd_rate_set: 0.1 s to 60 s)."""
 
 UWB_OFF, UWB_PASSIVE, UWB_ACTIVE = 0, 1, 2
 """UWB modes: a module that is not active is not ranged to and ranges to nobody."""
@@ -62,7 +62,7 @@ class Settings:
     low_power: bool = False
     """Tag: sleeps between measurements, and then needs to be woken by three bytes."""
     engine: bool = True
-    """Tag: works out its place."""
+    """Tag: computes its place."""
     stationary: bool = False
     """Tag: measures at the slow rate while it stands still. A balanced robot does."""
     encrypted: bool = False
@@ -95,9 +95,9 @@ class ModuleStatus:
     """The answer of `status_get`."""
 
     located: bool
-    """A new location since the last `loc_get`."""
+    """Whether there is a new location since the last `loc_get`."""
     joined: bool
-    """Belongs to a network: an initiator is there."""
+    """Whether the module belongs to a network, so that an initiator is in reach."""
 
 
 def pos_set(place: Position) -> ModuleCall[None]:
@@ -210,7 +210,7 @@ def _status(parts: list[tuple[int, bytes]]) -> ModuleStatus:
 
 
 POS_GET = ModuleCall("pos_get", b"\x02\x00", (POSITION_PART,), lambda parts: decode_position(parts[0][1]))
-"""Where an anchor was set up to be; of a tag, where it is."""
+"""The place that is stored in an anchor, or that a tag has computed."""
 
 UPD_RATE_GET = ModuleCall(
     "upd_rate_get", b"\x04\x00", (AnswerPart({UPDATE_RATE: (4,)}),), lambda parts: decode_rate(parts[0][1])
@@ -219,7 +219,7 @@ UPD_RATE_GET = ModuleCall(
 CFG_GET = ModuleCall("cfg_get", b"\x08\x00", (AnswerPart({CONFIG: (2,)}),), lambda parts: decode_settings(parts[0][1]))
 
 RESET = _command("reset", b"\x14\x00")
-"""It answers, and is away for about a second."""
+"""The module answers, and then does not answer for about a second."""
 
 VER_GET = ModuleCall(
     "ver_get",

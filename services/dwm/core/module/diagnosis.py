@@ -17,7 +17,7 @@ from swarm.config.types import Anchor
 from swarm.frozen import frozen
 
 FIRMWARE = (1, 3)
-"""PANS R2, whose calls are spoken here."""
+"""The firmware PANS R2, whose calls this project uses."""
 
 ENOUGH = 3
 """Anchors that a place in the plane needs."""
@@ -26,29 +26,31 @@ AT_ONCE = 4
 """Modules that a tag ranges to at a time."""
 
 MOVED = 0.02
-"""m: an anchor that says it is farther than this from where swarm.toml has it was set up otherwise."""
+"""Distance between an anchor's stored place and that of swarm.toml, from which on the anchor counts as set up
+otherwise, m."""
 
 MISFIT = 0.25
-"""m: root of the mean squared residual of the medians of many ranges, beyond which the anchors are not where swarm.toml
-has them. Uncalibrated ranges leave up to 0.1 m, a hidden anchor some 0.3 m on one range."""
+"""Root mean square of the residuals of median ranges, beyond which an anchor is not at its place of swarm.toml, m.
+Uncalibrated ranges leave up to 0.1 m, and a hidden anchor about 0.3 m on one range."""
 
 MEND = 0.4
-"""Leaving an anchor out that is in a wrong place brings the misfit down to less than this part."""
+"""Share of the misfit that remains at most when an anchor at a wrong place is left out."""
 
 CONTRADICTION = 0.5
-"""m by which two ranges may miss the triangle with the distance of their anchors: noise and no line of sight."""
+"""Length by which two ranges may break the triangle inequality with their anchors' distance, m: noise, or no line of
+sight."""
 
 TWO_PLACES = 0.6
-"""m between the two halves of the ranges to one address, beyond which there are two modules of that address."""
+"""Distance between two groups of ranges to one address, beyond which two modules have this address, m."""
 
 EACH = 5
-"""Ranges at least from each of them, and a fifth of all: ranges around an obstacle are not so many."""
+"""Least number of ranges in each group, which must also be a fifth of all: ranges around an obstacle are fewer."""
 
 FEW = 0.5
-"""Part of the answers in which a thing must be so to be told."""
+"""Share of the answers in which something must be true to be reported."""
 
 SIGMA = 0.05
-"""m: standard deviation of a good range."""
+"""Standard deviation of a good range, m."""
 
 _ADVICE = {
     "silent": "check power and the wires (module TX to our RX, 3.3 V), and the port's name",
@@ -64,13 +66,13 @@ class ModuleFinding:
     """One thing that is wrong."""
 
     code: str
-    """Its name."""
+    """Name of the finding."""
     text: str
     """What is wrong, with the numbers."""
     remedy: str
     """What to do."""
     fatal: bool = True
-    """False where localization works all the same."""
+    """Whether localization does not work because of it."""
 
 
 def of_trouble(trouble: Trouble) -> ModuleFinding:
@@ -196,7 +198,7 @@ class DiagnosisWatch:
     """Holds a running service's reports against swarm.toml, every few seconds; tells what is new."""
 
     PERIOD = 5.0
-    """Seconds of reports that are looked at together."""
+    """Seconds of reports that are examined together."""
 
     def __init__(self, anchors: Sequence[Anchor], known: Mapping[str, str], now: float) -> None:
         self._anchors = anchors

@@ -16,10 +16,10 @@ SLOW_TIMEOUT = 0.500
 """Seconds for calls that write the module's flash."""
 
 RESTART = 1.5
-"""Seconds that a module is away after `reset` at most; about one in the field."""
+"""The most seconds for which a module does not answer after `reset`; usually about one."""
 
 _HEARD = 512
-"""Bytes kept to find out what speaks there."""
+"""Number of bytes that are kept to recognise the sender."""
 
 _READABLE = frozenset(b"\t\r\n" + bytes(range(0x20, 0x7F)))
 
@@ -41,7 +41,7 @@ class Trouble:
     reason: str
     """What is wrong and what to do."""
     raw: bytes = b""
-    """What came instead."""
+    """The bytes that arrived instead of an answer."""
 
 
 class ModuleExchange(Generic[T_co]):

@@ -12,19 +12,20 @@ from swarm.errors import FrameError
 from swarm.frozen import frozen
 
 MAX_RATE = 10.0
-"""Hz: the module measures at most that often, asking faster repeats the same data."""
+"""The most requests a second: the module measures no faster, and faster requests would repeat the same data."""
 
 FAILURES = 3
 """Requests in a row without a proper answer until the module counts as not working."""
 
 MAX_PAUSE = 2.0
-"""s: longest pause between requests to a module that does not work."""
+"""Longest pause between requests to a module that does not work, s."""
 
 MAX_WAITING = 8
-"""Requests of others that wait for the line."""
+"""The most requests of other programs that wait for the line."""
 
 _LEAVE = ModuleCall("leave the shell", shell.LEAVE, (), lambda _: None)
-"""To a module that gives no answers: one in shell mode leaves it, any other says that it is no call."""
+"""Bytes for a module that gives no answers. A module in shell mode leaves it, and any other answers that this is no
+call."""
 
 
 @frozen
@@ -33,7 +34,7 @@ class ModuleReport:
 
     location: Location
     age: float = 0.0
-    """Seconds since it was given; above zero where somebody else has asked for it."""
+    """Seconds since the answer was given; above zero if another program had asked for it."""
 
 
 @frozen
@@ -51,7 +52,7 @@ class Answered:
 
     ticket: str
     answer: bytes
-    """As it came from the module."""
+    """The answer as it came from the module."""
     problem: str
     """Why there is no proper answer; empty where there is one, which may be a refusal."""
 
@@ -73,7 +74,7 @@ class Poller:
         self._events: list[ModuleReport | ModuleHealth | Answered] = []
         self._failures = 0
         self._leaving = 0
-        """How often it shall still be told to leave its shell."""
+        """How many times `quit` will still be sent to leave the shell."""
         self._trouble: str | None = None  # kind of the trouble last told; None before anything was
 
     def next_deadline(self) -> float:

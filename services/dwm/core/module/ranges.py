@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from services.dwm.core.module.tlv import AnchorRange, Location
 
 FORGET = 3.0
-"""Seconds after which a module that gives no range is not listed any more: it says nothing of where the robot is
-now."""
+"""Seconds after which a module without a range is no longer listed, because its range says nothing about the present
+place."""
 
 STALE = 0.5
 """Seconds after which a range is marked as stale, where the module is asked 10 times a second."""
@@ -22,10 +22,11 @@ STUCK = 5
 and a resolution of 1 mm two ranges are equal once in a hundred; five in a row, never."""
 
 MAX_DISTANCE = 100.0
-"""m: UWB does not reach so far; what says so is broken."""
+"""Largest range that is accepted, m: UWB does not reach farther."""
 
 MAX_MODULES = 64
-"""Modules remembered, far more than any set-up has: wrong ones must not pile up. The longest unseen goes."""
+"""The most modules that are remembered, so that wrong ones do not accumulate. Beyond that the one unseen for longest is
+forgotten."""
 
 
 @dataclass(slots=True)
@@ -34,13 +35,13 @@ class TrackedModule:
 
     item: AnchorRange
     measured: float
-    """s, time of the last new sample."""
+    """Time of the last new sample, s."""
     sequence: int = 0
     """Number of that sample."""
     fresh: bool = True
     """Whether the newest answer brought a new sample."""
     gap: float = 0.0
-    """Seconds between it and the one before."""
+    """Seconds between this sample and the one before."""
     same: int = 0
 
 

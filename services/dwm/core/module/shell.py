@@ -7,5 +7,6 @@ a robot's service sends is taken for typing. A service that finds its module the
 ENTER = b"\r\r"
 LEAVE = b"quit\r"
 LEAVE_TIMES = 2
-"""Binary requests that it took for typing stand before the first one, which is an unknown command then."""
+"""How many times `quit` is sent. The module has taken binary requests for typing, so the first `quit` ends an unknown
+command."""
 PROMPT = b"dwm>"
