@@ -290,7 +290,7 @@ def test_good_apps_are_told_what_they_are(short: None) -> None:
     assert trend["settles"] < 60
     assert trend["spread"] < 1e-9
     told = check.text(found)
-    assert "state       8 bytes (value float), 26 on the air" in told
+    assert "state       8 bytes (value float), 26 with the frame" in told
     assert "by an estimated factor of 10" in told
 
 
