@@ -26,7 +26,7 @@ class Imu:
         self.retried = 0
         """Failed transfers that were done again."""
         self.block = bytes(imu.BLOCK)
-        """The last sample as it came, for who wants all axes."""
+        """The bytes of the last sample, from which all axes can be read."""
 
     def set_up(self) -> None:
         """Check who it is, set ranges and rates, and check that they are set. Raises OSError or `RemoteError`."""

@@ -35,10 +35,10 @@ from swarm.process.edges import die_with_parent, notify
 from swarm.process.paths import runtime_dir
 
 TELEMETRY_TICKS = round(TELEMETRY_S / PERIOD_S)
-"""25 Hz."""
+"""Ticks between two messages of telemetry: 25 Hz."""
 SECOND_TICKS = 100
 PARAMETERS_TICKS = 1000
-"""Every 10 s."""
+"""Ticks between two messages with the parameters: every 10 s."""
 FEED_S = 1.0
 """Seconds between two messages to systemd's watchdog; its unit is given 3 s."""
 

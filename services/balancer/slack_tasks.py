@@ -30,19 +30,20 @@ from swarm.errors import RemoteError
 from swarm.messages import Display, ImuRequest, ImuSample, MeasureI2C, ModuleRequest, SetNotes
 
 SLACK_S = 4.4e-3
-"""Of bus time a tick may spend here: the longest slice (32 bytes from the ATmega, 4.2 ms at 100 kHz) and no second one.
-With the control step's 3.5 ms the bus is busy for 8 of 10 ms at most."""
+"""Bus time of a tick for all slack tasks, s: the longest transfer (32 bytes from the ATmega, 4.2 ms at 100 kHz) and no
+second one. With the control step's 3.5 ms the bus is busy for 8 of 10 ms at most."""
 MARGIN_S = 0.6e-3
-"""Left free before the next tick; of it `STARVED_MARGIN_S` for a task that had no time at all for two seconds."""
+"""Time that stays free before the next tick, s. For a task without a transfer for two seconds it is
+STARVED_MARGIN_S."""
 STARVED_MARGIN_S = 0.1e-3
 READ_ALONE = 12
-"""Bytes: where a read of so many fits the slack, UWB and battery wait for it, and the motors for nothing."""
+"""If a read of so many bytes fits the slack, UWB and battery are read there and do not delay the motors."""
 ALONG = 16
-"""Bytes read along with the encoders, at most: 1.8 ms at 100 kHz by which the motors are commanded later."""
+"""The most bytes read along with the encoders. They delay the motor command by up to 1.8 ms at 100 kHz."""
 BEHIND_S = 10.0
-"""For so long after a task had no time it is said to be behind: a transfer in between is no end of that."""
+"""Seconds for which a task counts as behind after it had no time, whatever it transfers meanwhile."""
 LOG_PERIOD_S = 10.0
-"""Of failures: a task that fails again and again is counted, not logged each time."""
+"""Seconds between two log lines about failures: repeated ones are only counted."""
 
 _log = logging.getLogger("balancer")
 
@@ -60,7 +61,7 @@ class SlackTasks:
         self._screen = Screen(now)
         self._meter = RateMeter()
         self._along = QueuedTask("uwb", self._uwb, 0.05), QueuedTask("battery", self._health, 0.5)
-        """What can be read along with the encoders."""
+        """The tasks that can be read along with the encoders."""
         self._measured = QueuedTask("measure", self._meter, 1.0)
         self._queue = (
             QueuedTask("notes", self._player, 0.05),
@@ -80,15 +81,15 @@ class SlackTasks:
         self._until = now
         """The time at which the next tick begins."""
         self._begun: float | None = None
-        """The time at which this one did, by the bus' own count of time."""
+        """The time at which this tick began, by the bus' own count of time."""
         self._planned = 0.0
-        """What its transfers should take besides those of the control step, s."""
+        """Planned duration of the tick's transfers besides those of the control step, s."""
         self._busy = TypicalTime(PERIOD_S)
-        """All else in a tick: the control step, computation."""
+        """Duration of the rest of a tick: the control step and computation."""
         self._behind = ""
         self._lines: tuple[str, ...] = ()
         self._shown: tuple[bool, tuple[str, ...]] | None = None
-        """What was told of the display."""
+        """The state of the display that was published last."""
         self._buttons = ButtonCounter()
         self._imu_until = self._imu_next = now
         self._imu_period = 0.0

@@ -14,11 +14,12 @@ from swarm.process.paths import VOLATILE
 
 NAME = "balancer.zero"
 USED_S = 10.0
-"""Since a loop last worked with it: a restart takes 1 s."""
+"""The most seconds since a loop last used the zero: a restart takes 1 s."""
 MEASURED_S = 3600.0
-"""Since it was measured: 0.05 degrees a second a kelvin (LSM6DS33 datasheet, table 3), so 20 K make a degree."""
+"""The most seconds since the zero was measured. It drifts by 0.05 degrees a second for each kelvin (LSM6DS33 datasheet,
+table 3)."""
 LARGEST = math.radians(30.0)
-"""rad/s: the datasheet's typical zero is up to 10 degrees a second."""
+"""Largest zero that is accepted, rad/s: the datasheet's typical zero is up to 10 degrees a second."""
 
 _log = logging.getLogger("balancer")
 

@@ -23,7 +23,7 @@ from swarm.process.locked_runtime import LockedRuntime
 from swarm.process.paths import state_dir
 
 _LOOK_S = 1.0
-"""Seconds between two looks whether the reading thread still goes round, and who watches through this robot."""
+"""Seconds between two checks that the reading thread is alive, and which viewers watch through this robot."""
 
 CHANCE = Chance(random.random, partial(os.urandom, NONCE_SIZE))
 

@@ -18,7 +18,7 @@ from swarm.messages.codec import decode
 from swarm.messages.keys import key, parse
 
 _ASK_S = 2.0
-"""Seconds that services may take to say how they are."""
+"""Seconds that services may take to report their state."""
 
 
 class ViewSender:
@@ -30,7 +30,7 @@ class ViewSender:
         self._runtime = runtime
         self._viewing = Viewing(robot, robots)
         self._lock = threading.Lock()
-        """Around the viewing: it is told of from threads of bus and mesh."""
+        """The lock that protects the viewing, which threads of bus and mesh use."""
         self._ask: Callable[[Callable[[RobotOverlays, float], object]], None]
         self._watch_key, self._view_key = key(robot, "mesh", "watch"), key(robot, "mesh", "view")
         self._listening: Bus | None = None

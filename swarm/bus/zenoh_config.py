@@ -8,7 +8,8 @@ import json
 from swarm.messages.codec import MAX_BINARY
 
 _MAX_MESSAGE = 2 * MAX_BINARY
-"""Bytes at which Zenoh gives a connection up: far above what we send, only a broken sender meets it."""
+"""Size in bytes of a message at which Zenoh closes a connection. Our messages are far smaller, so this only affects a
+broken sender."""
 
 
 _BATCHES = 16

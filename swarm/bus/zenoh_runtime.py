@@ -30,7 +30,7 @@ ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
 _log = logging.getLogger("bus")
 
 counters: Counter[str] = Counter()
-"""Of this process, for its status: `dropped_samples`, the samples and queries whose callback refused them."""
+"""Counters of this process for its status: `dropped_samples` counts samples and queries that their callback refused."""
 
 
 def direct(callback: Callable[[Any], None]) -> "zenoh.handlers.Callback[Any]":

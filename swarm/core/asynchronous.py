@@ -29,7 +29,7 @@ from swarm.errors import FrameError
 REPEAT = 1.0
 """Seconds after which an unchanged state is told again: it mends losses, and shows that the app is alive."""
 REPEAT_WAITING = 0.5
-"""Likewise before the barrier."""
+"""The same before the barrier."""
 MIN_GAP = 0.01
 """Seconds between two frames at least: an app that changes its state more often sends every other one, and the last."""
 HANG = 10.0

@@ -5,7 +5,7 @@ from dataclasses import replace
 from swarm.messages.dwm import Range, Ranges
 
 FRESH = 1.0
-"""s: what is older tells nothing of robots that move."""
+"""Age in seconds beyond which a range is not used, because robots move."""
 
 
 class RangeTable:

@@ -54,7 +54,7 @@ UNIX_MODULES = frozenset({"fcntl", "grp", "pty", "pwd", "resource", "termios", "
 """Modules of Python that Windows lacks."""
 
 _ROOT = Path(__file__).parents[2]
-"""Where the packages lie."""
+"""The folder that contains the packages."""
 
 _WIDTH = 100
 """Characters of a line of the help; of a group with more commands the first ones are listed."""

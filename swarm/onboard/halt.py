@@ -47,9 +47,9 @@ class Row:
     state: str
     """here, silent (its bus is there, its mesh does not answer), left, gone, never or no bus."""
     stopped: bool | None
-    """By its own word; None = it has said nothing."""
+    """Whether the robot itself reports that it is stopped; None: it has reported nothing."""
     mode: str | None
-    """Of its balancer, where that can be seen."""
+    """Mode of its balancer, if it can be seen."""
     confirmed: bool
 
 

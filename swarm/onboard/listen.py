@@ -18,11 +18,11 @@ from swarm.messages.codec import unpack
 from swarm.process.paths import runtime_dir
 
 SECONDS = 6.0
-"""At most; a robot whose services all speak is heard in a second."""
+"""The most seconds of listening. If all services of a robot publish, one second is enough."""
 LEAST_S = 1.2
 """Longer than the period of what is sent once a second."""
 EXPECTED = ("mesh/status", "balancer/status", "dwm/status", "balancer/state", "mesh/links", "mesh/clock")
-"""What a robot that is well says."""
+"""The keys that a robot without faults publishes."""
 
 SERVICES = ("bus", "mesh", "balancer", "dwm")
 

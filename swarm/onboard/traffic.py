@@ -35,7 +35,7 @@ class Traffic:
         self._lock = threading.Lock()
         self._counts: dict[str, int] = {}
         self._heard: list[str] = []
-        """Whom since the last decision, one entry a message."""
+        """The robots heard since the last decision, one entry for each message."""
         self._calm = False
         """Whether they were few the last time; until that is known nothing is told."""
         self._since = self._until = -REST_S

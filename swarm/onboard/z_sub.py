@@ -140,7 +140,7 @@ class _Watch:
         self._lost = 0
         self._buses: dict[str, _Watched] = {}
         self._layouts: dict[tuple[str, str], dict[str, str]] = {}
-        """By bus and app, how its states lie in frames."""
+        """The layouts of an app's states in its frames, by bus and app."""
 
     def run(self) -> None:
         with contextlib.ExitStack() as stack:

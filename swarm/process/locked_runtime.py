@@ -36,7 +36,7 @@ class LockedRuntime:
         """The time at which `call_due` has something to do."""
         self._lock = threading.RLock()
         self._depth = 0
-        """How many entries are inside each other."""
+        """The number of nested entries."""
         self._soon: deque[_Call] = deque()
         self._outside: list[_Call] = []
         self._times: list[tuple[float, int, _Call]] = []

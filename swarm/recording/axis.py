@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 Axis = Callable[[float], float]
-"""From a clock's time to common time, s."""
+"""A function from a clock's time to the common time, s."""
 
 
 class Relation(NamedTuple):
@@ -31,7 +31,7 @@ class Clocks:
         self._epochs: dict[str, float] = {}
         self._relations: dict[str, list[Relation]] = {}
         self.notes: list[str] = []
-        """What is doubtful about the common time; known after `axes`."""
+        """Doubts about the common time, in words; known after `axes`."""
         self.epoch = 0.0
         """The time of day at the zero of common time, s since 1970, as well as it is known; after `axes`."""
 

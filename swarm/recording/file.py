@@ -28,10 +28,10 @@ SYNC_S = 10.0
 """Seconds between two waits for the disk itself: what a robot loses at most when its battery falls out."""
 
 MIN_FREE = 64 * 1024 * 1024
-"""Bytes that stay free on the disk: the robot needs them more than we do."""
+"""Bytes that stay free on the disk, because the robot needs them more than a recording."""
 
 MAX_WAITING = 1024 * 1024
-"""Bytes that wait in memory for a disk that is slow or full; what comes then is lost."""
+"""The most bytes that wait in memory for a slow or full disk. Beyond that, messages are lost."""
 
 LIBRARY = f"balboa-swarm {__version__}"
 

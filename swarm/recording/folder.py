@@ -22,7 +22,7 @@ from swarm.process.paths import state_dir
 RUN_FILE = "run.toml"
 CONFIG_FILE = "swarm.toml"
 KEYS = ("app", "run", "version", "seed", "digest")
-"""What `run.toml` holds."""
+"""The keys of `run.toml`."""
 
 
 def root() -> Path:

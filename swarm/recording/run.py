@@ -36,10 +36,10 @@ class Run:
         self.topics: dict[str, list[Path]] = {}
         """Every topic, and the files that hold it."""
         self.schemas: dict[str, McapSchema] = {}
-        """Of each topic."""
+        """The schema of each topic."""
         self._metadata: list[tuple[str, dict[str, str]]] = []
         self.damage: list[str] = []
-        """What cannot be read of the files, and what is doubtful about their times."""
+        """What cannot be read in the files, and doubts about their times, in words."""
         self._begun: dict[bool, dict[str, float]] = {True: {}, False: {}}
         clocks = Clocks()
         for file in self.files:

@@ -20,7 +20,7 @@ from swarm.recording.thesis_ranges import cost, finite
 FOLDERS = ("consensus", "led_sync", "localization", "flooding", "unicast", "async", "standup", "latency", "calibration")
 """Names of the thesis' folders: what was measured."""
 TRUTHS = {"flooding": "ready", "unicast": "ready", "standup": "standing", "async": "value"}
-"""What a truth value of these says."""
+"""The name of the field that a truth value in the file stands for, by the kind of run."""
 CHANNELS = ("frequency", "phase")
 """Folders within one of LEDs."""
 

@@ -46,7 +46,7 @@ class ThesisRow(NamedTuple):
     """One measurement of a robot, in m."""
 
     distance: float
-    """To the target."""
+    """Distance to the target."""
     x: float
     """The robot's own place."""
     y: float

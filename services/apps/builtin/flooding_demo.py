@@ -8,16 +8,16 @@ from swarm.messages import Flooded, Sent
 from swarm.messages.codec import Value
 
 SHOWN_S = 3.0
-"""Lamps go off so long after the last message, as the thesis' did."""
+"""Seconds after the last message after which the LEDs go off, as in the thesis."""
 
 
 class FloodingDemo(EventApp):
     """Any button: yellow on every robot that has the message, green on all when the last one has it."""
 
     floods: int = 0
-    """Own ones so far."""
+    """Number of own floods so far."""
     heard: int = 0
-    """Others'."""
+    """Number of other robots' floods."""
     complete: int = 0
     """Floods, own and others', of which this robot knows that all have them."""
     _lost: int = 0

@@ -16,7 +16,7 @@ SLOWING = 1.0
 STAY = "stay"
 
 MOST = 63
-"""Robots: a bit for each."""
+"""The most robots: each has one bit."""
 
 
 class Goto(DrivingApp):
@@ -26,7 +26,7 @@ class Goto(DrivingApp):
     """x,y x,y ... in m, in the frame of the anchors; empty: the place opposite, by the middle between the anchors. The
     word `stay` at the end: the robot stands there, or where it is, and goto goes on for further waypoints."""
     reach: float = parameter(0.06, unit="m", low=0.02, high=1.0)
-    """How near it has to come."""
+    """Distance to a waypoint at which it counts as reached."""
     arrived: int = 0
     """A bit for each robot, in the order of swarm.toml, of which is known that it has reached its last waypoint."""
     _goals: tuple[Point, ...] = ()

@@ -7,7 +7,7 @@ from swarm import PeriodicApp
 from swarm.messages.codec import Value
 
 LOOK_S = 0.1
-"""Between two looks at the own posture."""
+"""Seconds between two looks at the own posture."""
 LYING = ("front", "back", "upright")
 """Postures to stand up from; upright is held by a hand."""
 

@@ -12,7 +12,7 @@ from swarm.messages.codec import Value
 
 BUTTONS = ("a", "b", "c")
 SHOWN_S = 3.0
-"""Lamps go off so long after the last message, as the thesis' did."""
+"""Seconds after the last message after which the LEDs go off, as in the thesis."""
 TIMEOUT_S = 10.0
 
 

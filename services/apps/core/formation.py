@@ -15,7 +15,7 @@ from collections.abc import Iterable
 from services.apps.core.avoidance import Point
 
 SHAPES = ("circle", "line", "wedge")
-"""The default first."""
+"""The shapes of a formation, the default first."""
 SIZE = 0.6
 """m."""
 

@@ -27,7 +27,7 @@ from swarm.frozen import frozen
 from swarm.messages import Measurement
 
 ALONE = 0.03
-"""Seconds of an iteration of a robot without neighbours, who has nobody to wait for."""
+"""Seconds of an iteration of a robot without neighbours, which waits for no other robot."""
 
 _STAMP = struct.Struct("<dd")  # before the private fields in a snapshot: when its state was computed, and the first one
 
@@ -78,7 +78,7 @@ class LockstepRun:
         self.computed_at = 0.0
         """The time at which the newest state was computed."""
         self.lost = False
-        """Whether this robot has been in the run and its state is gone, as after a reboot."""
+        """Whether this robot was in the run and has lost its state, as after a reboot."""
         of = terms.run, terms.schema
         self.epochs = Epochs(me, names, of, incarnation, begin, kept, auto=terms.drop, lost=vote_lost)
         self.rtt = RTT

@@ -16,7 +16,7 @@ ROWS = 9
 COLUMNS = 6
 """Number of the robot (-1: an empty row), x, y (m), velocity in x and y (m/s), age (s)."""
 AHEAD_S = 1.0
-"""A place is carried on with its velocity for so long; after that the robot is taken to have stopped."""
+"""Seconds for which a place is continued with its velocity. After that the robot counts as standing."""
 FORGET_S = 30.0
 
 Row = tuple[float, ...]

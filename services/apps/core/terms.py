@@ -48,9 +48,9 @@ class Terms:
     rule: Rule | None = None
     """Another reason to stop."""
     drop: bool = False
-    """Whether robots that stay away are given up, and taken in again when they come back."""
+    """Whether absent robots are dropped, and admitted again when they return."""
     after: float = AFTER
-    """Seconds after which they are."""
+    """Seconds without a message after which they are dropped."""
 
     @property
     def notes(self) -> str:

@@ -6,16 +6,16 @@ A flood of commands costs its sender's later commands, never a stop: stops do no
 from typing import NamedTuple
 
 ROOM_EACH = 16
-"""Commands of one key that may wait."""
+"""The most commands of one key that may wait."""
 ROOM_BYTES = 256 * 1024
-"""Bytes that all waiting payloads may have together."""
+"""The most bytes of all waiting payloads together."""
 
 
 class WaitingCommand(NamedTuple):
     """A command as it came from the bus."""
 
     name: str
-    """Its key."""
+    """Key of the command."""
     payload: bytes
     heard: float
     """The time at which the bridge heard it, s of the robot's monotonic clock."""

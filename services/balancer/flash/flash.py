@@ -30,15 +30,15 @@ from swarm.process.paths import runtime_dir
 
 UNIT = "swarm-balancer.service"
 BY_COMMAND_S = 10.0
-"""Until the bootloader of a board that was told to start it is at USB."""
+"""Seconds until the bootloader appears on USB after the command that starts it."""
 BY_HAND_S = 60.0
-"""Until somebody has pressed reset twice."""
+"""Seconds to wait for a person to press reset twice."""
 START_S = 8.0
-"""Until the new firmware answers: the bootloader leaves half a second after the end."""
+"""Seconds until the new firmware answers: the bootloader ends half a second after the transfer."""
 STATE_S = 1.5
-"""Until a balancer that runs has told its mode: it does 25 times a second."""
+"""Seconds until a running balancer has published its mode, which it does 25 times a second."""
 _STEP = 0.25
-"""Share between two words of progress."""
+"""Share of the work between two reports of progress."""
 _ON_ITS_FEET = (STANDING_UP, BALANCING, LYING_DOWN)
 
 Say = Callable[[str], None]

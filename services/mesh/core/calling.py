@@ -32,7 +32,7 @@ class Calling:
         self._calls: dict[str, float] = {}
         """Robots that we are calling, and since when we have called nobody else before them."""
         self._look_at = 0.0 if local.pages else _NEVER
-        """When to look next whether this robot is alone."""
+        """The time of the next check whether this robot has no link."""
         self._alone = False
         self._knocks = 0
 

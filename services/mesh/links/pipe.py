@@ -23,8 +23,8 @@ class Pipe:
         sock.setblocking(False)
         self.caller = caller
         self.limit: Callable[[float], None] | None = None
-        """Has the radio give the connection up shortly before a silence of so many s; None where there is none, or
-        where it is the other end's to say."""
+        """Sets the silence, s, shortly before which the radio ends the connection; None without a radio, or if the
+        other end sets it."""
         self._sock = sock
         self._arrived: bytes | None = None
         self._rest = b""

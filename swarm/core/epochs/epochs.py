@@ -257,7 +257,7 @@ class Epochs:
         self.member = self.me in mine.epoch.members
         """Whether this robot is in it."""
         self.frozen = mine.promised != NONE or not self.member
-        """Whether it may not compute: it has answered a ballot, or has no place in the epoch."""
+        """Whether the robot must not compute, because it has answered a ballot or is no member of the epoch."""
         self._offers = mine.offer is not None
 
     @property

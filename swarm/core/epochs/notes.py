@@ -44,7 +44,7 @@ class Epoch:
     or ordered by the operator."""
 
     number: Number
-    """u32 over all that follows: what tells its frames apart on the air."""
+    """Checksum (u32) of all that follows, by which frames of different epochs are distinguished."""
     counter: Count
     """The number of epochs before it."""
     proposer: str

@@ -32,7 +32,7 @@ class Channel:
     run: int
     """u64, given by the launcher, the same on all robots, bound to a hash of app and config."""
     epoch: int
-    """u32, the membership the run is in."""
+    """u32, the epoch of the run: its members and links."""
     incarnation: int
     """u64, goes up with every start of the process: the fencing token of R6."""
     schema: int

@@ -14,7 +14,7 @@ REPEAT_S = 0.2
 SPEED = 0.2
 """m/s at the gear that a drive begins with."""
 TURN_RATE = 1.5
-"""rad/s."""
+"""Turn rate while a key is held, rad/s."""
 GEARS = (0.25, 0.5, 1.0, 1.5, 2.0)
 """Factors of both, for the keys - and +."""
 FIRST_GEAR = 2

@@ -11,7 +11,7 @@ from typing import TextIO
 
 _CHUNK = 64
 _SEQUENCES = {b"\x1b[A": "up", b"\x1b[B": "down", b"\x1b[C": "right", b"\x1b[D": "left"}
-"""What terminals send for arrows (ECMA-48, normal cursor keys)."""
+"""The bytes that terminals send for arrow keys (ECMA-48, normal cursor keys)."""
 _SEQUENCES |= {sequence.replace(b"[", b"O"): key for sequence, key in _SEQUENCES.items()}
 """The same with application cursor keys."""
 

@@ -22,7 +22,7 @@ _WAY_OUT = {
     "lie": "swarm balance rest switches its motors off, swarm balance stand makes it stand",
     "zero": "swarm balance rest, then leave it alone and give the command again",
 }
-"""What a person can do about a refusal that names no way out itself, by command."""
+"""What a person can do after a refusal that does not say so itself, by command."""
 
 
 @frozen
@@ -31,7 +31,7 @@ class ModeOutcome:
 
     ok: bool
     text: str
-    """In words; of a refusal with the command that gets out of it."""
+    """The outcome in words; after a refusal also the command that helps."""
 
 
 class ModeChange:

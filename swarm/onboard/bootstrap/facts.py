@@ -19,7 +19,7 @@ PLACES = {
     "boot_id": "/proc/sys/kernel/random/boot_id",
     "modules": "/lib/modules",
 }
-"""Where the kernel says what it is; a request may name others."""
+"""The files in which the kernel describes itself and the board. A request may name others."""
 
 
 def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, Any]:

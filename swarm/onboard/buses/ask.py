@@ -131,7 +131,7 @@ class Views:
 
     def __init__(self) -> None:
         self.robots: dict[str, dict[str, GraphRobot]] = {}
-        """By the robot that was asked, and the robot it tells of."""
+        """What robots report, by the robot that was asked and the robot that the report is about."""
         self.changed = threading.Condition()
 
     def ask(self, name: str, bus: Bus, timeout_s: float) -> None:

@@ -17,7 +17,7 @@ from swarm.messages.keys import parse
 from swarm.process.text import printable
 
 _SHOWN_BYTES = 48
-"""Bytes of a raw payload on a terminal; JSON has all."""
+"""The most bytes of a raw payload that are shown on a terminal; JSON has all of them."""
 
 _SIMPLE = re.compile(r"[A-Za-z0-9_./:+-]+")
 _FRAME = struct.Struct("<BI")
@@ -30,7 +30,7 @@ _ROLL = 32
 _ENTRY = re.compile(r"([0-9]{0,3})([a-zA-Z?])")
 
 Layouts = Mapping[str, str]
-"""How an app's states lie in its frames: `AppParameters.states`."""
+"""The layout of an app's states in its frames: `AppParameters.states`."""
 
 
 class BusSample(NamedTuple):
@@ -43,7 +43,7 @@ class BusSample(NamedTuple):
     key: str
     payload: bytes
     layouts: Layouts = MappingProxyType({})
-    """Of the app of whose frames it is one, as far as known."""
+    """The layouts of the app to which the frame belongs, as far as they are known."""
 
 
 def as_text(sample: BusSample) -> str:

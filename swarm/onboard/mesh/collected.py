@@ -31,7 +31,7 @@ class CollectedMesh:
     """The whole swarm, collected from the reports of its robots."""
 
     views: Mapping[str, MeshView]
-    """Of the robots that were asked."""
+    """The answers of the robots that were asked."""
     robots: Mapping[str, GraphRobot] = field(default_factory=dict)
     """All, as they are known best."""
 

@@ -26,7 +26,7 @@ CHECKPOINT = 0x80
 0x80 and above to applications)."""
 
 HEAD = struct.Struct("<BQ")
-"""What every record begins with: opcode and length of the content."""
+"""The beginning of every record: opcode and length of the content."""
 
 LARGEST = 4 * 1024 * 1024
 """Bytes of one record that are read into memory. A damaged file may claim any length; ours are below 300 kB, but for a

@@ -13,13 +13,13 @@ SLOWEST, FASTEST = 0.1, 10.0
 """Hz."""
 
 PLAN_S = 0.25
-"""Between two plans."""
+"""Seconds between two plans."""
 LEAD_S = 0.05
-"""An order takes so long to the LEDs at most; what is to happen sooner was ordered before."""
+"""The most seconds from an order to the LEDs. A change that is due earlier was ordered before."""
 AHEAD_S = 0.8
-"""How far a plan goes: a host that is held up for half a second misses no blink."""
+"""Length of a plan in seconds: a host that stalls for half a second misses no blink."""
 SETTLED_S = 1.0
-"""The frequency counts as agreed when it has kept to one line of the grid for so long."""
+"""Seconds for which the frequency must have been the same grid value to count as agreed."""
 
 
 class Frequency(SyncApp):

@@ -26,11 +26,12 @@ class Nids(Judged):
     """The bracket, about the mean of the anchors, m."""
     y: float32
     _bracket: Pair = (0.0, 0.0)
-    """It, before rounding: the sum over the swarm is that of these, or rounding errors would add up for ever."""
+    """The bracket before rounding. Sums over the swarm use these values, since rounding errors would otherwise add
+    up."""
     _x: Pair = (0.0, 0.0)
-    """Estimate."""
+    """The estimate of the target."""
     _g: Pair = (0.0, 0.0)
-    """Gradient at it."""
+    """The gradient at the estimate."""
     _seen: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Range and own place, smoothed."""
 

@@ -10,10 +10,10 @@ from swarm import SyncApp, float32, parameter
 from swarm.messages.codec import Value
 
 STANDS = 1e-4
-"""m an iteration: a place that moves by less has converged."""
+"""Movement in an iteration below which a place has converged, m."""
 
 UNKNOWN = TargetEstimate(0.0, 0.0, None, 0, (0.0, 0.0, 0.0))
-"""Before the first measurement, which makes the first state."""
+"""The state before the first measurement."""
 
 
 class Localization(SyncApp):
@@ -78,9 +78,9 @@ class Judged(Localization):
     part: float32
     """Number k mod 9 of the statistics."""
     _q: Statistics = ranges.NOTHING
-    """All nine."""
+    """All nine statistics of the mean."""
     _m: Statistics = ranges.NOTHING
-    """The own ones, smoothed."""
+    """The own statistics, smoothed."""
     _entered: Statistics = ranges.NOTHING
     """The statistics that went into `_q`."""
     _moved: float = math.inf

@@ -54,7 +54,7 @@ class TargetMotion:
     """m an iteration."""
     vy: float
     found: ranges.TargetEstimate
-    """What the ranges say of the place, given that velocity: uncertainty, ambiguity."""
+    """The place that follows from the ranges with that velocity, with its uncertainty and ambiguity."""
 
 
 def information(distance: float, x: float, y: float, sigma: float) -> Information:

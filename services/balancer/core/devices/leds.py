@@ -33,18 +33,18 @@ Shown = tuple[bool, bool, bool]
 """Red, yellow, green."""
 
 CLAIM_S = 3.0
-"""An app's claim ends so long after its last message, as the lamps of the original system did."""
+"""Seconds after its last message after which an app's claim ends, as in the original system."""
 LONGEST_CLAIM_S = 60.0
 
 LONGEST_AHEAD_S = 10.0
-"""An order may name a time so far ahead at most."""
+"""The most seconds that the time of an order may be ahead."""
 MOST_AHEAD = 32
-"""Orders that wait for their time."""
+"""The most orders that wait for their time."""
 
 WRITE_S = 0.7e-3
-"""On the bus, and then the LEDs have changed."""
+"""Seconds that the write takes on the bus. After it the LEDs have changed."""
 MARGIN_S = 0.8e-3
-"""Left free before the next tick, whose control step must not be late."""
+"""Seconds that stay free before the next tick, whose control step must not be late."""
 CONTROL_S = 3.4e-3
 """Seconds from a tick's time until its control step leaves the bus."""
 

@@ -14,13 +14,13 @@ from swarm.errors import LocalError, RemoteError
 from swarm.messages import ModuleAnswer, ModuleRequest
 
 REQUEST_LIMITS = (2, 255)
-"""Bytes: type and length at least; a value has at most 253."""
+"""Least and most bytes of a request: type and length, and a value of at most 253 bytes."""
 TICKET_LIMIT = 64
-"""Characters."""
+"""The most characters of a ticket."""
 PATIENCE_S = 3.0
 """Seconds from the request to the end of its answer; the ATmega needs 0.6 s for a module that is silent."""
 WAIT_S = 0.02
-"""Between looks for the answer."""
+"""Seconds between two looks for the answer."""
 FAILURES = 40
 """Failed transfers in a row, 20 ms apart, after which a request is given up: longer than a mailbox can be busy with
 what somebody asked before us, when it does not acknowledge."""

@@ -12,7 +12,7 @@ from swarm.errors import LocalError
 from swarm.messages import I2CRates, MeasureI2C
 
 MOST = 1000
-"""Transfers of each kind."""
+"""The most transfers of each kind."""
 FAILURES = 20
 """Failed transfers in a row after which a measurement is given up."""
 TRANSFER_S = 0.04

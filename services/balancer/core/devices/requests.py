@@ -8,12 +8,12 @@ from swarm.errors import LocalError
 from swarm.messages import ImuRequest, MeasureI2C, ModuleRequest, SetDisplay, SetNotes, TryMotors
 
 IMU_RATE = 100.0
-"""Hz: the control loop's own."""
+"""The highest rate of IMU samples, Hz: that of the control loop."""
 IMU_DURATION_S = 60.0
 TEXT_LIMIT = 200
-"""Letters of a text for the display: more than it can show."""
+"""The most letters of a text for the display, which is more than it can show."""
 TEXT_SECONDS = 60.0
-"""Seconds for which it may be claimed at most; a longer claim is renewed."""
+"""The most seconds of a claim of the display. A longer claim must be renewed."""
 
 
 def check(command: object) -> None:

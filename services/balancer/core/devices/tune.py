@@ -64,7 +64,7 @@ class Player:
         self._tunes: list[tuple[bytes, float]] = []
         self._due = 0.0
         self._notes = 0
-        """Of the first tune that were written last."""
+        """The number of notes of the first tune that were written last."""
         self._failures = 0
 
     def play(self, notes: SetNotes, now: float) -> None:

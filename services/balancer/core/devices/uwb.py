@@ -29,7 +29,7 @@ FAILURES = 3
 REFRESH = 10
 """Reports after which the place of one more anchor is read again."""
 RECENT, BEHIND = 50, 8
-"""Of so many reports so many were not read in time: there is not enough time for them."""
+"""UWB is behind if BEHIND of the last RECENT reports were not read in time."""
 PLACES = 64
 """Anchors whose places are kept, at most."""
 _RESET_JUMP = 1000
@@ -105,13 +105,13 @@ class UwbReader:
         self.progress: balboa.UwbProgress | None = None
         """The newest look at the line's state."""
         self.news: Uwb | None = None
-        """What is to be told; whoever takes it sets None."""
+        """The message to publish. The caller that publishes it sets it to None."""
         self._look_at = now
         self._tell_at = now + TELL_S
         self._newest = 0
         """The ATmega's number of its newest report, modulo 16."""
         self._look = b""
-        """What was read of the line's state so far."""
+        """The bytes of the line's state that were read so far."""
         self._block = bytearray(balboa.UWB_SIZE)
         self._spans: Iterator[tuple[int, int]] = iter(())
         """What is to be read of the report under way after `_span`."""

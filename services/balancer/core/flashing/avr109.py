@@ -18,11 +18,11 @@ from services.balancer.core.flashing.intel_hex import ERASED
 from swarm.errors import RemoteError
 
 BAUD = 57600
-"""For the form's sake: USB has none. Not 1200, which is the touch that starts the bootloader."""
+"""The baud rate of the port, which USB ignores. It must not be 1200, which starts the bootloader."""
 
 ANSWER_S = 2.0
 ERASE_S = 10.0
-"""224 pages at 4.5 ms twice are 2 s."""
+"""Seconds that erasing takes: 224 pages at 4.5 ms, twice, are 2 s."""
 
 _DONE = b"\r"
 

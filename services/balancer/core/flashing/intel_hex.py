@@ -12,7 +12,7 @@ DATA, END, SEGMENT, START_SEGMENT, LINEAR, START_LINEAR = range(6)
 _LENGTHS = {END: 0, SEGMENT: 2, START_SEGMENT: 4, LINEAR: 2, START_LINEAR: 4}
 
 ERASED = 0xFF
-"""What a byte of flash holds that nothing was written to."""
+"""The value of an erased byte of flash."""
 
 
 def parse(text: str, limit: int) -> bytes:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from services.balancer.core.slack.transfers import SlackTask
 
 STARVED_S = 2.0
-"""Without a single transfer although one is wanted: the bus has no time for the task."""
+"""Seconds without a transfer, although one is wanted, after which the bus has no time for the task."""
 
 
 @dataclass(eq=False)

@@ -11,14 +11,14 @@ from typing import NamedTuple
 from services.balancer.core.devices import balboa, imu
 
 BITS_PER_BYTE = 9
-"""Eight and the acknowledge."""
+"""Eight bits of data and the acknowledge."""
 BITS_PER_TRANSFER = 2
 """START and STOP (or repeated START) take about a bit each."""
 HOLD_S = 25e-6
-"""By which the ATmega lengthens each byte, before it was measured: between the least and the most that were seen in the
-simulator (firmware/README.md)."""
+"""Seconds by which the ATmega is assumed to lengthen each byte before this is measured. The value is within the range
+seen in the simulator (firmware/README.md)."""
 LONGEST_HOLD_S = 40e-6
-"""The same at most."""
+"""The most seconds by which the ATmega lengthens a byte."""
 SCL_HZ = 100e3
 """SCL as provisioning asks for it (`i2c_arm_baudrate`)."""
 SLOWEST_HZ = 40e3
@@ -53,11 +53,11 @@ class Room(NamedTuple):
     """The bytes that a transfer may have to fit a time; at most `LONGEST`, below 1 where none fits."""
 
     read: int
-    """Read from the ATmega."""
+    """Bytes read from the ATmega."""
     write: int
-    """Written to the ATmega, its index not counted."""
+    """Bytes written to the ATmega, without the index."""
     send: int
-    """Written to another device, all of them."""
+    """All bytes written to another device."""
 
 
 WHOLE = Room(LONGEST, LONGEST - 1, LONGEST)
@@ -65,7 +65,7 @@ WHOLE = Room(LONGEST, LONGEST - 1, LONGEST)
 
 
 _SHORTEST_S = 1e-7
-"""Of a sample: a difference of two times may be nothing."""
+"""Shortest duration of a sample: the difference of two times may be zero."""
 
 
 class TypicalTime:

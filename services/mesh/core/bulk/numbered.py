@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 from typing import Generic, NamedTuple, TypeVar
 
 INCARNATIONS = 4
-"""Lives of one sender that are told apart: copies of an earlier one may still be on their way."""
+"""Number of incarnations of one sender that are distinguished: copies of messages of an earlier one may still
+arrive."""
 
 _NEVER = float("inf")
 

@@ -276,7 +276,7 @@ class Pace:
 
 
 REORDERED = 3
-"""Pieces asked for later that may come before one until that is taken for lost."""
+"""Number of pieces, requested later, after whose arrival an earlier piece counts as lost."""
 
 
 class Fetch:

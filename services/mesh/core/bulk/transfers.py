@@ -27,7 +27,7 @@ MAX_OFFERED = 4
 
 MAX_SPAN = 32
 WINDOW = 64
-"""Numbers under way to one robot lie so close together, and a receiver tells so many apart."""
+"""Largest span of the numbers under way to one robot. A receiver distinguishes this many numbers."""
 
 FIRST_WAIT = 0.3
 LONGEST_WAIT = 2.0
@@ -85,7 +85,7 @@ class Transfers:
         self.exchange: BulkExchange
         self._own = Outbound[Parcel](Limits(MAX_SENDING, MAX_SENDING_BYTES, MAX_OFFERED, MAX_SPAN), self._launch, ended)
         self._over = SeenLives(WINDOW)
-        """Messages of others that are over."""
+        """Messages of others that were delivered, refused or given up."""
         self._keys: dict[MessageId, str] = {}
         """The keys of messages on their way here."""
 

@@ -302,7 +302,7 @@ REFUSED = {
     frames.HELD: "refused_held",
     frames.CLASH: "refused_clash",
 }
-"""Which counter counts what we end a connection for."""
+"""The counter for each reason to end a connection."""
 
 
 @frozen

@@ -11,9 +11,9 @@ SIZES = (4, 28)
 TRANSFERS = 30
 I2C_S = 20.0
 HOLD_S = 25e-6
-"""By which the ATmega lengthens each byte (firmware/README.md)."""
+"""Seconds by which the ATmega lengthens each byte (firmware/README.md)."""
 SLOWEST_SCL = 80e3
-"""Hz: below, the slack of a tick has not room for all tasks."""
+"""Clock of the bus in Hz below which the slack of a tick has no room for all tasks."""
 PRESS_S = 30.0
 DISPLAY_S = 5.0
 LINKS_S = 3.0

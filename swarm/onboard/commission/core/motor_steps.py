@@ -7,19 +7,20 @@ from swarm.messages import Arm, SetMode, Stop, TryMotors
 from swarm.onboard.commission.core.procedure import Desk, Script, StepError
 
 DUTY = 0.15
-"""Of full power; the balancer takes no more than 0.2 without balancing."""
+"""Share of full power in the motor tests; the balancer accepts at most 0.2 without balancing."""
 TURN_S = 1.0
 MOVED_M = 0.02
-"""What a wheel rolls at least in a second at that duty: a tenth of what a free one does."""
+"""Least way of a wheel in a second at that duty, m: a tenth of the way of a free wheel."""
 WRONG_M = 0.015
 """A wheel that has rolled so far the wrong way is stopped at once."""
 STILL = 0.02
 """m/s: below, a wheel stands."""
 STOP_S = 0.5
 WATCHDOG_S = 0.8
-"""From the only command on: the ATmega waits 0.2 s, then the wheels run out."""
+"""Seconds after the single command within which the wheels must stop: the ATmega waits 0.2 s, and then the wheels run
+out."""
 TIPPED = 0.12
-"""rad."""
+"""Tilt beyond which the robot counts as tipped over, rad."""
 TIP_S = 60.0
 FOLLOW_S = 0.6
 STAND_S = 15.0

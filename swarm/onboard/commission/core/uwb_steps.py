@@ -11,17 +11,17 @@ from swarm.onboard.commission.core.procedure import Desk, Script, StepError
 RANGES_S = 5.0
 FEWEST_REPORTS = 10
 SHARES = ((0.5, 0.5), (0.25, 0.65), (0.75, 0.35))
-"""Where to measure, as parts of the box around the anchors. Multipath gives each place an error of its own, so one
-place is not enough."""
+"""The places to measure at, as shares of the box around the anchors. Multipath gives each place an error of its own, so
+one place is not enough."""
 SMALLEST_BOX = 0.5
-"""m: in a field that is narrower the places would hardly differ."""
+"""Least side of the box, m: in a narrower field the places would hardly differ."""
 SETTLE_S = 2.0
-"""What the service averages over may still hold ranges of the place before."""
+"""Seconds to wait at a new place: the service's average may still contain ranges of the place before."""
 FEWEST_RANGES = 10
 LARGEST_OFFSET = 0.5
-"""m: no module errs by more (`services/dwm/core/calibration/limits.py`)."""
+"""Largest offset that is accepted, m (`services/dwm/core/calibration/limits.py`)."""
 LARGEST_SPREAD = 0.4
-"""m by which an anchor may differ from the others."""
+"""Length by which the error of one anchor may differ from the others, m."""
 
 
 def uwb(desk: Desk) -> Script:
