@@ -182,7 +182,7 @@ def test_golden_bytes_of_an_enum_and_a_matrix() -> None:
         "table": (1.0, 2.0, 3.0, 4.0, 5.0, 6.0),
     }
     assert [field.zero for field in both.fields] == [Mood.CALM, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))]
-    assert both.fields[1].columns == tuple(f"table[{i}]" for i in range(6))
+    assert both.fields[1].columns == tuple(f"table[{row},{column}]" for row in range(2) for column in range(3))
 
 
 def test_the_hash_is_over_members_and_shape() -> None:
