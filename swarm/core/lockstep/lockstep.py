@@ -257,6 +257,8 @@ class Lockstep:
         peer.incarnation = incarnation
         if frame.k > peer.reached:
             peer.reached = frame.k
+        if frame.k < self.k:
+            self._questions.is_late(sender)
         if frame.k > self.k + 1:
             # To get there it must have had our x(k+1): we have forgotten that we sent it.
             self._fail(f"state lost at {self.me}: {sender} is at iteration {frame.k}, this robot at {self.k}")
@@ -349,7 +351,7 @@ class Lockstep:
         self.counters["want sent"] += len(peers)
         # At the first iteration neighbours are yet to start.
         self._links.asked(peers, self.rtt, now, least=now if self.k else self._name_at)
-        self._questions.asked(now, self.rtt)
+        self._questions.asked(peers, now, self.rtt)
 
     def _go_around(self, peer: str) -> None:
         if self._links.go_around(peer):

@@ -115,6 +115,34 @@ def test_silence_makes_a_link_suspect_then_down_then_it_returns() -> None:
     assert world.link("r0", "r1").connection == 2
 
 
+@pytest.mark.parametrize(
+    ("up", "latency", "dead"),
+    [
+        pytest.param(1.0, 0.03, 8.0, id="round trips are not known"),
+        pytest.param(20.0, 0.03, 3.0, id="they are short"),
+        pytest.param(20.0, 0.2, 8.0, id="they are long"),
+        pytest.param(40.0, 1.0, 10.0, id="five of them are longer than a handshake"),
+    ],
+)
+def test_a_silent_link_on_a_radio_with_pages_ends_soon_only_where_round_trips_are_short(
+    up: float, latency: float, dead: float
+) -> None:
+    """There, two robots in several piconets may miss one another for seconds."""
+    world = World(PAIR, latency=latency)
+    world.overrides["r0"] = {"pages": True}
+    world.kill("r0")
+    world.start("r0")
+    world.run(up)
+    connection = world.link("r0", "r1").connection
+    assert world.all_up()
+    world.cut("r0", "r1", 100.0)
+    last = world.now + latency  # what is under way still arrives
+    world.run(dead - 1.0)
+    assert (world.link("r0", "r1").connection, world.link("r0", "r1").state) == (connection, "suspect")
+    world.run(last + dead + 0.1 - world.now)
+    assert world.link("r0", "r1").state != "suspect"
+
+
 def test_a_short_cut_makes_a_link_suspect_only() -> None:
     world = World(PAIR)
     world.run(1.0)

@@ -27,6 +27,9 @@ MAX_APART = 1e10
 DEVIATIONS = 4.0
 """Deviations above the smoothed round trip within which an answer is expected (RFC 6298 section 2: RTO)."""
 
+KNOWN = 8
+"""Round trips after which a connection's are known."""
+
 TAIL = 0.95
 """Share of the last minute's round trips that are expected, too: where robots share their time among piconets the
 deviation forgets within seconds that a link has been slow."""
@@ -70,6 +73,10 @@ class Pulse:
         self.expected = 0.0
         """Seconds within which an answer is expected."""
         self._round_trips = RoundTrips()
+        self._tail = 0.0
+        """95 % of `rtts` are at most so long, s."""
+        self.longest = 0.0
+        """The longest of `rtts`, s."""
         self._usual = 0.0
         """Median of `rtts`, s."""
         self.sent_rate = 0.0
@@ -89,6 +96,10 @@ class Pulse:
         """Return the time between two heartbeats, s: `least`, or twice that where half of it is shorter than the usual
         round trip. More heartbeats would tell little, and each frame takes time of a slow radio."""
         return 2.0 * least if self._usual > least / 2.0 else least
+
+    def is_steady(self, least: float) -> bool:
+        """Return whether round trips are known, and nearly all are shorter than half of `least`, as in `period`."""
+        return len(self.rtts) >= KNOWN and self._tail <= least / 2.0
 
     def silence(self, least: float, answers: float) -> float:
         """Return the seconds in which a heartbeat and so many answers are expected; `least` as in `period`."""
@@ -127,8 +138,9 @@ class Pulse:
         self.rtt = rtt if self.rtt is None else self.rtt + _RTT_GAIN * (rtt - self.rtt)
         self._round_trips.add(rtt, now)
         ordered = sorted(self.rtts)
-        self._usual, tail = ordered[len(ordered) // 2], ordered[int(TAIL * len(ordered))]
-        self.expected = max(self._round_trips.smoothed + DEVIATIONS * self._round_trips.deviation, tail)
+        self._usual, self.longest = ordered[len(ordered) // 2], ordered[-1]
+        self._tail = ordered[int(TAIL * len(ordered))]
+        self.expected = max(self._round_trips.smoothed + DEVIATIONS * self._round_trips.deviation, self._tail)
         return rtt, apart
 
 

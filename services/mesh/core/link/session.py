@@ -37,6 +37,10 @@ CONNECTING, UP, SUSPECT, DOWN = "connecting", "up", "suspect", "down"
 SUSPECT_AFTER, DEAD_AFTER = 1.0, 3.0
 """Times that an answer is expected in, besides a heartbeat's period, after which silence is suspicious, and the end."""
 
+BRIDGED_AFTER = 5.0
+"""Times as long as the longest round trip of late after which a link whose ends may be in several piconets ends: two
+ends can miss one another for longer than a few dozens of heartbeats have shown."""
+
 BULK_WRITE = 1000
 """Bytes at which a write with bulk in it ends: what is handed over cannot be overtaken, and acknowledgements come one
 for each."""
@@ -129,9 +133,13 @@ class Session:
 
     @property
     def dead_after(self) -> float:
-        """The same for its end."""
-        local = self._local
-        return min(max(local.dead, self.pulse.silence(local.heartbeat, DEAD_AFTER)), local.patience)
+        """The same for its end. Longer where robots share their radio's time among piconets, as long as round trips do
+        not show that these two hardly do."""
+        local, pulse = self._local, self.pulse
+        least = max(local.dead, pulse.silence(local.heartbeat, DEAD_AFTER))
+        if local.pages and not pulse.is_steady(local.heartbeat):
+            least = max(least, local.handshake, BRIDGED_AFTER * pulse.longest)
+        return min(least, local.patience)
 
     @property
     def process(self) -> int:

@@ -158,6 +158,36 @@ def test_the_first_question_waits_for_a_fifth_of_a_second_or_three_round_trips()
     assert one.next_deadline() == pytest.approx(1.5)
 
 
+def gone_through(one, now, k, late, *, answered):
+    """Have an iteration whose value comes `late` s after its beginning, far behind a question for it."""
+    one.handle_timer(now + 0.2)
+    if answered:
+        one.receive("r1", THEIRS, step_of(k - 1), now + 0.25)
+    one.receive("r1", THEIRS, step_of(k), now + late)
+    one.computed(b"a%d" % (k + 1), b"", now + late)
+    return now + late
+
+
+def test_values_of_a_robot_that_answers_that_it_has_none_yet_are_late_and_asked_for_later():
+    now, one = 0.0, at(1)
+    for k in range(1, 4):
+        now = gone_through(one, now, k, 0.45, answered=True)
+    assert one.next_deadline() - now == pytest.approx(0.9)
+    for k in range(4, 7):
+        now = gone_through(one, now, k, 0.8, answered=True)
+    assert one.next_deadline() - now == pytest.approx(1.0)  # a second at most where round trips are short
+    one.rtt = 0.15
+    now = gone_through(one, now, 7, 0.8, answered=True)
+    assert one.next_deadline() - now == pytest.approx(1.5)
+
+
+def test_values_of_a_robot_that_does_not_answer_may_have_been_lost_and_are_asked_for_as_soon_as_before():
+    now, one = 0.0, at(1)
+    for k in range(1, 4):
+        now = gone_through(one, now, k, 0.45, answered=False)
+    assert one.next_deadline() - now == pytest.approx(0.2)
+
+
 def test_neighbours_that_are_yet_to_start_are_given_longer():
     assert started(rtt=0.001).next_deadline() == pytest.approx(1.0)
     slow = started(rtt=0.5)
