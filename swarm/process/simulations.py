@@ -22,10 +22,7 @@ _ATTEMPTS = 20
 
 HAS_PROCESSES = hasattr(os, "eventfd")
 """Whether this system can run the processes of robots: what they wait with only Linux has."""
-_LINUX = (
-    "simulations of real processes need Linux (on Windows: WSL): `swarm sim --virtual` and `swarm.simulate` run "
-    "everywhere"
-)
+_LINUX = "this command needs Linux (on Windows: WSL); `swarm sim --virtual` and `swarm.simulate` run everywhere"
 
 
 def default_run_dir() -> Path:
