@@ -12,6 +12,7 @@ full 6) on links of 30 ms, and 0.201 s on links of 0 ms.
 
 import contextlib
 import functools
+import itertools
 import statistics
 import struct
 from collections import Counter
@@ -23,6 +24,7 @@ from bench.radio_patterns import Original
 from bench.rows import Row, number
 from bench.simulation import SWARM_SIM, Simulation, simulate
 from services.mesh.links.radio_model import AirModel
+from sim.virtual.run import simulate as virtual
 from swarm.bus.zenoh_bus import Bus
 from swarm.core.graph import Graph
 from swarm.recording import trajectory
@@ -47,6 +49,9 @@ _HEAD = struct.Struct("<BI")  # of a frame: kind, iteration (docs/reference/netw
 ZERO_GOAL_S = 2.5e-3
 """Budget of an iteration where the links take no time: what bus, mesh and app cost themselves."""
 
+SLOTS_GOAL = 1.3
+"""Of an iteration over the slot radio beside the same run in virtual time, where only the radio takes time."""
+
 START_LIMIT_S = 6.0
 
 THESIS_POLL_S, THESIS_DELAY_S = 0.1, 0.05
@@ -69,12 +74,13 @@ class Sizes:
     """Enough for the model's median to settle within 0.2 %."""
 
     zero_iterations: int = 2000
+    slot_topologies: tuple[str, ...] = ("thesis-d",)
     thesis_runs: int = 10
     thesis_iterations: int = 100
 
 
 FULL = Sizes()
-SMOKE = Sizes(("line",), 40, (5, 15), 1, 100, 60, 1, 10)
+SMOKE = Sizes(("line",), 40, (5, 15), 1, 100, 60, ("line",), 1, 10)
 
 
 def rows(sizes: Sizes = FULL) -> Iterator[Row]:
@@ -95,6 +101,7 @@ def rows(sizes: Sizes = FULL) -> Iterator[Row]:
         found = statistics.median(number(run, "iteration_s_median") for run in runs)
         limit = jitter_limit(topology, sizes.model_iterations)
         yield Row(f"lockstep {topology} 6, 30 +- 10 ms links", found, "s", limit, JITTER_GOAL)
+    yield from _slot_radio(sizes)
     options = ("--robots", "3", "--latency", "0ms", "--iterations", str(sizes.zero_iterations))
     run = simulate("consensus", *options, program=talking_sim.PROGRAM)
     ours = number(run, "iteration_s_median")
@@ -115,6 +122,16 @@ def _consensus(topology: str, program: Sequence[str], iterations: int, *, jitter
     air = ("--latency", f"{LATENCY_S}s", *(("--jitter", f"{JITTER_S}s") if jitter else ()))
     options = ("--robots", "6", "--topology", topology, *air, "--iterations", str(iterations))
     return simulate("consensus", *options, program=program)
+
+
+def _slot_radio(sizes: Sizes) -> Iterator[Row]:
+    """Compare real processes over the slot radio with virtual time."""
+    for topology, links in itertools.product(sizes.slot_topologies, ("auto", "graph")):
+        swarm = ("--robots", "6", "--topology", topology, "--iterations", str(sizes.iterations))
+        options = ("consensus", *swarm, "--radio", "slots", "--links", links)
+        ours = number(simulate(*options, program=talking_sim.PROGRAM), "iteration_s_median")
+        model = number(virtual(*options)[0], "iteration_s_median")
+        yield Row(f"slot radio, links = {links}, {topology} 6, beside virtual time", ours, "s", model, SLOTS_GOAL)
 
 
 def thesis_pattern(topology: str, names: Sequence[str], latency: float, sizes: Sizes = FULL) -> float:

@@ -16,6 +16,7 @@ from services.mesh.core.link.calls import Caller
 from services.mesh.links import slots
 from services.mesh.links.pipe import Pipe
 from services.mesh.links.slots import RADIO_SOCKET, Answer, Call, Cut, SlotsListener, Supervise
+from sim.control.link_cuts import cut
 from sim.processes.radio import LOOK_EVERY, MOST_LATE, RadioServer
 from sim.slots.calls import ABSENT
 from sim.slots.connections import SOCKET, Connections, End
@@ -232,7 +233,7 @@ def test_a_cut_passes_nothing_and_a_link_ends_after_its_supervision(swarm: Swarm
     near, far = swarm.link("r0", "r1")
     radio = swarm.run_dir / RADIO_SOCKET
     slots.ask(radio, Supervise("r0", "r1", 3.0)).close()
-    slots.ask(radio, Cut("r0", "r1", 60.0)).close()
+    cut(swarm.run_dir, "r0", "r1", 60.0)
     swarm.let_pass(0.01)
     write(near, b"lost")
     waited = swarm.run(lambda: not swarm.server.ends)
@@ -242,7 +243,7 @@ def test_a_cut_passes_nothing_and_a_link_ends_after_its_supervision(swarm: Swarm
     reason, sock = swarm.call("r0", "r1")
     sock.close()
     assert reason == ABSENT
-    slots.ask(radio, Cut("r0", "r1", 0.0)).close()
+    cut(swarm.run_dir, "r1", "r0", 0.0)
     swarm.let_pass(0.01)
     swarm.link("r0", "r1")
 
@@ -342,6 +343,14 @@ def test_a_radio_that_ends_during_a_call_is_a_call_in_vain(runtime: Path) -> Non
         with pytest.raises(ConnectionError, match="has ended"):
             slots.dial(runtime / "r1" / "mesh.sock", "r0", "r1")
         thread.join()
+
+
+def test_a_cut_says_where_the_radio_has_ended(swarm: Swarm) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as dead:
+        (swarm.run_dir / "old").mkdir()
+        dead.bind(str(swarm.run_dir / "old" / RADIO_SOCKET))
+    with pytest.raises(LocalError, match="the radio is not running at this moment"):
+        cut(swarm.run_dir / "old", "r0", "r1", 1.0)
 
 
 def test_a_second_mesh_of_a_robot_is_refused(swarm: Swarm) -> None:

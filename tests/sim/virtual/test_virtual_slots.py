@@ -1,7 +1,10 @@
 """`swarm sim --virtual --radio slots`: the services' own cores over a radio with piconets."""
 
+from dataclasses import replace
+
 import pytest
 
+from sim.report import summary, table
 from sim.scenario.options import parse
 from sim.scenario.scenario import build
 from sim.virtual.run import PLACE, VirtualRun, simulate
@@ -56,6 +59,15 @@ def test_a_robot_that_was_absent_for_long_knocks_and_is_called_back():
     assert 80 < moments[1] < 110
     links = run.world.robots["r0"].mesh.links().links
     assert {link.peer: link.state for link in links} == {"r1": "up", "r2": "up"}
+
+
+def test_a_report_says_how_late_the_radio_of_real_processes_was():
+    late = {"frames": 300, "late_mean_s": 0.0005, "late_most_s": 0.012, "stood_still_s": 2.0}
+    outcome = replace(simulate(*CONSENSUS)[1], radio=late)
+    report = summary(outcome)
+    assert report["radio"] == late
+    said = "radio       0.5 ms late on average, 12.0 ms at most, with 300 frames; it stood still for 2 s"
+    assert said in table(report, outcome).splitlines()
 
 
 @pytest.mark.parametrize(
