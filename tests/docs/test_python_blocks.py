@@ -1,4 +1,5 @@
-"""The Python that stands on pages about simulation runs as it stands, block after block."""
+"""The Python that stands on pages about simulation and recordings runs as it stands, block after block; the tables of
+swarm.toml on all pages are such that a configuration takes them."""
 
 import re
 from pathlib import Path
@@ -6,8 +7,15 @@ from pathlib import Path
 import pytest
 
 from swarm import simulate
+from swarm.config import parse
 
 DOCS = Path(__file__).parents[2] / "docs"
+CONFIGURATION = """
+network = "lab"
+robots = [{ name = "r0" }, { name = "r1" }, { name = "r2" }]
+topology = { shape = "line" }
+"""
+TOML = re.compile(r"^```toml\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -41,3 +49,25 @@ def test_the_cells_of_the_tutorial_about_notebooks_run(capsys: pytest.CaptureFix
     assert said[0].endswith("[2.5 2.5 2.5 2.5 2.5 2.5]")
     assert said[1] == "True True"
     assert "settled after" in "".join(said)
+
+
+def test_the_blocks_about_recordings_run(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for app, length in (("consensus", {"iterations": 20}), ("led_sync", {"seconds": 2.0})):
+        simulate(app, robots=3, topology="line", **length).save(tmp_path / "runs" / app)  # type: ignore[arg-type]
+    (tmp_path / "runs" / "led_sync").rename(tmp_path / "runs" / "leds")
+    monkeypatch.chdir(tmp_path)
+    blocks = [block for block in BLOCK.findall((DOCS / "how-to/runs/export.md").read_text()) if "runs/" in block]
+    assert len(blocks) == 2
+    for block in blocks:
+        exec(compile(block, "export.md", "exec"), {"__name__": "__main__"})
+    said = capsys.readouterr().out
+    assert "(21, 3)" in said
+    assert "r2" in said
+
+
+@pytest.mark.parametrize("page", [each for each in sorted(DOCS.rglob("*.md")) if TOML.search(each.read_text())])
+def test_tables_of_a_page_are_such_that_a_configuration_takes_them(page: Path) -> None:
+    for text in TOML.findall(page.read_text()):
+        assert parse(CONFIGURATION + text, page, addressed=False).names == ("r0", "r1", "r2")
