@@ -84,7 +84,10 @@ def module(robot: ExaminedRobot) -> Finding:
     if not status:
         return bad("the dwm service says nothing", "swarm logs dwm")
     if status.get("state") == "degraded":
-        return bad(str(status.get("reason")), "swarm dwm check says more; power, wires and port of the module")
+        return bad(
+            str(status.get("reason") or "it does not tell why"),
+            "swarm dwm check says more; power, wires and port of the module",
+        )
     return ok("it answers")
 
 
@@ -185,7 +188,7 @@ def body(robot: ExaminedRobot) -> Finding:
         text = fault.get("reason") or state.get("fault")
         recovery = str(fault.get("recovery") or "docs/reference/robot/balancer.md, faults")
         return bad(f"{fault.get('name') or 'fault'}: {text}", recovery)
-    return ok(str(state.get("mode")))
+    return ok(str(state.get("mode") or "it does not tell its mode"))
 
 
 def battery(robot: ExaminedRobot) -> Finding:

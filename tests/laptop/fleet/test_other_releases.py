@@ -4,7 +4,7 @@ import json
 from dataclasses import replace
 from typing import Any
 
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from test_doctor_core import WELL, bus
 
@@ -55,6 +55,8 @@ def test_a_status_row_leaves_out_what_another_release_does_not_say(said: dict[st
 
 
 @given(changed({topic: value for topic, value in bus().items() if isinstance(value, dict)}))
+@example(bus(balancer_state={"mode": ""}))
+@example(bus(dwm_status={"state": "degraded", "reason": ""}))
 def test_the_doctor_names_what_it_cannot_read_and_goes_on(said: dict[str, Any]) -> None:
     found = doctor.examine(replace(WELL, bus={**said, "bus": True}))
     assert set(found) == {check.name for check in doctor.CHECKS}

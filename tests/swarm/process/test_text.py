@@ -3,6 +3,7 @@
 import io
 import json
 import logging
+import re
 import subprocess
 import sys
 import unicodedata
@@ -159,7 +160,7 @@ def test_every_program_of_ours_guards_its_output() -> None:
             text = path.read_text()
             if '__name__ == "__main__"' not in text:
                 continue
-            if not any(way in text for way in ("run(main)", "guard()", "end_with(")):
+            if not re.search(r"\brun\(\s*main\b|guard\(\)|end_with\(", text):
                 unguarded.add(str(path.relative_to(ROOT)))
     assert unguarded == PROGRAMS_OF_JSON
 
