@@ -175,7 +175,8 @@ class LockstepHost:
             return
         driver, robot, channel, around = sender
         if channel is not None:
-            driver.receive(robot, channel, payload, around=around)
+            driver.run.receive(robot, channel, payload, self._runtime.now, around=around)
+            driver.perform_soon()
         elif robot != self.robot:
             driver.receive_note(robot, payload)
 

@@ -132,11 +132,9 @@ class LockstepDriver:
 
     # What happens
 
-    def receive(self, sender: str, channel: Channel, payload: bytes, *, around: bool) -> None:
-        """Take a frame of this run and version of the app. `around`: it came over other robots, not over the link
-        with its sender."""
-        self.run.receive(sender, channel, payload, self._runtime.now, around=around)
-        if not self._performing:  # once for all frames that come in one moment
+    def perform_soon(self) -> None:
+        """Carry out what the frames of this moment call for, once for all of them."""
+        if not self._performing:
             self._performing = True
             self._runtime.soon(self._perform)
 
@@ -260,7 +258,8 @@ class LockstepDriver:
                 sync = key_of(self._sync, action.to, around=action.around)
                 self._bus.publish(sync, action.data, urgent=True)
             elif type(action) is Advanced:
-                self._advanced(action)
+                begun, self.latest = self.latest is not None, action
+                self._advanced(action.k, begun=begun)
             elif type(action) is Compute:
                 step = partial(self._step, action, run.channel)
                 if action.values:
@@ -296,18 +295,15 @@ class LockstepDriver:
             self.run.handle_timer(now)
         self._perform()
 
-    def _advanced(self, news: Advanced) -> None:
-        begun = self.latest is not None
-        self.latest = news
+    def _advanced(self, k: int, *, begun: bool) -> None:
+        """Tell that iteration k is reached; `begun`: it is not the first one that this process reaches."""
         if not begun:
             self._on_change()  # only now: after a reboot there is no state before the next epoch
         if self._observer is not None:
             if not begun or self._told_waiting:
                 self._tell_observer()
             try:
-                line = StepRecord(
-                    news.k, self.run.computed_at, self.runner.state(), self.runner.result(), self._measured
-                )
+                line = StepRecord(k, self.run.computed_at, self.runner.state(), self.runner.result(), self._measured)
             except SwarmError as error:
                 self._app_failed(error)
                 return
