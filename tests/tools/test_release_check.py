@@ -61,6 +61,19 @@ def test_without_an_address_only_a_tagged_release_fails(
     assert capsys.readouterr().out.startswith("FAILED: no public address")
 
 
+def test_a_tagged_release_has_no_page_that_says_there_is_none_yet(
+    release: ModuleType, tree: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tree / "docs").mkdir()
+    (tree / "docs" / "a.md").write_text("It is not on a\npackage index yet.")
+    (tree / "README.md").write_text("It is on an index.")
+    release.check_pages("1.2.3")
+    assert "take `not on a package index yet` out of docs/a.md" in capsys.readouterr().out
+    subprocess.run(["git", "tag", "v1.2.3"], cwd=tree, check=True)
+    with pytest.raises(SystemExit):
+        release.check_pages("1.2.3")
+
+
 def test_the_citation_has_the_same_address(release: ModuleType, tree: Path, capsys: pytest.CaptureFixture[str]) -> None:
     project, citation = tree / "pyproject.toml", tree / "CITATION.cff"
     project.write_text(with_address(project.read_text()))
