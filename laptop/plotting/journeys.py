@@ -243,15 +243,15 @@ def _message(
             axes.plot(x, y, "x", color=colour, markersize=5, zorder=3)
     if arrived is not None:
         axes.plot(after(arrived), row[request.to], "o", color=OUT, fillstyle="none", markersize=9, zorder=4)
-        _say(axes, after(arrived), row[request.to], OUT)
+        _say(axes, after(arrived), row[request.to], OUT, below=10)  # the answer's line begins here
     _finish(axes, request, robots, last, f"{request.origin} to {request.to}: {outcome}")
 
 
-def _say(axes: Any, after: float, row: int, colour: str) -> None:
+def _say(axes: Any, after: float, row: int, colour: str, below: float = 0.0) -> None:
     axes.annotate(
         f"{after:.0f} ms",
         (after, row),
-        xytext=(7, 0),
+        xytext=(7, -below),
         textcoords="offset points",
         va="center",
         fontsize=7.5,
@@ -261,5 +261,6 @@ def _say(axes: Any, after: float, row: int, colour: str) -> None:
 
 def _finish(axes: Any, request: _Request, robots: list[str], last: float, title: str) -> None:
     style.rows_of_robots(axes, robots)
+    axes.set_ylim(len(robots) - 0.1, -0.6)  # room for a label below the last row
     axes.set(xlim=(-0.02 * last, 1.18 * last), title=f"at {request.t:.1f} s, {request.size} B {title}")
     axes.set_xlabel("time since it was sent / ms")
