@@ -53,7 +53,7 @@ class RunOptions:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add all options but `--iterations`."""
-    end = parser.add_argument_group("end of a lockstep, at the same iteration on all robots")
+    end = parser.add_argument_group("end of a lockstep run, at the same iteration on all robots")
     end.add_argument("--until", choices=("converged",), help="end when all robots have converged")
     end.add_argument(
         "--rounds",
@@ -67,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_positive,
         default=TOLERANCE,
         metavar="X",
-        help="an app without a rule of its own has converged if its state changes by at most X "
+        help="an app without a method converged has converged if its state changes by at most X "
         f"in a step ({TOLERANCE:g})",
     )
     end.add_argument(

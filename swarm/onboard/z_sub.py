@@ -66,11 +66,11 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="z_sub",
         usage="z_sub [options] [KEY ...]",
-        description="Watch the bus of a robot, or of all simulated robots, decoded.",
+        description="Print the messages on the bus of a robot, or of all simulated robots.",
     )
     parser.add_argument("keys", nargs="*", metavar="KEY", help=f"key expressions, default {EVERYTHING}")
     parser.add_argument(
-        "-k", "--key", action="append", default=[], metavar="KEY", help="a key expression, as an option"
+        "-k", "--key", action="append", default=[], metavar="KEY", help="a key expression, given as an option"
     )
     where = parser.add_argument_group("which bus")
     add_robots(where, "these robots: simulated, or real ones by ssh")
