@@ -26,7 +26,7 @@ def cut(run_dir: Path, robot: str, peer: str, seconds: float) -> None:
         try:
             silence(run_dir, end, other, seconds)
         except OSError as error:
-            problem = f"not cut: the mesh of {end} is not running at this moment ({error.strerror})"
+            problem = problem or f"not cut: the mesh of {end} is not running at this moment ({error.strerror})"
     if problem:
         raise LocalError(problem)
 

@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import signal
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from conftest import Processes
 
 from lab.inside import PYTHON
 from lab.shapes import ROBOTS
-from lab.waiting import until
+from lab.waiting import WaitedInVainError, until
 from swarm.bus.zenoh_bus import Bus, Router
 from swarm.messages import read
 from swarm.process.paths import bus_endpoint
@@ -107,7 +108,23 @@ class Swarm:
 
     def wait(self, what: str, condition: Callable[[], bool], state: Callable[[], object] = str) -> None:
         """Wait until `condition()`; `what` describes it, `state()` returns what is so now."""
-        until(what, condition, state=lambda: f"{self.logs()}\niterations {self.reached}; {state()}")
+        try:
+            until(what, condition, state=lambda: f"{self.logs()}\niterations {self.reached}; {state()}")
+        except WaitedInVainError as error:
+            raise WaitedInVainError(f"{error}\n{self.told()}") from None
+
+    def told(self) -> str:
+        """What the services answer about themselves: counters, links and progress, by key."""
+        answers: dict[str, object] = {}
+        for name, bus in self.buses.items():
+            for topic in ("mesh/status", "mesh/links", "app/*/status", "app/*/progress"):
+                bus.ask(
+                    f"swarm/{name}/{topic}",
+                    lambda key, payload: answers.setdefault(key, read(key, payload)),
+                    timeout_s=2.0,
+                )
+        time.sleep(2.5)  # the answers of services that answer; nothing tells that there is none
+        return "\n".join(f"{key}: {answer}" for key, answer in sorted(answers.items()))
 
     def wait_reached(self, what: str, iteration: int) -> None:
         """Wait until all robots have done that iteration."""

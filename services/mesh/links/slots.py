@@ -1,9 +1,8 @@
 """`slots:` links: a Bluetooth radio that one process simulates for all robots (`sim.processes.radio`).
 
 Sockets keep packets apart (SOCK_SEQPACKET). At `RADIO_SOCKET` in the run directory, that of the robots' runtime
-directories, the process takes one request on
-each connection, a msgpack map: `Call` is answered by `Answer`, and where that has no reason the connection is the link
-from then on. `Supervise` and `Cut` have no answer.
+directories, the process takes one request on each connection, a msgpack map: `Call` is answered by `Answer`, and where
+that has no reason the connection is the link from then on. `Supervise` and `Cut` have no answer.
 
 It connects to the address of a robot that is called. The socket that it connects from has an address that ends in the
 caller's name. Once it connects without a name: as long as that connection is there, the robot can be called.
@@ -69,6 +68,8 @@ class Cut:
 
 Request = Call | Supervise | Cut
 
+ENDED = "the simulated radio has ended"
+
 
 def ask(radio: Path, request: Request) -> socket.socket:
     """Send a request to the radio, and return the connection; raises OSError."""
@@ -76,6 +77,9 @@ def ask(radio: Path, request: Request) -> socket.socket:
     try:
         sock.connect(os.fspath(radio))
         sock.send(encode(request))
+    except BrokenPipeError:
+        sock.close()
+        raise ConnectionError(ENDED) from None
     except OSError:
         sock.close()
         raise
@@ -90,7 +94,7 @@ def dial(path: Path, me: str, peer: str) -> Pipe:
         answer = decode(Answer, sock.recv(MAX_PACKET), "the radio's answer")
     except (OSError, PayloadError):
         sock.close()
-        raise ConnectionError("the simulated radio has ended") from None
+        raise ConnectionError(ENDED) from None
     if answer.reason:
         sock.close()
         raise ConnectionError(answer.reason)
