@@ -268,3 +268,14 @@ def test_the_progress_of_a_run_is_drawn_on_a_terminal_alone_and_taken_away(
     assert 0 <= shares[0] <= shares[-1] <= 100
     assert all(line.startswith("mean: 2 robots [") for line in lines[1:-2])
     assert not lines[-2].strip()
+
+
+@pytest.mark.parametrize(("starts", "said"), [(1.0, "exactly 0 in all runs"), ([0.0, 1.0, 2.0, 4.0], "exactly 0")])
+def test_errors_that_are_exactly_zero_are_drawn_and_said(starts: object, said: str) -> None:
+    """On a full graph of four the mean is reached in one step and to the bit, on a line it is not."""
+    found = sweep("consensus", {"topology": ["full", "line"]}, robots=4, values={"value": starts}, iterations=9)
+    error = found.plot().axes[1]
+    assert [text.get_text() for text in error.texts] == [said]
+    drawn = [y for line in error.lines for y in line.get_ydata()]
+    assert np.isfinite(drawn).all()
+    assert error.get_yscale() == ("linear" if "all" in said else "log")
