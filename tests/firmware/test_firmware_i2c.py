@@ -223,7 +223,7 @@ def test_long_reads_are_no_abandoned_ones(bench):
     assert bench.number("BUS_RESETS") == 0
 
 
-def test_throughput_of_the_bus(bench):
+def test_the_bus_is_no_slower_than_with_the_thesis_firmware(bench):
     """Thesis 2.2.5 and Pololu give 21 kbit/s read and 53 written for 8 bytes at 100 kHz; we must not be slower."""
     start = bench.now
     for _ in range(20):

@@ -12,7 +12,7 @@ TOP = CONSTANTS["MOTOR_TOP"]
 STOPPED = CONSTANTS["STOPPED_BY_WATCHDOG"]
 
 
-def test_off_after_power_on(new_bench):
+def test_motors_are_off_after_power_on(new_bench):
     bench = new_bench()
     for _ in range(300):
         bench.run(1e-4)

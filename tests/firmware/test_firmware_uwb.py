@@ -116,7 +116,7 @@ def test_a_report_read_in_slices_stays_the_one_whose_first_byte_was_read(bench):
 
 
 @pytest.mark.parametrize("pause", [0.001, 0.003])
-def test_an_answer_in_pieces(bench, pause):
+def test_an_answer_that_arrives_in_pieces_is_taken_whole(bench, pause):
     data = encode_location(location())
     bench.await_request()
     for at in range(0, len(data), 17):

@@ -207,7 +207,7 @@ def test_robots_without_an_app_just_balance():
         assert abs(body["tilt_deg"]) < 15
 
 
-def test_one_robot_alone_runs():
+def test_a_swarm_of_one_robot_runs():
     report = simulate("consensus", "--robots", "1", "--iterations", "20", "--set", "value=2", **FORKED)
     assert report["result"] == {"r0": {"value": 2.0}}
 

@@ -36,7 +36,7 @@ def test_the_algorithm_moving_follows_a_target_behind_which_info_lags():
 
 
 @pytest.mark.slow
-def test_processes_follow_it_too():
+def test_real_processes_follow_a_moving_target_too():
     """Judged are its way and its velocity: how far behind estimates are depends on how old a busy machine lets
     measurements become, which the virtual run above does not."""
     with Simulation("localization", "--iterations", "200", "--algorithm", "moving", *MOVING) as simulation:

@@ -79,7 +79,7 @@ def test_each_app_of_a_run_can_be_drawn(recorded, tmp_path, monkeypatch, capsys)
     assert "no app goto is recorded; there are: consensus, led_sync, localization" in capsys.readouterr().err
 
 
-def test_same_seed_same_bytes(recorded, tmp_path):
+def test_several_apps_record_the_same_bytes_with_the_same_seed(recorded, tmp_path):
     _, place = recorded
     simulate(*THREE, "--record", str(tmp_path))
     for path in place.iterdir():
@@ -139,7 +139,7 @@ def test_what_cannot_be_is_said(arguments, words):
 
 
 @pytest.mark.slow
-def test_processes_run_several_too():
+def test_real_processes_run_several_apps_too():
     with Simulation("consensus", "localization", "--iterations", "100") as simulation:
         report = simulation.finish()
         run = Run(simulation.records)

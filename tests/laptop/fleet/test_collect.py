@@ -36,7 +36,7 @@ def test_no_name_leads_out_of_the_folder(name: str) -> None:
         assert not set(file.path) & set(" '\"$`;\\&|<>\n")
 
 
-def test_only_the_wanted_runs() -> None:
+def test_only_the_wanted_runs_are_chosen() -> None:
     files = [File("consensus-1/r0.a", 1), File("consensus-2/r0.a", 1), File("goto-1/r0.a", 1)]
     assert collect.chosen(files, []) == files
     assert collect.chosen(files, ["consensus"]) == files[:2]

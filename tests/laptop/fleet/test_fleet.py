@@ -479,7 +479,7 @@ def test_the_status_of_a_robot_is_read() -> None:
     )
 
 
-def test_a_row_for_people() -> None:
+def test_the_status_has_a_row_for_each_robot() -> None:
     rows = {"r0": status.parse("r0", ANSWER)}
     head, row = status.table([RobotOutcome("r0", True, "", 1.0)], rows, 2e9)
     assert head.split() == [

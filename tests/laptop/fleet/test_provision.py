@@ -261,7 +261,7 @@ def test_the_reboot_may_be_left_to_others(robots: FakeRobots, run: Provision) ->
     assert "systemctl reboot" not in (home / "log").read_text()
 
 
-def test_a_network_to_join(robots: FakeRobots, run: Provision) -> None:
+def test_provisioning_lets_a_robot_join_a_wireless_network(robots: FakeRobots, run: Provision) -> None:
     home = add_pi(robots, "r0", packages="bluez python3 python3-bluez python3-venv rfkill")
     (home / "bin/nmcli").write_text('#!/bin/sh\necho "nmcli $*" >> $HOME/log\n')
     (home / "bin/nmcli").chmod(0o755)

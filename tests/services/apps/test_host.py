@@ -113,7 +113,7 @@ def test_a_killed_app_goes_on_where_it_was(make_rig: MakeRig, victims: tuple[str
         assert "goes on at iteration 1" in rig.log(name)
 
 
-def test_kills_at_any_moment(make_rig: MakeRig) -> None:
+def test_kills_at_any_moment_change_no_value_of_a_run(make_rig: MakeRig) -> None:
     """The middle robot is killed again and again while the swarm runs freely."""
     rig = make_rig()
     rig.start_all("consensus", "--iterations", "1500")

@@ -169,7 +169,7 @@ def test_the_simulated_display_takes_anything(transfers: list[bytes]) -> None:
     assert {len(row) for row in picture} == {128}
 
 
-def test_the_other_control_bytes() -> None:
+def test_the_simulated_display_takes_every_control_byte() -> None:
     """0x80: one command and then another control byte; horizontal addressing runs on to the next page."""
     device = DisplayDevice()
     device.write(bytes((0x00, 0x20, 0x00, 0xA1, 0xC8, 0x8D, 0x14)), 0.0)

@@ -314,7 +314,7 @@ def test_flashing_the_own_board_needs_root(systemctl: list[str], monkeypatch: py
         flash_here(Board())
 
 
-def test_the_atmega_of_nobody() -> None:
+def test_an_absent_board_has_no_version_and_no_bootloader() -> None:
     nobody = Board(None)
     assert flash.versions(nobody) is None
     assert not flash.enter_bootloader(nobody)

@@ -148,7 +148,7 @@ def test_a_problem_is_an_error() -> None:
 
 
 @pytest.mark.parametrize("bad", [("--sizes", "29"), ("--sizes", "x"), ("--count", "0"), ("--count", "1001")])
-def test_arguments_out_of_range(bad: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_measure_i2c_refuses_arguments_out_of_range(bad: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         arguments(*bad)
     assert "expected" in capsys.readouterr().err

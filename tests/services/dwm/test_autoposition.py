@@ -100,7 +100,7 @@ def test_alignment_mirrors_where_that_fits_and_not_where_nobody_can_tell():
         ({("A", "B"): 0.0, ("A", "C"): 1.0, ("B", "C"): 1.0}, "distance from A to B of 0.0 m"),
     ],
 )
-def test_what_fixes_no_layout(distances, message):
+def test_distances_that_fix_no_layout_are_refused(distances, message):
     with pytest.raises(LocalError, match=message):
         locate(distances)
 

@@ -48,12 +48,12 @@ EVIDENCES = st.builds(
 
 
 @given(st.builds(RangeModel, POSITIVE, FLOAT, FLOAT, POSITIVE, FLOAT, st.tuples(FLOAT, FLOAT)), EVIDENCES)
-def test_written_and_read_again(model, evidence):
+def test_a_calibration_file_is_read_as_it_was_written(model, evidence):
     file = CalibrationFile("r0", "00", ("D001 (0, 0, 0)",), (model, evidence))
     assert parse(text_of(file), "f") == file
 
 
-def test_both_parts_and_either():
+def test_a_calibration_file_holds_ranges_places_or_both():
     assert parse(text_of(FILE), "f") == FILE
     ranges = CalibrationFile("r0", FILE.layout, FILE.anchors, FILE.distance)
     places = CalibrationFile("r0", FILE.layout, FILE.anchors, None, FILE.position)

@@ -151,5 +151,5 @@ def test_any_request_is_a_call_or_none(data):
     assert call.request == data
 
 
-def test_a_position_round_trips():
+def test_a_position_survives_encoding():
     assert answer(calls.POS_GET, encode_refusal(OK) + encode_part(0x41, encode_position(PLACE))) == PLACE

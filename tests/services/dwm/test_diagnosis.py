@@ -108,12 +108,12 @@ def test_the_anchors_of_the_file(anchors, found):
     assert codes(diagnosis.of_anchors(anchors)) == found
 
 
-def test_no_anchor_at_all():
+def test_a_configuration_without_anchors_is_named():
     found = all_of([Location(Position(0.0, 0.0, 0.0, 0), ())] * 20)
     assert codes(found) == ["missing-anchor"] * 4 + ["no-ranges"]
 
 
-def test_fewer_than_three_anchors():
+def test_fewer_than_three_anchors_are_named():
     found = codes(all_of(answers(modules(ANCHORS[:2]))))
     assert [code for code in found if code != "missing-anchor"] == ["few-anchors"]
 

@@ -256,7 +256,7 @@ def test_a_tag_is_carried_from_anchor_to_anchor(run, service, board, processes):
     assert "asks for each anchor" in error
 
 
-def test_distances_from_a_file(run, tmp_path):
+def test_anchors_are_placed_by_distances_from_a_file(run, tmp_path):
     path = tmp_path / "ranges.txt"
     path.write_text("# by laser\nA001 A002 2\nA001 A003 2.5\n\nA002 A003 1.5\n")
     code, said, _ = run("anchors", "--auto", "--ranges", path)

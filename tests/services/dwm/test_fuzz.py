@@ -102,7 +102,7 @@ def test_random_exchanges_end_with_an_answer_or_a_trouble(count):
 
 
 @pytest.mark.parametrize("count", [runs(SHORT), runs(LONG)])
-def test_requests_to_a_module(count):
+def test_changed_requests_to_a_module_are_answered_or_refused(count):
     """The simulated module's parser of requests, and the check of those that come over the bus."""
     generator = random.Random(4)
     requests = [call.request for call, _ in ANSWERS] + [

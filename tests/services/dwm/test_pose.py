@@ -50,7 +50,7 @@ def test_average_of_the_modules_own_places():
     assert pose.deviation_x is None
 
 
-def test_multilateration_of_calibrated_ranges():
+def test_a_pose_follows_from_calibrated_ranges_by_multilateration():
     line = pipeline("multilateration", Dwm(window=1))
     _, pose = line.report(location(1.2, 0.7, quality=0), 0.0)
     assert (pose.x, pose.y) == pytest.approx((1.2, 0.7), abs=1e-4)

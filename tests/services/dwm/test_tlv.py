@@ -88,7 +88,7 @@ def test_a_location_is_decoded_as_it_was_encoded(location):
 
 
 @given(st.lists(locations, min_size=1, max_size=4), st.data())
-def test_split_anywhere_and_merged(sent, data):
+def test_answers_are_decoded_however_their_bytes_are_split(sent, data):
     stream = b"".join(encode_location(location) for location in sent)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=12)))
     decoder, results = TlvDecoder(LOC_GET), []

@@ -39,7 +39,7 @@ def test_without_errors_it_is_geometry():
         assert item.distance == round(item.distance, 3)
 
 
-def test_slope_offset_and_noise():
+def test_simulated_ranges_have_the_slope_offset_and_noise_of_the_model():
     found = errors(replace(ErrorModel(), hidden=0, outlier=0, heading=0))
     true = math.hypot(0.5, 1.5)
     assert statistics.mean(found) == pytest.approx(0.056 * true + 0.063, abs=0.002)

@@ -399,6 +399,6 @@ def test_a_clock_frame_is_short() -> None:
 
 
 @given(st.floats(0.0, 1e6), st.floats(-1e6, 1e6), st.floats(-500e-6, 500e-6), st.floats(0.0, 100.0))
-def test_mesh_time_and_back(t: float, offset: float, rate: float, later: float) -> None:
+def test_mesh_time_converts_to_the_own_clock_and_back(t: float, offset: float, rate: float, later: float) -> None:
     state = Clock(t, offset, rate, "r0", 1, 0.001)
     assert monotonic_time(state, mesh_time(state, t + later)) == pytest.approx(t + later, abs=1e-6)

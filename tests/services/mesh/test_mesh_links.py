@@ -84,7 +84,7 @@ def write(pipe: Pipe, data: bytes) -> None:
     assert pipe.flush()
 
 
-def test_bytes_pass_both_ways(place: Place) -> None:
+def test_bytes_pass_a_link_in_both_directions(place: Place) -> None:
     near, far = place.connect()
     write(near, b"ping")
     assert receive(far) == b"ping"

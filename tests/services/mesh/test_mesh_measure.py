@@ -22,7 +22,7 @@ __all__ = ["build", "swarm"]
 # -- figures -----------------------------------------------------------------------------------------------------
 
 
-def test_figures_of_single_messages() -> None:
+def test_figures_follow_from_times_of_single_messages() -> None:
     found = of_times(500, [0.3, 0.1, 0.2], 5, both_ways=True)
     assert found == Figures(500, 3, 2, 0.1, 0.2, pytest.approx(0.2), pytest.approx(0.1), 0.3, pytest.approx(5000.0))
     assert of_times(500, [0.2], 1, both_ways=False).goodput == pytest.approx(2500.0)

@@ -64,7 +64,7 @@ def test_rules_say_where_keys_go() -> None:
         assert legs(own, key) == [], key
 
 
-def test_what_may_come_in() -> None:
+def test_a_relay_admits_keys_by_overlay_and_rule() -> None:
     own = relay()
     assert own.admits_flood("swarm/r3/dwm/pose")
     assert own.admits_unicast("r3", "swarm/r3/app/x/report/r1")

@@ -154,7 +154,7 @@ def test_who_is_watched_gets_no_more_than_the_budget() -> None:
 
 
 @given(st.lists(st.tuples(st.sampled_from([*KEYS, "mesh/watch"]), st.binary(max_size=30) | st.just(encode(WATCH)))))
-def test_no_sample_harms_it(samples: list[tuple[str, bytes]]) -> None:
+def test_no_sample_harms_the_viewing(samples: list[tuple[str, bytes]]) -> None:
     viewing = full()
     for topic, payload in samples:
         viewing.take(f"swarm/r1/{topic.replace('*', 'x')}", payload)
@@ -178,7 +178,7 @@ def test_a_view_crosses_the_mesh_to_the_watched_robot_and_not_in_anothers_name()
 
 
 @pytest.mark.slow
-def test_real_meshes_tell_it(build: Build) -> None:
+def test_real_meshes_send_views_of_their_robots(build: Build) -> None:
     swarm = build(edges=(("r0", "r1"), ("r1", "r2")), times=SHORT)
     told: dict[str, dict[str, object]] = {"r1": {}, "r2": {}}
 

@@ -68,7 +68,7 @@ def test_standing_is_being_upright_for_a_while() -> None:
     assert scene_record.stood_at == {}
 
 
-def test_where_a_robot_was() -> None:
+def test_a_scene_record_knows_where_robots_were_and_how_near() -> None:
     scene_record = SceneRecord(["r0", "r1", "r2"])
     for tick in range(100):
         t = tick * 0.04

@@ -47,7 +47,7 @@ def rig():
     return Rig("--robots", "3")
 
 
-def test_posture_battery_and_buttons(rig):
+def test_an_app_reads_posture_battery_and_buttons(rig):
     pressed = []
     rig.devices.on_button(pressed.append)
     assert rig.devices.posture == "unknown"

@@ -82,7 +82,7 @@ def test_a_handler_that_hangs_is_named(tmp_path):
     assert re.search("line (9|10): Hangs", problem)
 
 
-def test_in_another_thread_too(tmp_path):
+def test_a_hanging_app_is_stopped_in_another_thread_too(tmp_path):
     """As a worker of Dask runs it."""
     found = []
     path = app(tmp_path, SYNC.format(how=LOOP))

@@ -235,7 +235,7 @@ def test_the_class_may_choose_its_weights() -> None:
     assert make(type("Row", (Tracker,), {"weights": "row"}), "r0").robot.weights == {"r1": 0.5}
 
 
-def test_what_the_robot_tells() -> None:
+def test_an_app_reads_names_log_and_measurement_of_its_robot() -> None:
     robot = make().robot
     assert (robot.name, robot.neighbours, robot.swarm) == ("r1", ("r0", "r2"), ("r0", "r1", "r2"))
     assert isinstance(robot.log, logging.Logger)

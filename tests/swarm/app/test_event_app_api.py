@@ -80,7 +80,7 @@ def packed(mood: Mood = Mood.CALM, turns: int = 0) -> bytes:
 # Declarations
 
 
-def test_what_a_class_declares() -> None:
+def test_an_event_app_has_the_state_and_parameters_that_it_declares() -> None:
     assert Dancer.spec.schema.names == ("mood", "turns", "table")
     assert Dancer.spec.schema.size == 1 + 8 + 32
     assert set(Dancer.spec.parameters) == {"weights", "period", "gain", "fixed"}
@@ -118,7 +118,7 @@ def test_an_app_that_shares_nothing_is_fine_and_one_that_shares_too_much_is_not(
         make(big)
 
 
-def test_weights_of_ones_own() -> None:
+def test_an_app_can_define_weights_of_its_own() -> None:
     class Own(SyncApp):
         value: float
 

@@ -147,7 +147,7 @@ def test_keys_that_nobody_uses_any_more_are_let_go(open_bus: Open) -> None:
 
 
 @pytest.mark.usefixtures("bus_service")
-def test_several_keys_one_callback(open_bus: Open) -> None:
+def test_one_callback_hears_several_keys_once(open_bus: Open) -> None:
     alice, bob = open_bus(), open_bus()
     samples = Samples()
     bob.subscribe(["swarm/r0/a/x", "swarm/r0/b/*"], samples)
@@ -309,7 +309,7 @@ def test_a_stopped_router_does_not_hold_up_a_publisher(open_bus: Open, bus_servi
     talk(alice, "swarm/r0/test/x", samples, b"again")
 
 
-def test_close_without_a_router(runtime: Path) -> None:
+def test_a_bus_without_a_router_can_be_closed(runtime: Path) -> None:
     # It would wait without end for one: the suite's time-out tells.
     with Bus.of(runtime) as bus:
         bus.subscribe("swarm/**", lambda *_: None)

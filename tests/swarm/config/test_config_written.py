@@ -138,7 +138,7 @@ def swarms(draw):
 
 @settings(max_examples=50, suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(swarms())
-def test_written_and_read_again(config):
+def test_a_configuration_is_read_as_it_was_written(config):
     assert parse(dump(config), config.path) == config
 
 

@@ -208,7 +208,7 @@ def test_a_member_that_is_not_there_is_a_wrong_frame() -> None:
         (Annotated[Matrix, 2, 2], 1.0, "expected 2 rows of 2 numbers"),
     ],
 )
-def test_wrong_enums_and_matrices(annotation: Any, value: object, message: str) -> None:
+def test_wrong_enums_and_matrices_are_refused(annotation: Any, value: object, message: str) -> None:
     with pytest.raises(AppError, match=message):
         field_of("x", annotation).check(value)
 

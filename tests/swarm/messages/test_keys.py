@@ -92,7 +92,7 @@ def test_the_environment_names_the_runtime_directory(monkeypatch: pytest.MonkeyP
     assert paths.bus_endpoint(paths.runtime_dir()) == "unixsock-stream//tmp/run/r0/bus.sock"
 
 
-def test_the_longest_socket_path() -> None:
+def test_a_socket_path_has_at_most_107_bytes() -> None:
     """Counted in bytes: sun_path has 108 with the closing zero."""
     directory = Path("/tmp") / ("ü" * 40)  # 5 + 80 bytes
     assert paths.socket_path(directory, "x" * 21)

@@ -26,7 +26,7 @@ def test_a_first_press_holds_until_keyboards_repeat_and_a_repeat_for_a_moment() 
     assert driver.deadline is None
 
 
-def test_curves_backward_and_gears() -> None:
+def test_keys_drive_curves_backward_and_at_other_speeds() -> None:
     driver = KeyVelocity()
     assert driver.press("+", 0.0) is None
     assert driver.press("e", 0.0) == Velocity(1.5 * SPEED, -1.5 * TURN_RATE, FIRST_S)

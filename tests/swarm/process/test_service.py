@@ -108,7 +108,7 @@ def test_a_state_reached_before_the_bus_was_there_is_told(bus: Bus, processes: P
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_signals_end_it_cleanly(processes: Processes, number: signal.Signals) -> None:
+def test_signals_end_a_service_cleanly(processes: Processes, number: signal.Signals) -> None:
     process = processes.start_ready("-c", SERVICE)
     process.send_signal(number)
     _, errors = process.communicate(timeout=60)
@@ -151,7 +151,7 @@ def test_systemds_watchdog_is_not_flooded(monkeypatch: pytest.MonkeyPatch) -> No
     assert all(FEED_S <= b - a < 2 * FEED_S for a, b in pairwise(told))
 
 
-def test_an_abstract_notify_socket(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_systemd_is_notified_over_an_abstract_socket(monkeypatch: pytest.MonkeyPatch) -> None:
     name = f"swarm-test-{os.getpid()}"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
         sock.bind("\0" + name)
@@ -224,7 +224,7 @@ def test_bad_input_is_one_line_and_exit_code_2(processes: Processes, runtime: Pa
     assert str(processes.config) in refused(processes)
 
 
-def test_counting_while_being_asked(monkeypatch: pytest.MonkeyPatch, processes: Processes) -> None:
+def test_counters_grow_while_the_status_is_read(monkeypatch: pytest.MonkeyPatch, processes: Processes) -> None:
     """Threads count new names while the status is read."""
     for name, value in processes.environment().items():
         monkeypatch.setenv(name, value)

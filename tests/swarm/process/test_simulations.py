@@ -150,7 +150,7 @@ def state(pid: int) -> str:
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
 
 
-def test_stop_and_go_on(processes: Processes, run: Path) -> None:
+def test_kill_freezes_a_service_and_lets_it_continue(processes: Processes, run: Path) -> None:
     process = victim(processes, run, "app/consensus")
     call(run, "r0", "app", "--signal", "STOP")
     wait_until(lambda: state(process.pid) == "T")
