@@ -44,7 +44,7 @@ def links(state: str, reason: str = "") -> Links:
 @given(
     st.lists(st.tuples(st.sampled_from(["", "r0", "r1"]), st.text(max_size=30), st.binary(max_size=40)), max_size=20)
 )
-def test_no_sample_harms_it(samples: list[tuple[str, str, bytes]]) -> None:
+def test_no_sample_harms_the_picture(samples: list[tuple[str, str, bytes]]) -> None:
     picture = Picture()
     for bus, key, payload in samples:
         picture.take(bus, key, payload, 0.0)
