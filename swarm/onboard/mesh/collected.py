@@ -48,11 +48,38 @@ class CollectedMesh:
                     yield name, link
 
     @cached_property
-    def carried(self) -> tuple[tuple[str, ...], ...]:
-        """The neighbours of the swarm where the links are not theirs, by the newest topology that is known."""
+    def topology(self) -> Topology | None:
+        """Return the newest topology that is known, None where no robot has told one."""
         told = [view.topology for view in self.views.values() if view.topology is not None]
-        newest = max(told, key=lambda each: (each.version, each.step, each.issuer), default=None)
-        return newest.edges if newest is not None and newest.links else ()
+        return max(told, key=lambda each: (each.version, each.step, each.issuer), default=None)
+
+    @property
+    def carried(self) -> tuple[tuple[str, ...], ...]:
+        """The neighbours of the swarm where the links are not theirs."""
+        return self.topology.edges if self.topology is not None and self.topology.links else ()
+
+    @cached_property
+    def hubs(self) -> dict[str, list[str]]:
+        """The robots that each hub calls; empty where links are those of the topology."""
+        hubs: dict[str, list[str]] = {}
+        for hub, robot in self.topology.links if self.topology is not None else ():
+            hubs.setdefault(hub, []).append(robot)
+        return hubs
+
+    @cached_property
+    def replaced(self) -> dict[tuple[str, str], tuple[str, tuple[str, ...]]]:
+        """The links of hubs that are not up, each with the reason that is known, and the robots with which the called
+        robot has other links instead."""
+        planned = {_pair(hub, robot): (hub, robot) for hub, robots in self.hubs.items() for robot in robots}
+        spare = [pair for pair in self.round_trips if pair not in planned]
+        reasons = {(name, link.peer): link.reason for name, link in self.links() if link.state not in UP}
+        found = {}
+        for pair, (hub, robot) in planned.items():
+            if pair not in self.round_trips:
+                others = sorted(end for each in spare if robot in each for end in each if end != robot)
+                reason = reasons.get((hub, robot)) or reasons.get((robot, hub)) or "not known why"
+                found[hub, robot] = (reason, tuple(others))
+        return found
 
     @cached_property
     def clashes(self) -> dict[str, str]:

@@ -144,8 +144,17 @@ def graph(mesh: CollectedMesh) -> list[str]:
             f"{row}: " + ", ".join(f"{peer} {cell}" for (end, peer), cell in sorted(cells.items()) if end == row)
             for row in names
         ]
-    carried = [f"these links carry the topology: {pairs(mesh.carried)}"] if mesh.carried else []
-    return [*lines, "", _summary(mesh), *carried]
+    return [*lines, "", _summary(mesh), *(_hubs(mesh) if mesh.carried else ())]
+
+
+def _hubs(mesh: CollectedMesh) -> list[str]:
+    """Name the neighbours where hubs carry the topology, whom the hubs call, and what stands in for links of hubs."""
+    calls = ", ".join(f"{hub} calls {' '.join(robots)}" for hub, robots in mesh.hubs.items())
+    lines = [f"neighbours {pairs(mesh.carried)}, over hubs: {calls}"]
+    for (hub, robot), (reason, others) in mesh.replaced.items():
+        instead = f"{robot} has a link with {' '.join(others)}" if others else f"nothing leads to {robot}"
+        lines.append(f"no link {pairs([(hub, robot)])} ({reason}): {instead} instead")
+    return lines
 
 
 def pairs(edges: Sequence[Sequence[str]]) -> str:

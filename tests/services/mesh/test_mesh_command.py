@@ -62,9 +62,20 @@ def test_where_hubs_carry_the_topology_its_neighbours_are_named() -> None:
     told = Topology(1.0, 0, 0, "", False, 0.0, edges, ("r1",), ("r1",), (), {}, (("r0", "r1"), ("r0", "r2")))
     asked = view(link("r1"), link("r2"))
     asked.topology = told
-    assert tables.graph(CollectedMesh({"r0": asked}))[-1] == "these links carry the topology: r0-r1 r1-r2 r2-r3"
+    assert tables.graph(CollectedMesh({"r0": asked}))[-1] == ("neighbours r0-r1 r1-r2 r2-r3, over hubs: r0 calls r1 r2")
     asked.topology = replace(told, links=())
-    assert "carry" not in tables.graph(CollectedMesh({"r0": asked}))[-1]
+    assert "hubs" not in tables.graph(CollectedMesh({"r0": asked}))[-1]
+
+
+def test_a_robot_out_of_its_hubs_range_is_named_with_the_reason_and_with_the_robot_that_calls_it_instead() -> None:
+    links = (("r0", "r1"), ("r0", "r2"), ("r0", "r3"))
+    told = Topology(1.0, 0, 0, "", False, 0.0, (("r0", "r3"),), ("r3",), ("r3",), (), {}, links)
+    hub, bridge = view(link("r1"), link("r2", "down", None), link("r3", "down", None)), view(link("r0"), link("r3"))
+    hub.topology = told
+    assert tables.graph(CollectedMesh({"r0": hub, "r1": bridge}))[-2:] == [
+        "no link r0-r2 (host is down): nothing leads to r2 instead",
+        "no link r0-r3 (host is down): r3 has a link with r1 instead",
+    ]
 
 
 def test_a_link_counts_where_both_ends_tell_of_it_and_nobody_says_it_is_down() -> None:

@@ -121,11 +121,12 @@ def test_lockstep_takes_at_most_twice_as_long_beside_a_large_message_on_the_slot
     assert took < 60
 
 
-def test_a_robot_out_of_the_hubs_range_is_reached_over_another_one():
-    options = ("--links", "star", "--cut", "r0-r3@1s,60s", "--iterations", "2000")
-    there = world("consensus", "--robots", "4", "--topology", "full", *options)
-    there.air.cut("r0", "r3", 60.0)
-    there.time.run(50.0)
+@pytest.mark.parametrize("radio", [("--links", "star"), ("--radio", "slots")])
+def test_a_robot_out_of_the_hubs_range_is_reached_over_another_one(radio):
+    """Also by `links = auto`, which makes a star on the slot radio."""
+    there = world("consensus", "--robots", "4", "--topology", "full", *radio, "--iterations", "20000")
+    there.air.cut("r0", "r3", 100.0)
+    there.time.run(60.0)
     assert "r3" in [link.peer for link in there.robots["r1"].mesh.links().links if link.state == "up"]
     topology = there.robots["r0"].mesh.look(lambda overlays, now: overlays.topology(now))
     assert topology.up == ("r1", "r2", "r3")
