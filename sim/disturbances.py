@@ -19,16 +19,16 @@ from swarm.errors import ConfigError
 from swarm.frozen import frozen
 
 AT_START = "start"
-"""The word in place of a time: from the beginning on."""
+"""The word that stands for the beginning in place of a time."""
 
 ANY = "any"
-"""The word in place of a robot: the seed names one."""
+"""The word that lets the seed choose a robot."""
 
 SERVICES = ("mesh", "app", "balancer", "dwm", "bus")
-"""What can be killed; `app` is the one that the run is about."""
+"""The services that can be killed; `app` is the app that the run is about."""
 
 IMPULSE = 0.1
-"""N s of a push where nothing else is said: a robot bears it. 0.5 throws it over."""
+"""Default impulse of a push, N s. A robot bears it; 0.5 topples it."""
 
 _ROBOT = "[a-z][a-z0-9_-]*"
 
@@ -54,7 +54,7 @@ class Cut:
     """Seconds after the first iteration of all robots (without an app: after all are ready)."""
     seconds: float
     span: Span | None = None
-    """Where `at` is still to be drawn."""
+    """The bounds between which `at` is still to be drawn."""
 
     def __str__(self) -> str:
         return f"--cut {self.a}-{self.b}@{self.at:.4g}s,{self.seconds:g}s"
@@ -96,7 +96,7 @@ class ScheduledPush:
     at: float
     """s, counted like a cut's."""
     impulse: float
-    """N s, from behind; negative: from the front."""
+    """Impulse from behind, N s; negative: from the front."""
     span: Span | None = None
 
     def __str__(self) -> str:

@@ -20,7 +20,7 @@ SOCKET = "orders.sock"
 ACTS = ("start", "stop")
 MAX_DATAGRAM = 65536
 ANSWER_S = 3.0
-"""How long a simulation may take; it looks twenty times a second."""
+"""Seconds that a simulation may take to answer; it looks for requests twenty times a second."""
 
 
 class AppRequest(NamedTuple):
@@ -31,7 +31,7 @@ class AppRequest(NamedTuple):
     app: str
     robots: tuple[str, ...]
     settings: tuple[str, ...] = ()
-    """What an app that has not run yet is started with, as `--set` has it: `NAME=VALUE`."""
+    """Settings for an app that has not run yet, as for `--set`: `NAME=VALUE`."""
 
 
 def give(run_dir: Path, act: str, app: str, robots: Sequence[str], settings: Sequence[str] = ()) -> str:

@@ -14,9 +14,9 @@ from swarm.errors import PayloadError
 MAX_DATAGRAM = 256
 
 KEPT = (DISK, "dwm.tty")
-"""In a robot's directory: its disk, and the module at its serial port, which has a battery of its own."""
+"""What stays in a robot's directory: its disk, and the module at its serial port, which has a battery of its own."""
 LOGS = ".log"
-"""What the simulation itself writes there."""
+"""The log files that the simulation itself writes there."""
 
 _log = logging.getLogger("sim")
 

@@ -26,7 +26,7 @@ class Reboot:
 
     robot: str
     seconds: float
-    """Until its services are started again: the time a boot takes."""
+    """Seconds until its services are started again: the time of a boot."""
 
 
 def reboot(run_dir: Path, robot: str, seconds: float) -> None:

@@ -15,18 +15,18 @@ BUTTONS = ("A", "B", "C")
 SIDES = ("back", "front")
 DEVICES = ("imu", "atmega", "display")
 MAX_IMPULSE = 2.0
-"""N s, either way: five times what throws the robot over."""
+"""Largest impulse in either direction, N s: five times the one that topples the robot."""
 MAX_HOLD_S = 60.0
 MAX_SLIDE_M = 1.0
 """Largest distance by which a robot that hits another moves it aside."""
 WHEELS = ("left", "right")
 MAX_ANGLE = 4 * math.tau
-"""rad that a hand turns a robot or a wheel at most."""
+"""Largest angle by which a hand turns a robot or a wheel, rad."""
 MISWIRINGS = (
     "left-motor", "right-motor", "left-encoder", "right-encoder", "imu-upside-down", "imu-backward", "imu-mirrored",
 )  # fmt: skip
-"""What can be mounted the wrong way: a motor or encoder reversed, the IMU turned about an axis of the body, or its gyro
-with the opposite sense of rotation."""
+"""Parts that can be mounted the wrong way: a motor or encoder reversed, the IMU turned about an axis of the body, or
+its gyro with the opposite sense of rotation."""
 
 
 @frozen
@@ -43,7 +43,7 @@ class Push:
     """Hit the body at the height of its centre of mass."""
 
     impulse: float
-    """Forward, N s."""
+    """Impulse forward, N s."""
 
 
 @frozen
@@ -51,7 +51,7 @@ class Knock:
     """Be hit by another robot's body."""
 
     impulse: float
-    """Forward, N s."""
+    """Impulse forward, N s."""
     dx: float
     """The distance by which it slides aside, m."""
     dy: float
@@ -127,7 +127,7 @@ class BodyPlace:
     """rad."""
     tilt: float
     held: bool
-    """Still in the hand that held it at the start."""
+    """Whether the robot is still in the hand that held it at the start."""
 
 
 SimulationAction = Press | Push | Knock | Lay | Carry | Lift | Roll | Miswire | Unplug | BodyPlace

@@ -19,15 +19,15 @@ from services.balancer.core.control.regulator import limited
 STEP_S = 0.001
 """Integration step: semi-implicit Euler; the fastest pole is near -56 per second."""
 LONGEST_S = 2.0
-"""What is integrated at most in one go. A body left alone for longer lies on the floor."""
+"""Longest time that is integrated at once, s. A body left alone for longer lies on the floor."""
 LAYING_RATE = math.radians(180)
-"""rad/s with which a hand lays the robot down."""
+"""Rate at which a hand lays the robot down, rad/s."""
 LIFTED_RATE = math.radians(90)
-"""rad/s with which a hand that holds the robot tips and turns it."""
+"""Rate at which a hand tips and turns the robot that it holds, rad/s."""
 WHEEL_BY_HAND = 6.0
-"""rad/s with which a hand turns a wheel."""
+"""Rate at which a hand turns a wheel, rad/s."""
 REST_TILT = math.radians(110)
-"""Where the body touches the floor, to the front and to the back."""
+"""Tilt at which the body touches the floor, in front and behind."""
 
 
 class BalboaBody:
@@ -54,11 +54,12 @@ class BalboaBody:
         self._left = self._right = 0.0
         self._hand = 0
         self._lifted: tuple[float, float] | None = None
-        """In the hand, wheels in the air: the tilt it is brought to, and how much it is still to be turned; rad."""
+        """For a robot in the hand with its wheels in the air: the tilt to which it is brought, and the angle by which
+        it is still to be turned, rad."""
         self._by_hand = [0.0, 0.0]
-        """By how much a hand still turns each wheel, rad."""
+        """The angle by which a hand still turns each wheel, rad."""
         self._spin = [0.0, 0.0]
-        """rad/s of each wheel in the air, against the body."""
+        """Rate of each wheel in the air against the body, rad/s."""
         self._prepare()
 
     def _prepare(self) -> None:

@@ -19,9 +19,9 @@ APART_M = 0.17
 HIT_AGAIN_S = 0.03
 """Shortest time between two hits of one contact: bodies report every 0.04 s, and both need a report since the last."""
 MOST_CONTACTS = 1000
-"""Contacts that are kept; those behind them are counted."""
+"""The most contacts that are kept. Further ones are only counted."""
 FALLS_WITHIN_S = 3.0
-"""A robot that falls so soon after it was hit has fallen by it."""
+"""Seconds after a hit within which a fall counts as caused by it."""
 _CELL_M = 1.0
 """Side of the squares in which robots are looked for that are near."""
 
@@ -43,7 +43,7 @@ class Contact(NamedTuple):
     a: str
     b: str
     speed: float
-    """With which they met, m/s."""
+    """Speed at which the robots met, m/s."""
 
 
 class Hit(NamedTuple):
@@ -88,7 +88,7 @@ class Contacts:
         """The first ones, at most `MOST_CONTACTS`."""
         self.count = 0
         self.fallen: list[tuple[float, str]] = []
-        """When which robot fell, soon after it was hit."""
+        """The robots that fell soon after a hit, with the times."""
 
     def pose(
         self, robot: str, t: float, place: Point, heading: float, speed: float, tilt: float, *, held: bool = False

@@ -24,9 +24,9 @@ NOBODY = 0x7F
 
 _WORD_LIMIT = 0x7FFF
 _IF_INC = 0x04
-"""Of CTRL3_C: each byte of a transfer is of the next register."""
+"""Bit of CTRL3_C: each byte of a transfer is that of the next register."""
 _BDU = 0x40
-"""Of CTRL3_C: no word changes while it is read."""
+"""Bit of CTRL3_C: no word changes while it is read."""
 _SAMPLES_HZ = 208.0
 _SAMPLE = struct.Struct("<6h")
 
@@ -47,7 +47,7 @@ class ImuErrors(NamedTuple):
     gyro_noise: float
     """rad/s."""
     gyro_offset: float
-    """About the axle, rad/s; the next two about the other axes."""
+    """Offset about the axle, rad/s; the next two are about the other axes."""
     up_rate_offset: float
     back_rate_offset: float
     acceleration_noise: float
@@ -87,7 +87,8 @@ class ImuDevice:
         self.identity = imu.IDENTITY
         """WHO_AM_I, from the next reset on."""
         self.byte_s = BITS_PER_BYTE / SCL_HZ
-        """What a byte takes on the wire: a sample that is ready within a read replaces the rest of the one before."""
+        """Seconds that a byte takes on the wire. A sample that becomes ready during a read replaces the rest of the one
+        before."""
         self._registers = bytearray(0x80)
         self._index = 0
         self.reset()
@@ -207,7 +208,8 @@ class SimulatedRobot:
         """`trim` as in the config's [body]; `battery` in V."""
         self.body = body
         self.scl = SCL_HZ
-        """Hz; a Pi whose core clock drops has less than it was told (docs/reference/robot/i2c-bus.md)."""
+        """Clock of the bus, Hz. It is below the configured one if the Pi's core clock drops
+        (docs/reference/robot/i2c-bus.md)."""
         self.imu = ImuDevice(body, noise, errors, trim)
         self.atmega = AtmegaDevice(body, battery)
         self.display = DisplayDevice()

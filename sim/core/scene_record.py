@@ -16,7 +16,7 @@ MOST_FLASHES = 20_000
 """Times of flashes that are kept of a robot: the first ones, three hours at two a second. A flash behind them is
 counted."""
 STANDS_S = 0.5
-"""Upright for so long is standing, not swinging through."""
+"""Seconds upright from which on a robot counts as standing and not as swinging through."""
 
 
 class Phases(NamedTuple):
@@ -25,12 +25,12 @@ class Phases(NamedTuple):
     neighbours: float
     all: float
     synchronous_at: float | None
-    """From when on no two were more than `SYNCHRONOUS_S` apart, all through `WINDOW_S`; None: never."""
+    """The time from which on no two LEDs were more than SYNCHRONOUS_S apart throughout WINDOW_S; None: never."""
 
 
 SYNCHRONOUS_S = 0.02
 WINDOW_S = 3.0
-"""In this time each LED must go on twice at least."""
+"""Seconds in which each LED must go on at least twice."""
 
 
 class SceneRecord:
@@ -39,13 +39,13 @@ class SceneRecord:
     def __init__(self, names: Iterable[str]) -> None:
         self.names = tuple(names)
         self.tracks = {name: Track() for name in self.names}
-        """Where each has been."""
+        """The places of each robot over time."""
         self.flashes = {name: array("d") for name in self.names}
-        """When each one's yellow LED went on, the first `MOST_FLASHES` times."""
+        """The times at which each robot's yellow LED went on, the first MOST_FLASHES ones."""
         self.flashed = dict.fromkeys(self.names, 0)
-        """How often it did."""
+        """The number of times that each robot's yellow LED went on."""
         self.stood_at: dict[str, float] = {}
-        """Since when each has stood; missing where it does not."""
+        """The time since which each robot stands; a robot that does not stand is missing."""
         self._upright: dict[str, float] = {}
         self._yellow = dict.fromkeys(self.names, False)
 

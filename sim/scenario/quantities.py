@@ -23,10 +23,11 @@ SLOWEST, FASTEST = 0.01, 1000.0
 """Seconds of virtual time a second that a page may wish for."""
 
 MAX_VELOCITY = 10.0
-"""m/s of a target."""
+"""Largest velocity of a target, m/s."""
 
 MAX_SKEW = 100e-6
-"""More than a crystal errs, and what the mesh clock is made for."""
+"""Largest error of a clock's rate. It is larger than the error of a crystal, and the largest that the mesh clock is
+made for."""
 
 
 def velocity(text: str) -> tuple[float, float]:

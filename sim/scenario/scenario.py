@@ -98,18 +98,18 @@ class Scenario:
     """Whether they were made up: then there are no estimates to compare with."""
 
     beside: tuple["Beside", ...]
-    """Other apps on each robot."""
+    """The other apps that each robot runs."""
 
     steps: bool
     """Whether the app has iterations; one that only reacts to events has none."""
 
     disturbances: tuple[Disturbance, ...]
-    """What is to happen to robots and links, with robots and times that are drawn."""
+    """The events that happen to robots and links, with robots and times drawn by the seed."""
     lying: str | None
     """The side on which the robots lie at the start; None: they stand up by themselves."""
 
     notes: tuple[str, ...]
-    """What to tell before it starts."""
+    """Lines to print before the simulation starts."""
 
     @property
     def run_options_beside(self) -> RunOptions:

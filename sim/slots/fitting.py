@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from swarm.frozen import frozen
 
 MODEL = 0.05
-"""By which share a model's pace may be wrong, beside what one seed differs from another."""
+"""Share by which a model's pace may be wrong, besides the difference between seeds."""
 
 STEPS = 400
 """Values that are tried, evenly by their logarithms."""
@@ -32,7 +32,7 @@ class FittedValue:
     high: float
     """All values between these fit as well, as far as seeds differ from one another and the model may be wrong."""
     factor: float
-    """By which model and recordings differ at the best value, rms."""
+    """Factor by which model and recordings differ at the best value, rms."""
 
 
 def fitted(curves: Sequence[Curve]) -> FittedValue:

@@ -45,7 +45,7 @@ class Parameters:
     loss: float = 0.05
     """Probability that a packet with data is lost; of one without, a third of that."""
     host: float = 0.0015
-    """In kernel and UART driver, for each frame at each end, on average."""
+    """Mean time in kernel and UART driver, for each frame at each end, s."""
     host_spread: float = 0.5
     """That time is uniform in host * (1 +- host_spread)."""
     uart: float = 3e6
@@ -65,9 +65,9 @@ class Parameters:
     page_weight: float = 3.0
     """Stays at paging are so many times as long as those in a piconet. Fitted."""
     page_timeout: float = 5.12
-    """After which an absent robot is given up (Linux: 0x2000 slots)."""
+    """Seconds after which a page of an absent robot is given up (Linux: 0x2000 slots)."""
     page_answer: float = 0.01
-    """From a scan that hears the page until the link is there."""
+    """Seconds from a scan that hears the page until the link is there."""
     setup: int = 13
     """Exchanges of small frames before a socket is connected: LMP 6, L2CAP 3, RFCOMM 4."""
 

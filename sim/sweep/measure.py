@@ -34,7 +34,7 @@ class SweptRun:
     """Of the results, where the truth is known: from the mean (consensus), in cm (localization), else what the app's
     `error` says, the mean over the robots."""
     seconds: float
-    """Virtual."""
+    """Duration of the run in virtual time, s."""
     iteration_s: float | None
     computed_s: float
     problem: str
@@ -115,18 +115,18 @@ class Summary:
 
     runs: int
     failed: int
-    """With a problem."""
+    """Number of runs with a problem."""
     unsettled: int
-    """Without one, whose results do not settle."""
+    """Number of runs without a problem whose results do not settle."""
     settled: float | None
-    """Median over those that do."""
+    """Median of `settled` over the runs whose results settle."""
     settled_most: int | None
     error: float | None
-    """Median."""
+    """Median of the error."""
     error_most: float | None
     iteration_s: float | None
     problem: str
-    """The first."""
+    """The first problem."""
     contacts: int
     """Of all runs together: how often two robots touched."""
     metrics: Mapping[str, float]

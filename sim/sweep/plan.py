@@ -38,7 +38,7 @@ class Job:
     """One run."""
 
     point: int
-    """Which of the sweep's points."""
+    """The number of the point in the sweep."""
     seed: int
     arguments: tuple[str, ...]
     within: float

@@ -75,10 +75,10 @@ class VirtualBus:
         self._time = router.time
         self._closed = False
         self.counters: Counter[str] = Counter()
-        """What was dropped, by name."""
+        """The numbers of dropped messages, by name."""
         self._packer = Packer(self.counters)
         self.targets: dict[str, tuple[OnSample, ...]] = {}
-        """Who gets what this session publishes, by key, as far as it was asked for."""
+        """The receivers of messages of this session, by key, for the keys used so far."""
         router.sessions.append(self)
 
     def on_change(self, callback: Callable[[bool], None]) -> None:

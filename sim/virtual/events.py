@@ -26,7 +26,7 @@ class EventQueue:
         # A moment of its own has its one call there without a queue, which takes 0.7 kB.
         self._calls: dict[float, _Call | deque[_Call]] = {}
         self._present: deque[_Call] = deque()
-        """What is planned for this moment."""
+        """The calls that are planned for this moment."""
         self._soon: deque[_Call] = deque()
 
     @property

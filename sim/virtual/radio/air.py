@@ -29,7 +29,7 @@ class Medium(Protocol):
     """The medium that carries the links of a swarm. Its ends have a `session`; stations hand them back."""
 
     cuts: dict[frozenset[str], float]
-    """Until when nothing passes between two robots."""
+    """The time until which nothing passes between two robots."""
 
     def add(self, station: "Station") -> None:
         """Add a robot that can be dialled."""
@@ -64,7 +64,7 @@ class ConnectionEnd:
         self.inward = inward
         """The air from there to this one."""
         self.due = due
-        """What is on the way to the robot at the other end."""
+        """The chunks on their way to the robot at the other end."""
         self.other: ConnectionEnd = self
         self.session: Session | None = None
         self.alive = True
@@ -173,7 +173,7 @@ class Air:
         self._stations: dict[str, Station] = {}
         self._due: dict[str, Due] = {}
         self.cuts: dict[frozenset[str], float] = {}
-        """Until when nothing passes between two robots."""
+        """The time until which nothing passes between two robots."""
 
     def add(self, station: Station) -> None:
         """Add a robot that can be dialled."""

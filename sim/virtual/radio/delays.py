@@ -27,7 +27,7 @@ OVERHEAD = 5
 """Bytes of a DATA frame before its payload, of a channel that is bound already."""
 
 Message = tuple[tuple[OnSample, ...], str, bytes]
-"""Who hears it, its key, and its payload."""
+"""The receiver's callbacks, the key and the payload of a message."""
 
 
 class DelayMesh:
@@ -46,7 +46,7 @@ class DelayMesh:
         self._meshes: Mapping[str, DelayMesh] = {}
         self._cuts: Mapping[frozenset[str], float] = {}
         self._due: dict[float, list[Message]] = {}
-        """What is on the way to this robot, by the time at which it arrives."""
+        """The messages on their way to this robot, by time of arrival."""
         for source, expression in enumerate(self._relay.subscriptions):
             bus.subscribe(expression, partial(self._publish, source))
         bus.subscribe([key(robot, "mesh", "set", "*"), key(robot, "mesh", "set", "*", "**")], self._refuse)

@@ -40,7 +40,7 @@ from swarm.messages.keys import key
 
 TRUTH = 0.1
 BATTERY = 7.4
-"""V, for ever."""
+"""Voltage of the battery, V, which never changes."""
 TICK = 0.01
 """s: commands act, and LEDs are written, within one; here at once."""
 
@@ -63,7 +63,7 @@ class VirtualBalancer:
         self.robot = robot
         self.body = VirtualBody(model, config.body_of(robot), config.balancing_of(robot), place, numbers.gauss)
         self.shown: Shown | None = None
-        """What the LEDs show."""
+        """The state of the LEDs."""
         self.powered = True
         """Whether the robot is switched on."""
         self.begins_to_move: Callable[[str], object] = str
@@ -74,7 +74,7 @@ class VirtualBalancer:
         self._claim = LedClaim()
         self._counter = ButtonCounter()
         self._held = [0.0] * len(BUTTONS)
-        """Until when somebody holds each button."""
+        """The time until which each button is held."""
         self._side = BusSide(VirtualRuntime(robot, time, bus), lambda: time.now, self)
         self._side.listen(self._put)
         self._truth_key, self._sim_leds_key = key(robot, "sim", "truth"), key(robot, "sim", "leds")

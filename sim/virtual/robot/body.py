@@ -24,7 +24,7 @@ PERIOD = 0.01
 STAND_UP, LIE_DOWN = 0.85, 0.41
 """Seconds from the command until it balances or lies; measured with physics (0.84 to 1.06, and 0.41)."""
 RISE_WAY = 0.36
-"""m that getting up takes: backward from the front, forward from the back (0.33 to 0.41)."""
+"""Distance that the robot rolls while it gets up, m: backward from the front, forward from the back (0.33 to 0.41)."""
 FALL_WAY = 0.15
 """m forward that lying down takes."""
 TOPPLES = 0.45
