@@ -16,6 +16,8 @@ LATE_RTTS = 10.0
 """... but after so many round-trip times in any case, or `WANT_AFTER_MOST`: a lost value that was asked for late makes
 other robots' values late, and would make the next question later still."""
 RECENT = 32
+LEAST = 4
+"""Iterations of which that is known; the first ones of a run wait for links."""
 WANT_AFTER_MOST = 1.0
 """The interval between two questions doubles up to this, in seconds, and is kept for ever."""
 
@@ -46,8 +48,9 @@ class QuestionTimes:
         recent.append(now - since)
         if len(recent) > RECENT:
             del recent[0]
-        usual = sorted(recent)[-min(len(recent), 2 + len(recent) // 16)]
-        self._late_after = min(WANT_AFTER_USUAL * usual, max(LATE_RTTS * rtt, WANT_AFTER_MOST))
+        if len(recent) >= LEAST:
+            usual = sorted(recent)[-3 - len(recent) // RECENT]
+            self._late_after = min(WANT_AFTER_USUAL * usual, max(LATE_RTTS * rtt, WANT_AFTER_MOST))
 
     def progress(self, now: float, rtt: float) -> None:
         """Begin the times of a new iteration."""

@@ -73,8 +73,6 @@ class Pulse:
         self.expected = 0.0
         """Seconds within which an answer is expected."""
         self._round_trips = RoundTrips()
-        self._tail = 0.0
-        """95 % of `rtts` are at most so long, s."""
         self.longest = 0.0
         """The longest of `rtts`, s."""
         self._usual = 0.0
@@ -98,8 +96,9 @@ class Pulse:
         return 2.0 * least if self._usual > least / 2.0 else least
 
     def is_steady(self, least: float) -> bool:
-        """Return whether round trips are known, and nearly all are shorter than half of `least`, as in `period`."""
-        return len(self.rtts) >= KNOWN and self._tail <= least / 2.0
+        """Return whether round trips are known, and half of them are shorter than a quarter of `least`, as in `period`:
+        not nearly all, since those of a hub are long while it still calls others."""
+        return len(self.rtts) >= KNOWN and self._usual <= least / 4.0
 
     def silence(self, least: float, answers: float) -> float:
         """Return the seconds in which a heartbeat and so many answers are expected; `least` as in `period`."""
@@ -139,8 +138,8 @@ class Pulse:
         self._round_trips.add(rtt, now)
         ordered = sorted(self.rtts)
         self._usual, self.longest = ordered[len(ordered) // 2], ordered[-1]
-        self._tail = ordered[int(TAIL * len(ordered))]
-        self.expected = max(self._round_trips.smoothed + DEVIATIONS * self._round_trips.deviation, self._tail)
+        tail = ordered[int(TAIL * len(ordered))]
+        self.expected = max(self._round_trips.smoothed + DEVIATIONS * self._round_trips.deviation, tail)
         return rtt, apart
 
 

@@ -170,20 +170,20 @@ def gone_through(one, now, k, late, *, answered):
 
 def test_values_of_a_robot_that_answers_that_it_has_none_yet_are_late_and_asked_for_later():
     now, one = 0.0, at(1)
-    for k in range(1, 4):
+    for k in range(1, 5):
         now = gone_through(one, now, k, 0.45, answered=True)
     assert one.next_deadline() - now == pytest.approx(0.9)
-    for k in range(4, 7):
+    for k in range(5, 8):
         now = gone_through(one, now, k, 0.8, answered=True)
     assert one.next_deadline() - now == pytest.approx(1.0)  # a second at most where round trips are short
     one.rtt = 0.15
-    now = gone_through(one, now, 7, 0.8, answered=True)
+    now = gone_through(one, now, 8, 0.8, answered=True)
     assert one.next_deadline() - now == pytest.approx(1.5)
 
 
 def test_values_of_a_robot_that_does_not_answer_may_have_been_lost_and_are_asked_for_as_soon_as_before():
     now, one = 0.0, at(1)
-    for k in range(1, 4):
+    for k in range(1, 5):
         now = gone_through(one, now, k, 0.45, answered=False)
     assert one.next_deadline() - now == pytest.approx(0.2)
 
