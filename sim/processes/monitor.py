@@ -17,7 +17,6 @@ from swarm.messages import (
     BalancerState,
     LedChange,
     Links,
-    Pose,
     Status,
     Target,
     Truth,
@@ -43,7 +42,6 @@ class Seen:
     """The status by service."""
     balancer: BalancerState | None = None
     links: Links | None = None
-    pose: Pose | None = None
     progress: AppProgress | None = None
     state: AppState | None = None
     epoch: AppEpoch | None = None
