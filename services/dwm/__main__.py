@@ -8,7 +8,7 @@ from swarm.recording.thesis_ranges import read_recording
 
 def main() -> None:
     """Publish ranges and pose from the configured source until told to stop."""
-    with Service("dwm", direct=True) as service:
+    with Service("dwm") as service:
         source = parse_source(service.config, service.robot)
         if isinstance(source, Replay):
             index = service.config.names.index(service.robot)

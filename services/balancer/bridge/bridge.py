@@ -155,7 +155,7 @@ def main() -> None:
         loop, stops = (socket.socket(fileno=int(text)) for text in sys.argv[1:])
     except (ValueError, OSError):
         raise LocalError("the bridge is started by `python -m services.balancer`, not by hand") from None
-    with contextlib.closing(loop), contextlib.closing(stops), Service("balancer", direct=True) as service:
+    with contextlib.closing(loop), contextlib.closing(stops), Service("balancer") as service:
         _Relay(service, loop, stops).run()
 
 

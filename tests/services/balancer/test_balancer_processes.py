@@ -150,25 +150,6 @@ def test_the_loop_outlives_its_bridge_and_starts_another(processes: Processes, w
     assert after.ticks + after.missed - before.ticks - before.missed == pytest.approx((after.t - before.t) * 100, abs=2)
 
 
-def test_a_stop_of_the_mesh_reaches_the_balancer_though_the_bus_is_dead(processes: Processes, runtime: Path) -> None:
-    bus_service = processes.router()
-    processes.start_ready("-m", "sim.body")
-    states: list[BalancerState] = []
-    with Bus.of(runtime, "mesh") as mesh:
-        mesh.subscribe("swarm/r0/balancer/state", lambda key, payload: states.append(read(key, payload)))
-        wait_until(lambda: states and states[-1].mode == "balancing")
-        wait_until(lambda: mesh._session.info.peers_zid(), what="the direct connection")
-        bus_service.kill()
-        bus_service.wait()
-        wait_until(lambda: not mesh.connected, what="the bus's death")
-        before = len(states)
-        wait_until(lambda: len(states) > before + 5)
-        assert states[-1].mode == "balancing"
-        mesh.publish("swarm/stop", Stop(0.0, "test", "enough"))
-        wait_until(lambda: states[-1].mode == "fault")
-        assert states[-1].fault == "stopped: enough (by test)"
-
-
 def test_driving_over_the_bus_and_what_is_refused(processes: Processes, watcher: Watcher) -> None:
     processes.start("-m", "sim.body")
     watcher.wait_mode("balancing")
