@@ -70,11 +70,11 @@ def rows(sizes: Sizes = FULL) -> Iterator[Row]:
                 runs.append(measure(topology, kind, sizes))
         for kind, runs in found.items():
             goal = 1.0 if kind is ONE else None
-            for service in SERVICES:
-                share = statistics.median(run[service] for run in runs)
-                yield Row(f"{topology} 6, {kind.name}, {service}, a robot and 100 iterations", share, "s", LIMIT_S, goal)
-            total = statistics.median(sum(run.values()) for run in runs)
-            yield Row(f"{topology} 6, {kind.name}, the three, a robot and 100 iterations", total, "s", LIMIT_S, goal)
+            told = {service: [run[service] for run in runs] for service in SERVICES}
+            told["the three"] = [sum(run.values()) for run in runs]
+            for what, shares in told.items():
+                name = f"{topology} 6, {kind.name}, {what}, a robot and 100 iterations"
+                yield Row(name, statistics.median(shares), "s", LIMIT_S, goal)
 
 
 def cpu_s(pid: int) -> float:
