@@ -5,6 +5,7 @@ import statistics
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from random import Random
 from typing import NamedTuple
 
 from bench.radio_patterns import Edges, Original, pace, round_trips
@@ -110,7 +111,7 @@ def _iteration(run: Recorded, iterations: int, seed: int) -> float:
 def _start(run: Recorded, begun: Sequence[float], seed: int) -> float:
     """s from the last robot's start until all have sent."""
     time = EventQueue()
-    radio = SlotRadio(time, sorted(run.order), THESIS, seed)
+    radio = SlotRadio(time, sorted(run.order), THESIS, Random(f"{seed} slots"))
     calls = Calls(time, radio)
     links = run.links()
     up: set[tuple[str, str]] = set()

@@ -46,7 +46,9 @@ class Pattern:
         self.random = random.Random(f"{seed} pattern")
         self.names = sorted({name for link in links for name in link})
         self.radio: Any = (
-            FixedLinks(self.time, air) if isinstance(air, float) else SlotRadio(self.time, self.names, air, seed)
+            FixedLinks(self.time, air)
+            if isinstance(air, float)
+            else SlotRadio(self.time, self.names, air, random.Random(f"{seed} slots"))
         )
         self.links = {frozenset(link): self.radio.connect(*link) for link in links}
         self.times: dict[str, list[float]] = {name: [] for name in self.names}

@@ -38,6 +38,11 @@ def star(shape: str, key: str) -> str:
     return _config(ROBOTS, SHAPES[shape], key, links="star")
 
 
+def auto(shape: str, key: str) -> str:
+    """The same with the links that the mesh chooses itself, which are those of a hub."""
+    return _config(ROBOTS, SHAPES[shape], key, links="auto")
+
+
 def line(robots: int, key: str, extra: str = "") -> str:
     """The swarm.toml of so many in line."""
     return _config(robots, LINE[: robots - 1], key) + extra

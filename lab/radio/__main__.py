@@ -6,9 +6,9 @@ until its standard input ends. Debian's Python is enough for it.
 """
 
 import argparse
-import dataclasses
 import errno
 import json
+import math
 import os
 import random
 import select
@@ -102,8 +102,9 @@ class Process:
 
     def __init__(self, control: Path, seed: int, trace: Trace | None) -> None:
         draw = random.Random(seed)
-        self._air = Air(draw.random, lambda: draw.randbytes(16))
+        self._air = Air(draw, lambda: draw.randbytes(16))
         self._trace = trace
+        self._began = time.monotonic()
         self._numbers: dict[str, int] = {}
         self._adapters: dict[str, Vhci | Line] = {}
         self._doors: dict[socket.socket, str] = {}
@@ -128,35 +129,39 @@ class Process:
         """Until standard input ends."""
         while True:
             deadline = self._air.next_deadline()
-            timeout = None if deadline is None else max(0.0, deadline - time.monotonic())
+            timeout = None if math.isinf(deadline) else max(0.0, deadline - self._now())
             adapters = list(self._adapters.values())
             ready, _, _ = select.select([*adapters, *self._doors, self._control, sys.stdin], [], [], timeout)
-            now = time.monotonic()
+            now = self._now()
+            self._air.handle_timer(now)
             if sys.stdin in ready:
                 return
             for adapter in adapters:
                 if adapter in ready:
                     packets = adapter.read()
                     if packets is None:
-                        self._unplug(adapter.address, now)
+                        self._unplug(adapter.address)
                     for packet in packets or ():
                         if self._trace is not None:
                             self._trace.from_host(self._numbers[adapter.address], packet)
                         self._air.receive(adapter.address, packet, now)
             for door, address in self._doors.items():
                 if door in ready:
-                    self._unplug(address, now)  # its machine was cut off and we have not seen the end yet
+                    self._unplug(address)  # its machine was cut off and we have not seen the end yet
                     self._plug(Line(address, door.accept()[0]))
             if self._control in ready:
-                self._obey(now)
-            self._air.handle_timer(time.monotonic())
+                self._obey()
+            self._air.handle_timer(self._now())
             for address, packet in self._air.to_send():
                 if address not in self._adapters:
                     continue
                 if self._trace is not None:
                     self._trace.to_host(self._numbers[address], packet)
                 if not self._adapters[address].write(packet):
-                    self._air.switch_off(address, time.monotonic())
+                    self._air.switch_off(address)
+
+    def _now(self) -> float:
+        return time.monotonic() - self._began
 
     def _plug(self, adapter: Vhci | Line) -> None:
         self._air.add(adapter.address)
@@ -164,33 +169,28 @@ class Process:
         if self._trace is not None:
             self._trace.adapter(self._numbers[adapter.address], adapter.address)
 
-    def _unplug(self, address: str, now: float) -> None:
+    def _unplug(self, address: str) -> None:
         if address in self._adapters:
-            self._air.remove(address, now)
+            self._air.remove(address)
             self._adapters.pop(address).close()
 
-    def _obey(self, now: float) -> None:
+    def _obey(self) -> None:
         data, sender = self._control.recvfrom(65536)
         order = json.loads(data)
         try:
-            answer = {"result": self._do(order.pop("do"), order, now)}
+            answer = {"result": self._do(order.pop("do"), order)}
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             answer = {"error": f"{type(error).__name__}: {error}"}
         self._control.sendto(json.dumps(answer).encode(), sender)
 
-    def _do(self, what: str, order: dict[str, Any], now: float) -> Any:
+    def _do(self, what: str, order: dict[str, Any]) -> Any:
         air = self._air
-        if what in ("cut", "mend", "silence", "unsilence", "place", "topology"):
-            return getattr(air, what)(**order, now=now)
-        if what == "drop":
-            return air.drop(**order)
+        if what in ("cut", "mend", "silence", "unsilence", "place", "topology", "drop", "change"):
+            return getattr(air, what)(**order)
         if what == "unplug":
-            return self._unplug(order["address"], now)
+            return self._unplug(order["address"])
         if what == "plug":
             return self.open(order["address"], None, 0)
-        if what == "medium":
-            air.medium = dataclasses.replace(air.medium, **order)
-            return air.heed(now)
         if what == "look":
             return {"links": air.links(), "encrypted": air.encrypted(), "counts": dict(air.counts)}
         raise ValueError(f"no order {what}")

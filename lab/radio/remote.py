@@ -37,6 +37,7 @@ class Radio:
             cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"},
         )  # fmt: skip
+        self.pid = self._process.pid
         assert self._process.stdout is not None
         if self._process.stdout.readline() != b"ready\n":
             raise RadioError("the radio did not start (see its error above)")

@@ -9,7 +9,7 @@ pages one at a time; what else its host wants waits (newer Linux kernels; older 
 from collections import deque
 from collections.abc import Callable
 
-from sim.slots.radio import PAGE, Clock, Device, RadioLink, SlotRadio
+from sim.slots.radio import PAGE, Clock, RadioLink, SlotRadio
 
 ABSENT = "not in range, switched off, or deaf"
 BUSY = "an earlier connection to it has not ended yet"
@@ -37,21 +37,32 @@ class Calls:
     def __init__(self, clock: Clock, radio: SlotRadio) -> None:
         self._clock = clock
         self._radio = radio
-        self._waiting: dict[str, deque[Call]] = {name: deque() for name in radio.devices}
+        self._waiting: dict[str, deque[Call]] = {}
         self._paging: dict[str, Call] = {}
         """By caller."""
         self.reachable: set[str] = set()
         """Who scans for pages."""
-        period = radio.parameters.scan
-        for device in radio.devices.values():
-            clock.at(clock.now + radio.random.random() * period, self._scan, device)
+        for name in radio.devices:
+            self.add(name)
 
-    def call(self, caller: str, called: str, timeout: float, done: Callable[[RadioLink | None, str], None]) -> None:
+    def add(self, name: str) -> None:
+        """Let a device of the radio make calls and scan for them."""
+        self._waiting[name] = deque()
+        first = self._radio.random.random() * self._radio.parameters.scan
+        self._clock.at(self._clock.now + first, self._scan, name)
+
+    def call(self, caller: str, called: str, timeout: float, done: Callable[[RadioLink | None, str], None]) -> Call:
         """Make a link; `done(link, reason)` is called at its end, with None `timeout` s after its page has begun at the
         latest."""
         call = Call(caller, called, timeout, done)
         self._waiting[caller].append(call)
         self._next(caller)
+        return call
+
+    def cancel(self, call: Call) -> None:
+        """End a call about whose end nobody wants to hear."""
+        call.done = lambda link, reason: None
+        self._end(call, "")
 
     def _next(self, caller: str) -> None:
         radio = self._radio
@@ -72,17 +83,17 @@ class Calls:
         if self._paging.get(call.caller) is call:
             self._end(call, ABSENT)
 
-    def _scan(self, device: Device) -> None:
+    def _scan(self, name: str) -> None:
         radio, now = self._radio, self._clock.now
-        parameters = radio.parameters
-        self._clock.at(now + parameters.scan, self._scan, device)
+        parameters, device = radio.parameters, radio.devices[name]
+        self._clock.at(now + parameters.scan, self._scan, name)
         skipped = device.tuned == PAGE and radio.random.random() >= parameters.scan_paging
-        if device.name not in self.reachable or skipped:
+        if name not in self.reachable or skipped:
             return
         device.scanning = now + parameters.scan_window
         for caller, call in self._paging.items():
-            if call.called == device.name and radio.devices[caller].is_in(PAGE, now):
-                if radio.passes(caller, device.name):
+            if call.called == name and radio.devices[caller].is_in(PAGE, now):
+                if radio.passes(caller, name):
                     self._clock.at(now + parameters.page_answer, self._answered, call)
                 return
 

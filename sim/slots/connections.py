@@ -4,6 +4,7 @@ Virtual runs and the radio process of real ones share this: they differ in where
 """
 
 from collections.abc import Callable, Iterable
+from random import Random
 
 from services.mesh.links.rfcomm import DIAL_TIMEOUT
 from sim.slots.calls import Calls
@@ -49,7 +50,7 @@ class Connections:
 
     def __init__(self, clock: Clock, names: Iterable[str], parameters: Parameters, seed: object) -> None:
         self._clock = clock
-        self.radio = SlotRadio(clock, names, parameters, seed)
+        self.radio = SlotRadio(clock, names, parameters, Random(f"{seed} slots"))
         self.radio.passes = self._passes
         self._calls = Calls(clock, self.radio)
         self.reachable = self._calls.reachable

@@ -11,12 +11,12 @@ B, 7.6). So a link delivers every byte in order, or is lost.
 """
 
 import math
-import random
 from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Any, Protocol
 
 from sim.slots.parameters import EDR2, MAX_PERIPHERALS, OVERHEAD, SLOT, Parameters
+from swarm.core.random_numbers import RandomNumbers
 
 PAGE = ""
 """What a device is tuned to that pages; piconets have their central's name."""
@@ -135,13 +135,23 @@ class Device:
 class SlotRadio:
     """The links of all robots."""
 
-    def __init__(self, clock: Clock, names: Iterable[str], parameters: Parameters, seed: object) -> None:
+    def __init__(self, clock: Clock, names: Iterable[str], parameters: Parameters, random: RandomNumbers) -> None:
         self._clock = clock
         self.parameters = parameters
-        self.random = random.Random(f"{seed} slots")
+        self.random = random
         self.devices = {name: Device(name) for name in names}
         self.passes: Callable[[str, str], bool] = lambda a, b: True
         """Whether two robots hear each other."""
+
+    def switch_off(self, name: str) -> None:
+        """Let a device fall silent without a word: the others lose its links by supervision. From now on its name is
+        that of a new one without links."""
+        device = self.devices[name]
+        device.roles.clear()
+        device.tuned = None
+        device.switching += 1
+        device.serving += 1
+        self.devices[name] = Device(name)
 
     # -- links -------------------------------------------------------------------------------------------------
 
@@ -167,6 +177,19 @@ class SlotRadio:
         link.supervision = seconds
         link.watch += 1
         self._watch(link, link.watch)
+
+    def switch_roles(self, link: RadioLink) -> None:
+        """Make the peripheral the central of a link; what its ends hold stays. It must have room."""
+        before, after = link.central.device, link.peripheral.device
+        link.central, link.peripheral = link.peripheral, link.central
+        before.central_of.remove(link)
+        after.central_of.append(link)
+        for device in (before, after):
+            self.take_role(device, after.name)
+        self.leave_role(after, before.name)
+        if not before.central_of:
+            self.leave_role(before, before.name)
+        self._wake(after)
 
     def drop(self, link: RadioLink) -> None:
         """It is there no more; what it held is gone."""

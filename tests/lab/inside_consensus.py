@@ -1,8 +1,10 @@
 """Inside a machine: six robots' processes over RFCOMM compute bit for bit what the simulation computed on the host."""
 
+import json
 import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from conftest import Processes
@@ -11,7 +13,7 @@ from inside_swarm import APPS, MESH, NAMES, SHARE, Swarm
 
 from lab.radio.remote import Radio
 from lab.shapes import ENDLESS, ITERATIONS, LONG, SHAPES
-from lab.waiting import until
+from lab.waiting import run, until
 from swarm.messages import read
 from swarm.recording.run import Run
 
@@ -52,9 +54,20 @@ def test_trajectories_are_those_of_the_simulation(swarm: Swarm, radio: Radio) ->
     assert links <= {(radio.addresses[i], radio.addresses[j]) for i, j in SHAPES[swarm.config]}
 
 
-@pytest.mark.parametrize("swarm", ["star"], indirect=True)
+def told_by_radio(swarm: Swarm, name: str) -> list[dict[str, object]]:
+    """What `swarm mesh --radio` says on that robot; all its links must be up, and nobody away."""
+    own = {"ROBOT": name, "RUNTIME": swarm.processes.runtime / name, "CONFIG": SHARE / f"{swarm.config}.toml"}
+    environment = [f"SWARM_{key}={value}" for key, value in own.items()]
+    program = Path(sys.executable).with_name("swarm")
+    said = run("swarm mesh --radio", ["env", *environment, str(program), "mesh", "--radio", "--json"])
+    found: list[dict[str, object]] = json.loads(said)["radio"]
+    return found
+
+
+@pytest.mark.parametrize("swarm", ["star", "auto"], indirect=True)
 def test_a_hub_carries_what_neighbours_tell_each_other(swarm: Swarm, radio: Radio) -> None:
-    """It calls all others and is central of one piconet with them, as each mesh tells of its own end."""
+    """It calls all others and is central of one piconet with them, as each mesh tells of its own end, and as each
+    adapter tells, with the strength of the signal."""
     until("no connection of a test before", lambda: not radio.order("look")["links"])
     told: dict[tuple[str, str], tuple[str, str, str]] = {}
 
@@ -69,6 +82,11 @@ def test_a_hub_carries_what_neighbours_tell_each_other(swarm: Swarm, radio: Radi
     wanted = {(hub, name): ("up", "central", "central") for name in others}
     wanted |= {(name, hub): ("up", "peripheral", "peripheral") for name in others}
     swarm.wait("roles are those wanted", lambda: told == wanted, lambda: told)
+    radio.order("change", rssi=-60)
+    told_all = {"rssi": -60, "quality": 255, "failed": 0}
+    for robot, peers, role in ((hub, others, "central"), (others[-1], [hub], "peripheral")):
+        readings = [{"robot": robot, "peer": peer, "role": role, **told_all} for peer in peers]
+        assert told_by_radio(swarm, robot) == readings
     finish(swarm, ITERATIONS)
     compare(swarm, ITERATIONS)
     first, *rest = radio.addresses
@@ -77,7 +95,6 @@ def test_a_hub_carries_what_neighbours_tell_each_other(swarm: Swarm, radio: Radi
 
 def test_faults_in_mid_run_change_no_bit(swarm: Swarm, radio: Radio) -> None:
     """What was sent into a cut, or to a mesh that was killed, is neither lost nor counted twice."""
-    radio.order("medium", latency=0.03)  # so that it lasts
     swarm.run(LONG)
     last = time.monotonic()
 
@@ -124,7 +141,6 @@ def test_faults_in_mid_run_change_no_bit(swarm: Swarm, radio: Radio) -> None:
 @pytest.mark.parametrize("swarm", ["around"], indirect=True)
 def test_a_loop_goes_on_around_a_silent_link(swarm: Swarm, radio: Radio) -> None:
     """The other five links carry what one does not: through a cut that it outlives, and one that ends it."""
-    radio.order("medium", latency=0.03)
     swarm.run(ENDLESS)
 
     def iterations(seconds: float) -> int:

@@ -167,7 +167,7 @@ def test_silence_first_takes_writes_then_blocks_and_ends_by_the_supervision_time
 
 def test_a_short_silence_costs_nothing(radio: Radio, pair: Pair) -> None:
     caller, called = pair
-    radio.order("medium", supervision=1000.0)
+    radio.order("change", supervision=1000.0)
     radio.order("cut", one=radio.addresses[0], other=radio.addresses[1])
     assert write(caller, b"through a cut")
     assert not select.select([called], [], [], 1.0)[0]
@@ -256,13 +256,13 @@ def test_a_robot_that_is_not_there(radio: Radio, how: str) -> None:
         called = radio.addresses[4]
         radio.order("place", address=radio.addresses[3], x=0.0, y=0.0)
         radio.order("place", address=called, x=50.0, y=0.0)
-        radio.order("medium", range=10.0)
+        radio.order("change", range=10.0)
     began = time.monotonic()
     with pytest.raises(OSError, match="not in range, switched off") as caught:
         rfcomm.dial(mine(radio, 3), called)
     assert caught.value.errno == errno.EHOSTDOWN
     assert 4.0 < time.monotonic() - began < rfcomm.DIAL_TIMEOUT
-    radio.order("medium", range=1000.0)
+    radio.order("change", range=1000.0)
 
 
 def test_a_call_where_nobody_listens_is_refused_by_name(radio: Radio) -> None:

@@ -42,7 +42,7 @@ def bring_up(radio: Radio) -> None:
 def radio() -> Iterator[Radio]:
     subprocess.run(["modprobe", "-a", "rfcomm", "hci_vhci"], check=True)
     with tempfile.TemporaryDirectory() as folder, Radio(Path(folder), ROBOTS, machines=False) as made:
-        made.order("medium", supervision=SUPERVISION)
+        made.order("change", supervision=SUPERVISION)
         bring_up(made)
         yield made
         counts = made.order("look")["counts"]
@@ -57,4 +57,4 @@ def _whole_again(radio: Radio) -> Iterator[None]:
     radio.order("topology", edges=[[a, b] for a in radio.addresses for b in radio.addresses if a < b])
     for address in radio.addresses:
         radio.order("unsilence", address=address)
-    radio.order("medium", supervision=SUPERVISION, latency=0.0, jitter=0.0, bandwidth=0.0, rssi=0)
+    radio.order("change", supervision=SUPERVISION, rssi=0)

@@ -70,7 +70,7 @@ def test_who_calls_back_after_a_knock_has_the_roles_switched(radio: Radio, near:
 
 
 def test_what_a_connection_tells(radio: Radio, near: Adapter) -> None:
-    radio.order("medium", rssi=-60)
+    radio.order("change", rssi=-60)
     peer = radio.addresses[1]
     with listening(radio, 1, calls_all=False) as listener:
         pipes = dial(radio), accept(listener)

@@ -44,7 +44,6 @@ from swarm.messages import (
 
 WHOLE, OTHERS = NAMES[0], NAMES[1:]
 REPORT_S = 0.1
-LATENCY_S = 0.03
 SETTLED = 20
 """Iterations before which an estimate is right by chance."""
 BALANCED_S = 6.0
@@ -151,7 +150,6 @@ def robot() -> Iterator[Robot]:
 @pytest.fixture(scope="module")
 def swarm(radio: Radio, config: Config, robot: Robot) -> Iterator[Swarm]:
     """All six in a loop; r0's services are those of systemd."""
-    radio.order("medium", latency=LATENCY_S)
     with tempfile.TemporaryDirectory(prefix="sw", dir="/tmp") as folder:
         made = Swarm(Processes(Path(folder)), "thesis", OTHERS)
         modules = Modules(made, config)

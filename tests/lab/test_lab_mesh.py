@@ -9,7 +9,7 @@ import pytest
 
 from lab import waiting
 from lab.inside import run_tests
-from lab.shapes import ENDLESS, ITERATIONS, LONG, config, hasty, star
+from lab.shapes import ENDLESS, ITERATIONS, LONG, auto, config, hasty, star
 from lab.vm.build import Image
 from lab.vm.machine import PLAIN, Machine
 from swarm.config.keyfile import new_key_file
@@ -60,6 +60,7 @@ def test_six_robots_compute_what_the_simulation_computes(robots: Machine, shapes
 
 def test_a_hub_carries_the_graph_and_is_central_of_all(robots: Machine) -> None:
     simulate("loop", robots.share, star, "star")
+    simulate("random", robots.share, auto, "auto")
     run_tests(robots, "tests/lab/inside_consensus.py -k hub")
 
 

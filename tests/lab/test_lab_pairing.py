@@ -262,7 +262,6 @@ def test_a_run_outlives_restarts_of_bluetoothd(robots: Robots) -> None:
     words = ["consensus", "--config", str(own), "--virtual", "--iterations", str(ITERATIONS), "--json"]
     record = ["--record", str(robots.folder / "simulated")]
     waiting.run("the simulation", [sys.executable, "-m", "laptop.cli.runs.sim", *words, *record])
-    robots.radio.order("medium", latency=0.05)
     for robot in robots.machines:
         (robot.share / "swarm.toml").write_text(robots.config.read_text())
         (robot.share / "swarm.key").write_bytes(key.read_bytes())

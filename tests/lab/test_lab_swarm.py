@@ -35,8 +35,6 @@ COLD_START_S = 180.0
 """From power to the target, at most, by a robot's own clock. It takes 60 to 100 s on two cores: three machines at once
 are slower than robots, so this finds a start that hangs, and the report has the figure."""
 DROP_AFTER_S = 5.0
-LATENCY_S = 0.15
-"""One way, by the host's clock: some 0.03 s by those of three machines at once."""
 SEEDS = 12
 """Simulations that tell how far off such a swarm is: errors of modules are drawn."""
 
@@ -171,7 +169,6 @@ def test_three_machines_find_the_target_and_one_comes_back_from_a_power_cut(
             for number, name in enumerate(NAMES)
         ]
         assert radio.addresses == [address(number) for number in range(len(NAMES))]
-        radio.order("medium", latency=LATENCY_S)
         try:
             began = time.monotonic()
             list(pool.map(boot, machines))

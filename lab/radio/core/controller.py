@@ -7,26 +7,22 @@ from typing import TYPE_CHECKING
 from lab.radio.core import hci
 from lab.radio.core.answers import ANSWERED, COMPANY, ENCRYPTION_KEY_SIZE, FEATURES, OF_A_LINK, PAIRING, RSSI, VERSION
 from lab.radio.core.hci import Ev, Op, Status
+from lab.radio.core.host_calls import HostCalls
 from lab.radio.core.link import Link
 from lab.radio.core.pairing import Pairing
+from sim.slots.parameters import SLOT
 
 if TYPE_CHECKING:
     from lab.radio.core.air import Air
 
-MAX_LINKS = 7
-"""Active slaves of a piconet; here a controller's links in all."""
-
 INQUIRY_SCAN, PAGE_SCAN = 1, 2
 """Bits of the scan enable setting: can be found, can be connected to."""
-
-SLOT = 0.000625
-"""s; times are counted in these."""
 
 INQUIRY_UNIT = 1.28
 """s."""
 
-PAGE_AGAIN = 0.16
-"""s between looks at whether a page is heard now: a controller repeats it until its time-out."""
+NAME_TIME = 0.05
+"""s until a robot has said its name."""
 
 
 class Controller:
@@ -36,24 +32,21 @@ class Controller:
         self.address = address
         self.links: dict[int, Link] = {}
         """By handle."""
-        self.paging: dict[str, object] = {}
-        """By the address that is paged: a token of that attempt."""
-        self.asked: dict[str, object] = {}
-        """By the address of a caller whom the host has not answered yet: the token of its attempt."""
+        self.calls = HostCalls(air, self)
         self._air = air
         # Handles differ between controllers, so that no test passes by their being equal.
         self._next_handle = 1 + 64 * number
         # Of the last inquiry that began or was cancelled: what an earlier one still has to tell is not told.
         self._inquiry_number = 0
         self._set_defaults()
-        self._handlers: dict[int, Callable[[int, bytes, float], None]] = {
+        self._handlers: dict[int, Callable[[int, bytes], None]] = {
             Op.RESET: self._reset,
             Op.INQUIRY: self._inquiry,
             Op.INQUIRY_CANCEL: self._inquiry_cancel,
-            Op.CREATE_CONNECTION: self._create_connection,
-            Op.CREATE_CONNECTION_CANCEL: self._create_cancel,
-            Op.ACCEPT_CONNECTION: self._accept,
-            Op.REJECT_CONNECTION: self._reject,
+            Op.CREATE_CONNECTION: self.calls.create,
+            Op.CREATE_CONNECTION_CANCEL: self.calls.cancel,
+            Op.ACCEPT_CONNECTION: self.calls.accept,
+            Op.REJECT_CONNECTION: self.calls.reject,
             Op.DISCONNECT: self._disconnect,
             Op.REMOTE_NAME: self._remote_name,
             Op.AUTHENTICATION_REQUESTED: self._authenticate,
@@ -70,11 +63,15 @@ class Controller:
         }
 
     def _set_defaults(self) -> None:
-        self.scan = 0
+        self._set_scan(0)
         self.device_class = bytes(3)
         self.name = b"lab".ljust(248, b"\0")
         self.simple_pairing = 0
-        self._page_timeout = 0x2000 * SLOT
+        self.page_timeout = 0x2000 * SLOT
+
+    def _set_scan(self, scan: int) -> None:
+        self.scan = scan
+        self._air.listen(self.address, bool(scan & PAGE_SCAN))
 
     def new_handle(self) -> int:
         """A handle that no link of ours has."""
@@ -87,10 +84,10 @@ class Controller:
         """Our link to that controller."""
         return next((link for link in self.links.values() if link.peer(self.address) == address), None)
 
-    def command(self, op: int, parameters: bytes, now: float) -> None:
+    def command(self, op: int, parameters: bytes) -> None:
         """Do what the host wants and answer it."""
         if op in self._handlers:
-            self._handlers[op](op, parameters, now)
+            self._handlers[op](op, parameters)
         elif op in PAIRING:
             self._pairing(op, parameters)
         elif op in ANSWERED:
@@ -159,58 +156,57 @@ class Controller:
                 return Ev.PACKET_TYPE_CHANGED, b"\0" + parameters[:4]
         return None
 
-    def _write(self, op: int, parameters: bytes, now: float) -> None:
+    def _write(self, op: int, parameters: bytes) -> None:
         match op:
             case Op.WRITE_NAME:
                 self.name = parameters
             case Op.WRITE_SCAN:
-                self.scan = parameters[0]
+                self._set_scan(parameters[0])
             case Op.WRITE_CLASS:
                 self.device_class = parameters[:3]
             case Op.WRITE_SIMPLE_PAIRING:
                 self.simple_pairing = parameters[0]
             case Op.WRITE_PAGE_TIMEOUT:
-                self._page_timeout = int.from_bytes(parameters[:2], "little") * SLOT
+                self.page_timeout = int.from_bytes(parameters[:2], "little") * SLOT
         self._complete(op)
 
-    def switch_off(self, now: float) -> None:
+    def switch_off(self) -> None:
         """Links, pages, inquiries and settings are gone."""
-        self._air.forget(self, now)
         self._inquiry_number += 1
-        self.paging.clear()
-        self.asked.clear()
+        self.calls.forget()
+        self._air.forget(self)
         self._set_defaults()
 
-    def _reset(self, op: int, parameters: bytes, now: float) -> None:
-        self.switch_off(now)
+    def _reset(self, op: int, parameters: bytes) -> None:
+        self.switch_off()
         self._complete(op)
 
     # -- who is there ----------------------------------------------------------------------------------------
 
-    def _inquiry(self, op: int, parameters: bytes, now: float) -> None:
+    def _inquiry(self, op: int, parameters: bytes) -> None:
         self._status(op)
         self._inquiry_number += 1
         number = self._inquiry_number
 
-        def found(_: float) -> None:
+        def found() -> None:
             for other in self._air.others(self) if number == self._inquiry_number else ():
                 if other.scan & INQUIRY_SCAN:
                     body = b"\x01" + hci.to_wire(other.address) + b"\x01\0" + other.device_class + b"\0\0"
                     self._event(Ev.INQUIRY_RESULT_RSSI, body + struct.pack("b", RSSI))
 
-        def over(_: float) -> None:
+        def over() -> None:
             if number == self._inquiry_number:
                 self._event(Ev.INQUIRY_COMPLETE, b"\0")
 
         seconds = parameters[3] * INQUIRY_UNIT
-        self._air.at(now + seconds / 2, found)
-        self._air.at(now + seconds, over)
+        self._air.after(seconds / 2, found)
+        self._air.after(seconds, over)
 
-    def _inquiry_cancel(self, op: int, parameters: bytes, now: float) -> None:
+    def _inquiry_cancel(self, op: int, parameters: bytes) -> None:
         self._inquiry_number += 1
         self._complete(op)
 
-    def _remote_name(self, op: int, parameters: bytes, now: float) -> None:
+    def _remote_name(self, op: int, parameters: bytes) -> None:
         self._status(op)
         wire = parameters[:6]
         other = self._air.find(hci.from_wire(wire))
@@ -218,108 +214,34 @@ class Controller:
         asked = self.link_to(hci.from_wire(wire)) is not None or (other is not None and other.scan & PAGE_SCAN)
         if other in self._air.others(self) and asked:
             body = b"\0" + wire + other.name
-            self._air.at(now + self._air.medium.page, lambda _: self._event(Ev.REMOTE_NAME_COMPLETE, body))
+            self._air.after(NAME_TIME, lambda: self._event(Ev.REMOTE_NAME_COMPLETE, body))
         else:
             body = bytes((Status.PAGE_TIMEOUT,)) + wire + bytes(248)
-            self._air.at(now + self._page_timeout, lambda _: self._event(Ev.REMOTE_NAME_COMPLETE, body))
+            self._air.after(self.page_timeout, lambda: self._event(Ev.REMOTE_NAME_COMPLETE, body))
 
     # -- links -----------------------------------------------------------------------------------------------
 
-    def _create_connection(self, op: int, parameters: bytes, now: float) -> None:
-        address = hci.from_wire(parameters[:6])
-        if self.link_to(address) is not None or address in self.paging:
-            self._status(op, Status.CONNECTION_EXISTS)
-            return
-        self._status(op)
-        attempt = self.paging[address] = object()
-        until = now + self._air.medium.page + self._page_timeout
-        self._air.at(now + self._air.medium.page, lambda now: self._page(address, attempt, until, now))
-
-    def _page(self, address: str, attempt: object, until: float, now: float) -> None:
-        """The page is heard; or it is repeated until then."""
-        if self.paging.get(address) is not attempt:
-            return
-        if now >= until:
-            self.page_failed(address, attempt, Status.PAGE_TIMEOUT)
-            return
-        called = self._air.find(address)
-        # Who pages does not hear pages: two that call each other both wait in vain.
-        heard = called in self._air.others(self) and called.scan & PAGE_SCAN and self.address not in called.paging
-        if called is None or not heard:
-            self._air.at(min(now + PAGE_AGAIN, until), lambda now: self._page(address, attempt, until, now))
-        elif len(self.links) >= MAX_LINKS:
-            self.page_failed(address, attempt, Status.CONNECTION_LIMIT)
-        elif len(called.links) >= MAX_LINKS:
-            self.page_failed(address, attempt, Status.LIMITED_RESOURCES)
-        elif called.link_to(self.address) is not None:
-            # It has not noticed yet that we have lost our end.
-            self.page_failed(address, attempt, Status.CONNECTION_EXISTS)
-        else:
-            called.ring(self, attempt)
-            self._air.at(now + self._page_timeout, lambda _: self.page_failed(address, attempt, Status.ACCEPT_TIMEOUT))
-
-    def ring(self, caller: "Controller", attempt: object) -> None:
-        """Ask our host whether it wants a link."""
-        self.asked[caller.address] = attempt
-        self._event(Ev.CONNECTION_REQUEST, hci.to_wire(caller.address) + caller.device_class + b"\x01")
-
-    def page_failed(self, address: str, attempt: object, code: int) -> None:
-        """That attempt is over, where it still is one."""
-        if self.paging.get(address) is attempt:
-            del self.paging[address]
-            called = self._air.find(address)
-            if called is not None:
-                called.asked.pop(self.address, None)
-            self._air.counts["page_timeouts"] += code == Status.PAGE_TIMEOUT
-            self._air.send(self.address, hci.connected(code, 0, address))
-
-    def _create_cancel(self, op: int, parameters: bytes, now: float) -> None:
-        address = hci.from_wire(parameters[:6])
-        attempt = self.paging.get(address)
-        code = Status.UNKNOWN_CONNECTION if attempt is None else Status.SUCCESS
-        self._complete(op, bytes((code,)) + parameters[:6])
-        if attempt is not None:
-            self.page_failed(address, attempt, Status.UNKNOWN_CONNECTION)
-
-    def _accept(self, op: int, parameters: bytes, now: float) -> None:
-        address = hci.from_wire(parameters[:6])
-        attempt, caller = self.asked.pop(address, None), self._air.find(address)
-        if attempt is None or caller is None or caller.paging.get(self.address) is not attempt:
-            self._status(op, Status.UNKNOWN_CONNECTION)
-            return
-        self._status(op)
-        del caller.paging[self.address]
-        self._air.connect(caller, self)
-
-    def _reject(self, op: int, parameters: bytes, now: float) -> None:
-        address, reason = hci.from_wire(parameters[:6]), parameters[6]
-        attempt, caller = self.asked.pop(address, None), self._air.find(address)
-        self._status(op)
-        self._air.send(self.address, hci.connected(reason, 0, address))
-        if attempt is not None and caller is not None:
-            caller.page_failed(self.address, attempt, reason)
-
-    def _disconnect(self, op: int, parameters: bytes, now: float) -> None:
+    def _disconnect(self, op: int, parameters: bytes) -> None:
         handle, reason = struct.unpack("<HB", parameters[:3])
         link = self.links.get(handle)
         if link is None:
             self._status(op, Status.UNKNOWN_CONNECTION)
             return
         self._status(op)
-        self._air.disconnect(self, link, reason, now)
+        self._air.disconnect(self, link, reason)
 
-    def _switch_role(self, op: int, parameters: bytes, now: float) -> None:
+    def _switch_role(self, op: int, parameters: bytes) -> None:
         link = self.link_to(hci.from_wire(parameters[:6]))
         if link is None:
             self._status(op, Status.UNKNOWN_CONNECTION)
             return
         self._status(op)
-        self._air.switch_roles(link, link.peer(self.address) if parameters[6] else self.address)
+        self._air.switch_roles(link, self.address, link.peer(self.address) if parameters[6] else self.address)
 
-    def _tell_role(self, op: int, parameters: bytes, now: float) -> None:
+    def _tell_role(self, op: int, parameters: bytes) -> None:
         self._tell_of(op, parameters, lambda link: bytes((link.central != self.address,)))
 
-    def _tell_rssi(self, op: int, parameters: bytes, now: float) -> None:
+    def _tell_rssi(self, op: int, parameters: bytes) -> None:
         self._tell_of(op, parameters, lambda link: struct.pack("b", self._air.medium.rssi))
 
     def _tell_of(self, op: int, parameters: bytes, what: Callable[[Link], bytes]) -> None:
@@ -328,7 +250,7 @@ class Controller:
         code = Status.UNKNOWN_CONNECTION if link is None else Status.SUCCESS
         self._complete(op, bytes((code,)) + parameters[:2] + (b"\0" if link is None else what(link)))
 
-    def _supervise(self, op: int, parameters: bytes, now: float) -> None:
+    def _supervise(self, op: int, parameters: bytes) -> None:
         handle, slots = struct.unpack("<HH", parameters)
         link = self.links.get(handle)
         if link is None:
@@ -337,11 +259,12 @@ class Controller:
             code = Status.COMMAND_DISALLOWED
         else:
             code, link.supervision = Status.SUCCESS, slots * SLOT
+            self._air.supervise(link)
         self._complete(op, bytes((code,)) + parameters[:2])
 
     # -- security --------------------------------------------------------------------------------------------
 
-    def _authenticate(self, op: int, parameters: bytes, now: float) -> None:
+    def _authenticate(self, op: int, parameters: bytes) -> None:
         link = self.links.get(int.from_bytes(parameters[:2], "little"))
         peer = self._air.find(link.peer(self.address)) if link is not None else None
         if link is None or peer is None:
@@ -380,7 +303,7 @@ class Controller:
             self._air.send(pairing.initiator, hci.event(Ev.AUTHENTICATION_COMPLETE, body))
         self._begin_pairing(link)
 
-    def _encrypt(self, op: int, parameters: bytes, now: float) -> None:
+    def _encrypt(self, op: int, parameters: bytes) -> None:
         link = self.links.get(int.from_bytes(parameters[:2], "little"))
         if link is None:
             self._status(op, Status.UNKNOWN_CONNECTION)

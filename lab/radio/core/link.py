@@ -5,6 +5,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from lab.radio.core.pairing import Pairing
+from sim.slots.radio import RadioLink
 
 
 @dataclass(eq=False)
@@ -13,14 +14,14 @@ class Link:
 
     ends: dict[str, int]
     """The handle that each side has for it; they differ."""
-    central: str
-    """The side that has paged; it alone sets the supervision time-out."""
+    radio: RadioLink
+    """The same in the slots of the radio."""
     supervision: float = math.inf
     """s without a sign of the other side until the link is over, as set by that side's host."""
-    silent_since: float | None = None
-    """Since when nothing gets through; None where it does."""
     gone: set[str] = field(default_factory=set)
     """Sides that do not have the link any more."""
+    closing: set[str] = field(default_factory=set)
+    """Sides whose hosts have ended it, of which the other side has not heard yet."""
     pairing: Pairing | None = None
     """The authentication under way, or the last one."""
     wanting: deque[str] = field(default_factory=deque)
@@ -28,17 +29,11 @@ class Link:
     authenticated: bool = False
     """Whether both sides have shown that they have the same key: encryption needs it."""
     encrypted: bool = False
-    held: dict[str, deque[tuple[int, bytes]]] = field(init=False)
-    """What each side has given and is not on the air yet: (packet boundary, data)."""
-    free: dict[str, float] = field(init=False)
-    """When each side's sender is free again."""
-    due: dict[str, float] = field(init=False)
-    """When the last packet arrives at each side."""
 
-    def __post_init__(self) -> None:
-        self.held = {address: deque() for address in self.ends}
-        self.free = dict.fromkeys(self.ends, 0.0)
-        self.due = dict.fromkeys(self.ends, 0.0)
+    @property
+    def central(self) -> str:
+        """The side that has paged, where no host has had the roles switched; it alone sets the supervision time-out."""
+        return self.radio.central.device.name
 
     def peer(self, address: str) -> str:
         """The other side."""

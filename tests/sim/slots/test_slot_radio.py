@@ -3,6 +3,7 @@ its packets; one exchange and one page calculated by hand."""
 
 import itertools
 from dataclasses import replace
+from random import Random
 
 import pytest
 from hypothesis import given, settings
@@ -24,7 +25,7 @@ class Swarm:
     def __init__(self, links, parameters=EXACT, seed=1):
         self.time = EventQueue()
         names = sorted({name for link in links for name in link})
-        self.radio = SlotRadio(self.time, names, parameters, seed)
+        self.radio = SlotRadio(self.time, names, parameters, Random(f"{seed} slots"))
         self.links = {link: self.radio.connect(*link) for link in links}
         self.heard, self.lost = [], []
         for link, there in self.links.items():
@@ -130,6 +131,63 @@ def test_bridges_share_their_time_and_are_slower_than_one_piconet():
     assert bridge > 3 * hub
 
 
+@settings(max_examples=60, deadline=None)
+@given(GRAPHS, FRAMES, st.lists(st.tuples(st.floats(0.0, 5.0), st.integers(0, 9)), max_size=8), st.integers(0, 9))
+def test_switches_of_roles_lose_and_reorder_nothing(graph, frames, switches, seed):
+    swarm = Swarm(graph, Parameters(), seed)
+    at, sent = 0.0, {}
+    for number, (gap, which, down, size) in enumerate(frames):
+        at += gap
+        link = graph[which % len(graph)]
+        sender = link[0] if down else link[1]
+        swarm.time.at(at, swarm.send, link, sender, size, number)
+        sent.setdefault((link, sender), []).append(number)
+    for time, which in switches:
+        swarm.time.at(time, swarm.radio.switch_roles, swarm.links[graph[which % len(graph)]])
+    swarm.run(at + 60.0)
+    assert not swarm.lost
+    for way, numbers in sent.items():
+        assert [number for _, link, sender, number in swarm.heard if (link, sender) == way] == numbers
+    for name, device in swarm.radio.devices.items():
+        mine = [link.central.device.name for link in swarm.links.values() if name in link_names(link)]
+        assert set(device.roles) == set(mine)
+        assert len(device.central_of) == mine.count(name)
+
+
+def link_names(link):
+    return link.central.device.name, link.peripheral.device.name
+
+
+def test_who_is_called_by_all_and_has_all_roles_switched_is_no_bridge_any_more():
+    swarm = Swarm([("a", "hub"), ("b", "hub"), ("c", "hub")], Parameters())
+    swarm.run(3.0)
+    for link in swarm.links.values():
+        swarm.radio.switch_roles(link)
+    swarm.run(3.0)
+    assert [device.roles for device in swarm.radio.devices.values()] == [["hub"]] * 4
+    for number, link in enumerate(swarm.links):
+        swarm.send(link, "hub", 10, number)
+        swarm.send(link, link[0], 10, number)
+    swarm.run(3.2)
+    assert len(swarm.heard) == 6
+
+
+def test_a_device_that_falls_silent_is_lost_by_supervision_and_its_name_is_free():
+    swarm = Swarm([("a", "b"), ("c", "b"), ("b", "d")], replace(EXACT, supervision=2.0))
+    swarm.run(1.0)
+    swarm.radio.switch_off("b")
+    again = swarm.radio.connect("d", "b")
+    heard = []
+    swarm.radio.send(again, "d", 10, lambda: heard.append(swarm.time.now))
+    swarm.run(2.5)
+    assert heard
+    assert swarm.lost == []
+    swarm.run(3.5)
+    assert sorted(link for link, _ in swarm.lost) == [("a", "b"), ("b", "d"), ("c", "b")]
+    assert again.up
+    assert [device.roles for device in swarm.radio.devices.values()] == [[], ["d"], [], ["d"]]
+
+
 def test_a_cut_link_is_lost_after_its_supervision_time_out():
     swarm = Swarm([("a", "b"), ("a", "c")], replace(EXACT, supervision=2.0))
     swarm.time.at(10.0, setattr, swarm.radio, "passes", lambda a, b: {a, b} != {"a", "b"})
@@ -143,7 +201,7 @@ class Made(Swarm):
 
     def __init__(self, names, parameters=EXACT):
         self.time = EventQueue()
-        self.radio = SlotRadio(self.time, names, parameters, 1)
+        self.radio = SlotRadio(self.time, names, parameters, Random("1 slots"))
         self.calls = Calls(self.time, self.radio)
         self.calls.reachable.update(names)
         self.made, self.failed = {}, {}
