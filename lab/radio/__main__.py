@@ -192,7 +192,12 @@ class Process:
         if what == "plug":
             return self.open(order["address"], None, 0)
         if what == "look":
-            return {"links": air.links(), "encrypted": air.encrypted(), "counts": dict(air.counts)}
+            return {
+                "links": air.links(),
+                "encrypted": air.encrypted(),
+                "counts": dict(air.counts),
+                "scans": air.scans(),
+            }
         raise ValueError(f"no order {what}")
 
 

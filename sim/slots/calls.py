@@ -42,14 +42,17 @@ class Calls:
         """By caller."""
         self.reachable: set[str] = set()
         """Who scans for pages."""
+        self.scans: dict[str, tuple[float, float]] = {}
+        """By device: seconds from one page scan to the next, and how long one takes."""
         for name in radio.devices:
             self.add(name)
 
     def add(self, name: str) -> None:
         """Let a device of the radio make calls and scan for them."""
+        parameters = self._radio.parameters
         self._waiting[name] = deque()
-        first = self._radio.random.random() * self._radio.parameters.scan
-        self._clock.at(self._clock.now + first, self._scan, name)
+        self.scans[name] = parameters.scan, parameters.scan_window
+        self._clock.at(self._clock.now + self._radio.random.random() * parameters.scan, self._scan, name)
 
     def call(self, caller: str, called: str, timeout: float, done: Callable[[RadioLink | None, str], None]) -> Call:
         """Make a link; `done(link, reason)` is called at its end, with None `timeout` s after its page has begun at the
@@ -86,11 +89,12 @@ class Calls:
     def _scan(self, name: str) -> None:
         radio, now = self._radio, self._clock.now
         parameters, device = radio.parameters, radio.devices[name]
-        self._clock.at(now + parameters.scan, self._scan, name)
+        period, window = self.scans[name]
+        self._clock.at(now + period, self._scan, name)
         skipped = device.tuned == PAGE and radio.random.random() >= parameters.scan_paging
         if name not in self.reachable or skipped:
             return
-        device.scanning = now + parameters.scan_window
+        device.scanning = now + window
         for caller, call in self._paging.items():
             if call.called == name and radio.devices[caller].is_in(PAGE, now):
                 if radio.passes(caller, name):

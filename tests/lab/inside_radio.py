@@ -11,6 +11,8 @@ from lab.radio.remote import Radio
 from lab.waiting import until
 
 ROBOTS = 6
+SCAN_WINDOW, SCAN_INTERVAL = 18, 512
+"""Slots of a page scan, and from one to the next: as provisioning has them."""
 SUPERVISION = 4.0
 """s; the standard's 20 s are for patient tests."""
 
@@ -35,6 +37,7 @@ def bring_up(radio: Radio) -> None:
     for number in adapters().values():
         hci(number, "up")
         hci(number, "sspmode", "0")
+        hci(number, "pageparms", f"{SCAN_WINDOW}:{SCAN_INTERVAL}")
         hci(number, "piscan")
 
 

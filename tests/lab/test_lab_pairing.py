@@ -22,6 +22,7 @@ from lab.radio.remote import Radio
 from lab.vm.build import Image
 from lab.vm.machine import PLAIN, Machine, Result
 from lab.waiting import PATIENCE_S, until
+from laptop.fleet.core import settings, texts
 from swarm.config.keyfile import new_key_file
 from swarm.recording.run import Run
 
@@ -251,6 +252,22 @@ def test_who_was_forgotten_is_refused_and_may_be_paired_again(robots: Robots) ->
     assert robots.pair() == "paired"
     code, said, heard = robots.talk()
     assert code == 0, said + heard
+
+
+def test_page_scans_as_provisioned_reach_the_controller(robots: Robots) -> None:
+    """bluetoothd tells the kernel, and the kernel its controller: robots hear calls four times as often."""
+    own = robots.addresses[0]
+    assert robots.radio.order("look")["scans"][own] == pytest.approx(1.28)
+    text = robots.first.run(f"cat {settings.BLUETOOTH_CONF}")
+    for key, value in settings.PAGE_SCAN.items():
+        text = texts.with_setting(text, "BR", key, value)
+    (robots.first.share / "main.conf").write_text(text)
+    robots.first.run(f"cp /share/main.conf {settings.BLUETOOTH_CONF}; systemctl restart bluetooth", 90)
+    until(
+        "scans each 0.32 s",
+        lambda: robots.radio.order("look")["scans"].get(own) == pytest.approx(0.32),
+        state=robots.state,
+    )
 
 
 def test_a_run_outlives_restarts_of_bluetoothd(robots: Robots) -> None:

@@ -385,6 +385,43 @@ def test_a_controller_that_its_host_switched_off_is_heard_no_more(world: World) 
     assert world.events(B)[-1][1][0] == Status.PAGE_TIMEOUT  # it does not listen
 
 
+def test_a_controller_scans_for_pages_as_its_host_has_set(world: World) -> None:
+    def asked(op: int) -> bytes:
+        world.events(A)
+        world.tell(A, op)
+        return world.events(A)[0][1][3:]
+
+    slots = struct.pack("<HH", 512, 18)
+    assert asked(Op.READ_PAGE_SCAN_ACTIVITY) == b"\0" + struct.pack("<HH", 0x0800, 0x0012)
+    assert world.air.scans()[A] == 1.28
+    world.tell(A, Op.WRITE_PAGE_SCAN_ACTIVITY, slots)
+    world.tell(A, Op.WRITE_PAGE_SCAN_TYPE, b"\1")
+    assert asked(Op.READ_PAGE_SCAN_ACTIVITY) == b"\0" + slots
+    assert asked(Op.READ_PAGE_SCAN_TYPE) == b"\0\1"
+    assert world.air.calls.scans[A] == (512 * SLOT, 36 * SLOT)
+    world.tell(A, Op.WRITE_SCAN, b"\0")
+    assert A not in world.air.scans()
+    world.tell(A, Op.RESET)
+    assert asked(Op.READ_PAGE_SCAN_TYPE) == b"\0\0"
+
+
+def test_who_scans_more_often_is_met_sooner(world: World) -> None:
+    def mean(called: str) -> float:
+        total = 0.0
+        for _ in range(20):
+            world.tell(A, Op.CREATE_CONNECTION, hci.to_wire(called) + bytes(7))
+            began = world.now
+            while Ev.CONNECTION_REQUEST not in world.codes(called):
+                world.run(0.01)
+            total += world.now - began
+            world.tell(A, Op.CREATE_CONNECTION_CANCEL, hci.to_wire(called))
+            world.run(1.0 + world.now % 0.37)
+        return total / 20
+
+    world.tell(B, Op.WRITE_PAGE_SCAN_ACTIVITY, struct.pack("<HH", 512, 18))
+    assert 2 * mean(B) < mean(C)
+
+
 def test_an_inquiry_finds_those_that_can_be_found(world: World) -> None:
     world.tell(C, Op.WRITE_SCAN, b"\2")
     world.tell(A, Op.INQUIRY, b"\x33\x8b\x9e\x02\0")

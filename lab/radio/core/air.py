@@ -162,6 +162,10 @@ class Air:
         """The pairs whose link is encrypted, sorted."""
         return sorted((min(link.ends), max(link.ends)) for link in self._links if link.encrypted)
 
+    def scans(self) -> dict[str, float]:
+        """Seconds between two page scans, of those controllers that scan."""
+        return {address: self.calls.scans[address][0] for address in sorted(self.calls.reachable)}
+
     # -- for controllers -------------------------------------------------------------------------------------
 
     def send(self, address: str, packet: bytes) -> None:
@@ -180,9 +184,13 @@ class Air:
         """The controllers that this one hears."""
         return [each for each in self._controllers.values() if each is not me and self.hears(me.address, each.address)]
 
-    def listen(self, address: str, scans: bool) -> None:
-        """Whether that controller scans for pages."""
-        (self.calls.reachable.add if scans else self.calls.reachable.discard)(address)
+    def listen(self, address: str, scans: tuple[float, float] | None) -> None:
+        """That controller scans for pages each so many seconds, for so long; or does not."""
+        if scans is None:
+            self.calls.reachable.discard(address)
+        else:
+            self.calls.reachable.add(address)
+            self.calls.scans[address] = scans
 
     def connect(self, caller: Controller, called: Controller, radio: RadioLink) -> None:
         """A call was accepted: both have the link."""

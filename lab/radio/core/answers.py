@@ -33,16 +33,14 @@ RSSI = -56
 """dBm, of every robot found by an inquiry; a link's own figure is the medium's."""
 
 ANSWERED = {
-    **dict.fromkeys((0x080F, 0x0C01, 0x0C05, 0x0C16, 0x0C1C, 0x0C1E, 0x0C20, 0x0C22, 0x0C26, 0x0C31), b"\0"),
-    **dict.fromkeys((0x0C33, 0x0C3A, 0x0C45, 0x0C47, 0x0C52, 0x0C63, 0x0C6D, 0x0C7A), b"\0"),
+    **dict.fromkeys((0x080F, 0x0C01, 0x0C05, 0x0C16, 0x0C1E, 0x0C20, 0x0C22, 0x0C26, 0x0C31), b"\0"),
+    **dict.fromkeys((0x0C33, 0x0C3A, 0x0C45, 0x0C52, 0x0C63, 0x0C6D, 0x0C7A), b"\0"),
     Op.READ_STORED_LINK_KEY: struct.pack("<BHH", 0, 0, 0),
     Op.DELETE_STORED_LINK_KEY: struct.pack("<BH", 0, 0),
     Op.READ_ACCEPT_TIMEOUT: struct.pack("<BH", 0, 0x1F40),
-    Op.READ_PAGE_SCAN_ACTIVITY: struct.pack("<BHH", 0, 0x0800, 0x0012),
     Op.READ_VOICE: struct.pack("<BH", 0, 0x0060),
     Op.READ_IAC_COUNT: b"\0\x01",
     Op.READ_IACS: b"\0\x01" + GENERAL_INQUIRY,
-    Op.READ_PAGE_SCAN_TYPE: b"\0\0",
     Op.READ_INQUIRY_POWER: b"\0\0",
     Op.READ_VERSION: struct.pack("<BBHBHH", 0, VERSION, 0, VERSION, COMPANY, 0),
     Op.READ_COMMANDS: b"\0" + COMMANDS,

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 INQUIRY_SCAN, PAGE_SCAN = 1, 2
 """Bits of the scan enable setting: can be found, can be connected to."""
 
+PAGE_SCANS = struct.pack("<HH", 0x0800, 0x0012)
+"""Slots between two page scans, and of one, unless the host sets others (vol 4 part E, 7.3.19)."""
+
 INQUIRY_UNIT = 1.28
 """s."""
 
@@ -53,6 +56,8 @@ class Controller:
             Op.SET_ENCRYPTION: self._encrypt,
             Op.WRITE_NAME: self._write,
             Op.WRITE_SCAN: self._write,
+            Op.WRITE_PAGE_SCAN_ACTIVITY: self._write,
+            Op.WRITE_PAGE_SCAN_TYPE: self._write,
             Op.WRITE_CLASS: self._write,
             Op.WRITE_SIMPLE_PAIRING: self._write,
             Op.WRITE_PAGE_TIMEOUT: self._write,
@@ -63,15 +68,20 @@ class Controller:
         }
 
     def _set_defaults(self) -> None:
-        self._set_scan(0)
+        self.scan = 0
+        self._page_scans = PAGE_SCANS
+        self._page_scan_type = 0
+        self._listen()
         self.device_class = bytes(3)
         self.name = b"lab".ljust(248, b"\0")
         self.simple_pairing = 0
         self.page_timeout = 0x2000 * SLOT
 
-    def _set_scan(self, scan: int) -> None:
-        self.scan = scan
-        self._air.listen(self.address, bool(scan & PAGE_SCAN))
+    def _listen(self) -> None:
+        """Have the radio scan for pages as the host has set it; an interlaced scan takes twice as long."""
+        interval, window = struct.unpack("<HH", self._page_scans)
+        times = interval * SLOT, min(window * (1 + self._page_scan_type), interval) * SLOT
+        self._air.listen(self.address, times if self.scan & PAGE_SCAN else None)
 
     def new_handle(self) -> int:
         """A handle that no link of ours has."""
@@ -123,6 +133,10 @@ class Controller:
                 return self.name
             case Op.READ_SCAN:
                 return bytes((self.scan,))
+            case Op.READ_PAGE_SCAN_ACTIVITY:
+                return self._page_scans
+            case Op.READ_PAGE_SCAN_TYPE:
+                return bytes((self._page_scan_type,))
             case Op.READ_CLASS:
                 return self.device_class
             case Op.READ_SIMPLE_PAIRING:
@@ -161,7 +175,14 @@ class Controller:
             case Op.WRITE_NAME:
                 self.name = parameters
             case Op.WRITE_SCAN:
-                self._set_scan(parameters[0])
+                self.scan = parameters[0]
+                self._listen()
+            case Op.WRITE_PAGE_SCAN_ACTIVITY:
+                self._page_scans = parameters
+                self._listen()
+            case Op.WRITE_PAGE_SCAN_TYPE:
+                self._page_scan_type = parameters[0]
+                self._listen()
             case Op.WRITE_CLASS:
                 self.device_class = parameters[:3]
             case Op.WRITE_SIMPLE_PAIRING:
