@@ -265,7 +265,7 @@ def test_page_scans_as_provisioned_reach_the_controller(robots: Robots) -> None:
     robots.first.run(f"cp /share/main.conf {settings.BLUETOOTH_CONF}; systemctl restart bluetooth", 90)
     until(
         "scans each 0.32 s",
-        lambda: robots.radio.order("look")["scans"].get(own) == pytest.approx(0.32),
+        lambda: robots.radio.order("look")["scans"][own] == pytest.approx(0.32),
         state=robots.state,
     )
 

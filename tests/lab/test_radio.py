@@ -400,8 +400,9 @@ def test_a_controller_scans_for_pages_as_its_host_has_set(world: World) -> None:
     assert asked(Op.READ_PAGE_SCAN_TYPE) == b"\0\1"
     assert world.air.calls.scans[A] == (512 * SLOT, 36 * SLOT)
     world.tell(A, Op.WRITE_SCAN, b"\0")
-    assert A not in world.air.scans()
+    assert A not in world.air.calls.reachable
     world.tell(A, Op.RESET)
+    assert world.air.scans()[A] == 1.28
     assert asked(Op.READ_PAGE_SCAN_TYPE) == b"\0\0"
 
 

@@ -163,8 +163,8 @@ class Air:
         return sorted((min(link.ends), max(link.ends)) for link in self._links if link.encrypted)
 
     def scans(self) -> dict[str, float]:
-        """Seconds between two page scans, of those controllers that scan."""
-        return {address: self.calls.scans[address][0] for address in sorted(self.calls.reachable)}
+        """Seconds between two page scans of each controller, as its host has set it; it may scan or not."""
+        return {address: self.calls.scans[address][0] for address in self._controllers}
 
     # -- for controllers -------------------------------------------------------------------------------------
 
@@ -184,13 +184,10 @@ class Air:
         """The controllers that this one hears."""
         return [each for each in self._controllers.values() if each is not me and self.hears(me.address, each.address)]
 
-    def listen(self, address: str, scans: tuple[float, float] | None) -> None:
-        """That controller scans for pages each so many seconds, for so long; or does not."""
-        if scans is None:
-            self.calls.reachable.discard(address)
-        else:
-            self.calls.reachable.add(address)
-            self.calls.scans[address] = scans
+    def listen(self, address: str, scans: tuple[float, float], *, on: bool) -> None:
+        """That controller scans for pages each so many seconds, for so long; or would, if it were `on`."""
+        self.calls.scans[address] = scans
+        (self.calls.reachable.add if on else self.calls.reachable.discard)(address)
 
     def connect(self, caller: Controller, called: Controller, radio: RadioLink) -> None:
         """A call was accepted: both have the link."""

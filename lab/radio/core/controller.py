@@ -81,7 +81,7 @@ class Controller:
         """Have the radio scan for pages as the host has set it; an interlaced scan takes twice as long."""
         interval, window = struct.unpack("<HH", self._page_scans)
         times = interval * SLOT, min(window * (1 + self._page_scan_type), interval) * SLOT
-        self._air.listen(self.address, times if self.scan & PAGE_SCAN else None)
+        self._air.listen(self.address, times, on=bool(self.scan & PAGE_SCAN))
 
     def new_handle(self) -> int:
         """A handle that no link of ours has."""
