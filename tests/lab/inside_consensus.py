@@ -177,9 +177,10 @@ def test_a_loop_goes_on_around_a_silent_link(swarm: Swarm, radio: Radio) -> None
         sys.stdout.write(f"\n{done} iterations in a cut of {SHORT_CUT_S:g} s; {whole} a second before ")
         gone_around = sent_around() > sent
         swarm.wait("the link carries again", link_carries)
-        return done >= 3 and gone_around
+        return gone_around and (done >= 3 or whole <= 2)
 
-    # A host that stands still for a second has another try.
+    # A host that stands still for a second has another try. One so slow that the robots do two iterations a second can
+    # show that they go around the cut, not how many iterations they do meanwhile.
     assert any(short_cut() for _ in range(4))
     before, sent = lost(), sent_around()
     radio.order("cut", **ends)
