@@ -114,7 +114,7 @@ def text(found: Mapping[str, Any]) -> str:
         algorithms = f", algorithms {', '.join(found['algorithms'])}" if found["algorithms"] else ""
         lines += [
             f"app         {found['app']}: {found['class']}, {found['kind']}{algorithms}",
-            f"state       {found['bytes']} bytes ({fields}), {found['bytes_on_air']} on the air with the frame's",
+            f"state       {found['bytes']} bytes ({fields}), {found['bytes_on_air']} with the frame around them",
         ]
         ran = [entry for entry in found["graphs"] if entry["iterations"]]
         if found["step_s"]:

@@ -346,6 +346,8 @@ def _had(apps: Sequence[AnyApp]) -> tuple[str, str]:
             poses.append(devices.pose is not None)
         if ranging is not None and ranging.listening:
             ranges.append(bool(ranging.ranges))
+        if getattr(type(app), "measured", False):
+            ranges.append(app.robot.measurement is not None)
     return _said(poses), _said(ranges)
 
 

@@ -4,6 +4,7 @@ No line of prose is over 120 characters, so that a difference shows what has cha
 hide who does what are not used, and pages to be read in one go are short.
 """
 
+import functools
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -93,3 +94,20 @@ def test_what_the_rules_are_about_is_found(tmp_path: Path) -> None:
     long = f"A short one: {'word ' * 33}end."
     page.write_text(f"# Title\n\n{long} Whoever waits [comes](whoever.md) back.\nWhat is this? What is refused goes.\n")
     assert [line.partition(":")[0] for line in breaches(page)] == ["37 words", "'Whoever'", "'What '"]
+
+
+NAMED_FILE = re.compile(r"`((?:[\w-]+/)+[\w-]+\.(?:py|cpp|js))`")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_source_files_that_a_page_names_exist(page: Path) -> None:
+    """A path may leave out its first folders where the page has named them before."""
+    named = set(NAMED_FILE.findall(page.read_text(encoding="utf-8")))
+    assert [name for name in sorted(named) if not any(path.endswith(f"/{name}") for path in sources())] == []
+
+
+@functools.cache
+def sources() -> tuple[str, ...]:
+    folders = ("bench", "deploy", "examples", "firmware", "lab", "laptop", "services", "sim", "swarm", "tests", "tools")
+    found = (path for folder in folders for path in (ROOT / folder).rglob("*.*"))
+    return tuple(f"/{path.relative_to(ROOT)}" for path in found if path.suffix in (".py", ".cpp", ".js"))

@@ -82,3 +82,10 @@ def test_every_block_is_of_a_kind_that_is_run(page: str) -> None:
         {"python"} if "first" in page else set()
     )
     assert {beside for language, beside, _ in blocks(page) if language == "sh"} <= {"", "slow"}
+
+
+def test_a_reader_can_do_all_tutorials_in_one_folder() -> None:
+    pages = sorted((DOCS / "tutorials").glob("*.md"))
+    recorded = [name for page in pages for name in re.findall(r"--record (\S+)", page.read_text())]
+    assert len(recorded) > 2
+    assert len(set(recorded)) == len(recorded)

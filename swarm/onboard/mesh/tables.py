@@ -14,14 +14,14 @@ MATRIX_UP_TO = 16
 OVERLAYS = (
     ("floods", "flood_sent"),
     ("copies", "flood_duplicates"),
-    ("again", "flood_retries"),
+    ("flooded again", "flood_retries"),
     ("repaired", "repaired"),
-    ("passed on", "unicast_forwarded"),
+    ("forwarded", "unicast_forwarded"),
     ("rerouted", "unicast_rerouted"),
-    ("again", "unicast_retries"),
-    ("no way", "unicast_no_route"),
-    ("not let in", "unicast_refused"),
-    ("bad", "bad_packets"),
+    ("sent again", "unicast_retries"),
+    ("no path", "unicast_no_route"),
+    ("not admitted", "unicast_refused"),
+    ("bad packets", "bad_packets"),
 )
 """Columns and counters of the table of overlays (docs/reference/network/overlay-packets.md)."""
 
@@ -70,7 +70,7 @@ def links(mesh: CollectedMesh) -> list[str]:
         (
             "link",
             "state",
-            "made",
+            "connected",
             "rtt min",
             "median",
             "p99 ms",
@@ -81,7 +81,7 @@ def links(mesh: CollectedMesh) -> list[str]:
             "lost",
             "refused",
             *(["role"] if roles else []),
-            "why",
+            "reason",
         ),
     ]
     for name, link in mesh.links():

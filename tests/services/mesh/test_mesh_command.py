@@ -108,7 +108,7 @@ def test_roles_are_shown_where_links_have_them_and_a_wrong_one_is_said() -> None
     right = replace(link("r1"), role="central", wanted_role="central")
     wrong = replace(link("r2"), role="peripheral", wanted_role="central")
     text = tables.links(CollectedMesh({"r0": view(right, wrong)}))
-    assert [line.split("  ")[-1].strip() for line in text] == ["why", "central", "peripheral, wanted central"]
+    assert [line.split("  ")[-1].strip() for line in text] == ["reason", "central", "peripheral, wanted central"]
     assert "role" in text[0]
     assert "role" not in tables.links(CollectedMesh({"r0": view(link("r1"))}))[0]
 

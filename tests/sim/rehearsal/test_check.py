@@ -253,6 +253,15 @@ def test_poses_and_ranges_come_in_the_rehearsal_of_every_kind(tmp_path: Path, sh
     assert swarm.result("r2")["x"] != 0.0 if kind == "SyncApp" else swarm.units["r2"].result()["x"] != 0.0
 
 
+def test_an_app_that_is_given_measurements_has_had_ranges(tmp_path: Path, short: None) -> None:
+    file = write(
+        tmp_path,
+        "from swarm import SyncApp\nclass M(SyncApp):\n    x: float\n    measured = True\n"
+        "    def step(self, neighbours):\n        self.x = self.robot.measurement.distance\n",
+    )
+    assert findings(file, iterations=3)[1]["ranges"] == "yes"
+
+
 def test_what_robots_cannot_import_is_warned_of(tmp_path: Path, short: None) -> None:
     (tmp_path / "mine.py").write_text("")
     file = write(
@@ -290,7 +299,7 @@ def test_good_apps_are_told_what_they_are(short: None) -> None:
     assert trend["settles"] < 60
     assert trend["spread"] < 1e-9
     told = check.text(found)
-    assert "state       8 bytes (value float), 26 on the air" in told
+    assert "state       8 bytes (value float), 26 with the frame" in told
     assert "by an estimated factor of 10" in told
 
 
