@@ -35,6 +35,7 @@ class Publisher:
         """Raises `zenoh.ZError` where the bus does not take the key."""
         # Zenoh holds what it calls, so that must not be this: nothing would ever let go of it.
         self.audience = Audience()
+        self._ask_at = 0.0
         self._publisher = session.declare_publisher(
             key,
             congestion_control=zenoh.CongestionControl.DROP,
@@ -47,12 +48,21 @@ class Publisher:
     def heard(self) -> bool:
         """Return whether anybody may listen. Raises `zenoh.ZError`."""
         audience = self.audience
-        if audience.certain_at and clock.now() >= audience.certain_at:
-            # In this order, since who comes meanwhile is told of by `matched`.
-            audience.certain_at, audience.there = 0.0, False
-            if self._publisher.matching_status.matching:  # type: ignore[attr-defined]
-                audience.there = True
+        if audience.certain_at:
+            if clock.now() >= audience.certain_at:
+                # In this order, since who comes meanwhile is told of by `matched`.
+                audience.certain_at, audience.there = 0.0, False
+                self._ask()
+        elif not audience.there and clock.now() >= self._ask_at:
+            self._ask()
         return audience.there
+
+    def _ask(self) -> None:
+        """Ask Zenoh itself. That nobody listens is asked again: were its word that somebody does lost, or overtaken by
+        an older one, this key would be silent for ever."""
+        self._ask_at = clock.now() + _CERTAIN_S
+        if self._publisher.matching_status.matching:  # type: ignore[attr-defined]
+            self.audience.there = True
 
     def put(self, payload: bytes, encoding: str) -> None:
         """Publish `payload`. Raises `zenoh.ZError`."""

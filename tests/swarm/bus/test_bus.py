@@ -135,6 +135,19 @@ def test_who_comes_later_hears_what_nobody_heard_before(open_bus: Open, monkeypa
 
 
 @pytest.mark.usefixtures("bus_service")
+def test_a_key_is_not_silent_for_ever_when_the_word_that_somebody_listens_was_lost(
+    open_bus: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("swarm.bus.publisher._CERTAIN_S", 0.0)
+    alice, bob = open_bus(), open_bus()
+    samples = Samples()
+    bob.subscribe("swarm/r0/test/x", samples)
+    talk(alice, "swarm/r0/test/x", samples)
+    alice._publishers["swarm/r0/test/x", False].audience.there = False
+    talk(alice, "swarm/r0/test/x", samples, b"later")
+
+
+@pytest.mark.usefixtures("bus_service")
 def test_keys_that_nobody_uses_any_more_are_let_go(open_bus: Open) -> None:
     alice = open_bus()
     alice.wait_connected(None)
