@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Iterable
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from overlay_world import World, full, line, ring, thesis_d
 
@@ -202,9 +202,15 @@ def graphs(draw: st.DrawFn) -> list[tuple[str, str]]:
     return [(f"r{a}", f"r{b}") for a, b in sorted(edges)]
 
 
+CIRCLE = [("r0", "r1"), ("r0", "r3"), ("r0", "r6"), ("r1", "r2"), ("r1", "r7"), ("r2", "r4"), ("r2", "r8"),
+          ("r3", "r5"), ("r3", "r7"), ("r4", "r5")]  # fmt: skip
+"""Robots that wait until they know of all who have a shortest way over them wait for one another here."""
+
+
 @settings(max_examples=60, deadline=None)
 @given(graphs(), st.integers(0, 8), st.sampled_from((0.0, 0.02)), st.integers(0, 99))
-def test_on_any_graph_all_know_by_at_most_4e_messages(
+@example(CIRCLE, 0, 0.0, 0)
+def test_on_any_graph_all_know_without_a_second_try_by_a_bounded_number_of_messages(
     edges: list[tuple[str, str]], number: int, jitter: float, seed: int
 ) -> None:
     world = settled(edges, jitter=jitter, seed=seed)
@@ -214,7 +220,7 @@ def test_on_any_graph_all_know_by_at_most_4e_messages(
     world.run(3.0)
     found = knew(world, origin)
     assert found.keys() == set(world.names)
-    assert world.messages[1] <= 4 * len(edges)
+    assert world.messages[1] <= 4 * len(edges) + len(world.names) - 1
     if len(edges) == len(world.names) - 1 and not jitter:
         assert max(found.values()) - began == pytest.approx(least_hops(edges, origin) * LATENCY)
 

@@ -6,9 +6,11 @@ at once.
 
 Each SPREAD names the robots that its sender knows to have the message. A robot tells a neighbour whom it knows of, in
 one KNOWN, as soon as that includes every robot that has a shortest way to that neighbour over this one. On a tree
-these are all robots but those behind the neighbour, so completion travels both ways at once. At most two messages go
-over each link in each direction, 4E in all. Ways are those of the map. Where they change meanwhile, and after a second
-try, who knows of all tells each neighbour that may not.
+these are all robots but those behind the neighbour, so completion travels both ways at once. On other graphs robots
+could wait for one another in a circle: so over each link of one tree of shortest ways to the origin a robot also tells
+when it knows of all robots on its side of that link. That gives 4E + N - 1 messages at most, for E links and N robots.
+Ways are those of the map. Where they change meanwhile, and after a second try, who knows of all tells each neighbour
+that may not.
 
 A robot waits for those that it had a way to when the flood came. Where some of them are gone, the origin decides, after
 its second try or before, that those who are left are all: this word (`final`) goes over all links.
@@ -107,8 +109,8 @@ class Completion:
         self._complete = complete
         self._floods: OrderedDict[FloodId, _Flood] = OrderedDict()
         self._map: dict[str, frozenset[str]] = {}
-        self._through: dict[str, int] = {}
-        """The robots with a shortest way to a neighbour over this robot; made as needed."""
+        self._through: dict[tuple[str, str], tuple[int, ...]] = {}
+        """By origin and neighbour the robots of which we tell that neighbour; made as needed."""
 
     def __len__(self) -> int:
         return len(self._floods)
@@ -199,9 +201,9 @@ class Completion:
         """Tell each neighbour that waits for our word what is known, if that is all that we are to know."""
         complete = not flood.goal & ~flood.robots
         for peer in self._links:
-            needs = flood.goal if complete and flood.disturbed else self._over_us(peer) & flood.goal
             shared = flood.shared.get(peer, 0)
-            if not needs & ~flood.robots and needs & ~shared:
+            wanted = (flood.goal,) if complete and flood.disturbed else self._told_by_us(id.origin, peer)
+            if any(not needs & flood.goal & ~flood.robots and needs & flood.goal & ~shared for needs in wanted):
                 self._tell(id, flood, peer)
             elif flood.final is not None and peer not in flood.final:
                 flood.final.add(peer)
@@ -224,13 +226,18 @@ class Completion:
         self._through.clear()
         return True
 
-    def _over_us(self, peer: str) -> int:
-        """The robots that have a shortest way to a neighbour over this one, which is one of them."""
-        if peer not in self._through:
+    def _told_by_us(self, origin: str, peer: str) -> tuple[int, ...]:
+        """The sets of robots, each of which we tell a neighbour when we know all of it: those with a shortest way to it
+        over us, and over a link of the tree those on our side."""
+        if (origin, peer) not in self._through:
             ours, theirs = _hops(self._map, self._me), _hops(self._map, peer)
-            over_us = [name for name, hops in ours.items() if theirs.get(name) == hops + 1]
-            self._through[peer] = self._bits((self._me, *over_us))
-        return self._through[peer]
+            told = {self._bits((self._me, *(name for name, hops in ours.items() if theirs.get(name) == hops + 1)))}
+            tree = _tree(self._map, origin)
+            if peer in tree.get(self._me, ()):
+                rest = {name: peers - {peer} if name == self._me else peers for name, peers in tree.items()}
+                told.add(self._bits(_hops(rest, self._me)))
+            self._through[origin, peer] = tuple(told)
+        return self._through[origin, peer]
 
     def _bits(self, robots: Iterable[str]) -> int:
         bits = 0
@@ -253,3 +260,16 @@ def _hops(graph: Mapping[str, Collection[str]], start: str) -> dict[str, int]:
                 hops[peer] = hops[name] + 1
                 queue.append(peer)
     return hops
+
+
+def _tree(graph: Mapping[str, Collection[str]], origin: str) -> dict[str, set[str]]:
+    """The neighbours of each robot in the tree of shortest ways to the origin; the first way by name where there are
+    several."""
+    hops = _hops(graph, origin)
+    tree: dict[str, set[str]] = {name: set() for name in hops}
+    for name in hops:
+        nearer = [peer for peer in graph.get(name, ()) if hops.get(peer) == hops[name] - 1 and name in graph[peer]]
+        if nearer:
+            tree[name].add(min(nearer))
+            tree[min(nearer)].add(name)
+    return tree
