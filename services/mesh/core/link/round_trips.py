@@ -7,6 +7,7 @@ what both congestion controls keep: that of a link (`link.flow`) and that of the
 
 from collections import deque
 
+from services.mesh.core.link.calls import Local
 from services.mesh.core.wire.frames import Heartbeat
 
 RTT_SAMPLES = 120
@@ -62,6 +63,14 @@ class RoundTrips:
         self._least[1] = min(self._least[1], rtt)
 
 
+SUSPECT_AFTER, DEAD_AFTER = 1.0, 3.0
+"""Times that an answer is expected in, besides a heartbeat's period, after which silence is suspicious, and the end."""
+
+BRIDGED_AFTER = 5.0
+"""Times as long as the longest round trip of late after which a link whose ends may be in several piconets ends: two
+ends can miss one another for longer than a few dozens of heartbeats have shown."""
+
+
 class Pulse:
     """One end of a connection, from heartbeat to heartbeat."""
 
@@ -103,6 +112,19 @@ class Pulse:
     def silence(self, least: float, answers: float) -> float:
         """Return the seconds in which a heartbeat and so many answers are expected; `least` as in `period`."""
         return self.period(least) + answers * self.expected
+
+    def suspect_after(self, local: Local) -> float:
+        """Return the seconds of silence after which the link is suspect: as configured, or more where its round trips
+        ask for it."""
+        return min(max(local.suspect, self.silence(local.heartbeat, SUSPECT_AFTER)), local.patience)
+
+    def dead_after(self, local: Local) -> float:
+        """The same for its end. Longer where robots share their radio's time among piconets, as long as round trips do
+        not show that these two hardly do."""
+        least = max(local.dead, self.silence(local.heartbeat, DEAD_AFTER))
+        if local.pages and not self.is_steady(local.heartbeat):
+            least = max(least, local.handshake, BRIDGED_AFTER * self.longest)
+        return min(least, local.patience)
 
     def next_beat(self, now: float, least: float, incarnation: int) -> float:
         """Return when the next heartbeat is due. Those of all links of a robot leave together: each time it wakes

@@ -34,13 +34,6 @@ from swarm.errors import FrameError
 
 CONNECTING, UP, SUSPECT, DOWN = "connecting", "up", "suspect", "down"
 
-SUSPECT_AFTER, DEAD_AFTER = 1.0, 3.0
-"""Times that an answer is expected in, besides a heartbeat's period, after which silence is suspicious, and the end."""
-
-BRIDGED_AFTER = 5.0
-"""Times as long as the longest round trip of late after which a link whose ends may be in several piconets ends: two
-ends can miss one another for longer than a few dozens of heartbeats have shown."""
-
 BULK_WRITE = 1000
 """Bytes at which a write with bulk in it ends: what is handed over cannot be overtaken, and acknowledgements come one
 for each."""
@@ -126,20 +119,9 @@ class Session:
         return self.state in (UP, SUSPECT)
 
     @property
-    def suspect_after(self) -> float:
-        """s of silence after which the link is suspect: as configured, or more where its round trips ask for it."""
-        local = self._local
-        return min(max(local.suspect, self.pulse.silence(local.heartbeat, SUSPECT_AFTER)), local.patience)
-
-    @property
     def dead_after(self) -> float:
-        """The same for its end. Longer where robots share their radio's time among piconets, as long as round trips do
-        not show that these two hardly do."""
-        local, pulse = self._local, self.pulse
-        least = max(local.dead, pulse.silence(local.heartbeat, DEAD_AFTER))
-        if local.pages and not pulse.is_steady(local.heartbeat):
-            least = max(least, local.handshake, BRIDGED_AFTER * pulse.longest)
-        return min(least, local.patience)
+        """Seconds of silence after which the link ends."""
+        return self.pulse.dead_after(self._local)
 
     @property
     def process(self) -> int:
@@ -217,7 +199,7 @@ class Session:
             if now >= self._heard + dead:
                 self._end(frames.SILENT, f"silent for {dead:.3g} s")
                 return
-            suspect = self.suspect_after
+            suspect = self.pulse.suspect_after(self._local)
             if now >= self._heard + suspect and self.state == UP:
                 self.state = SUSPECT
                 self._events.append(LinkSuspect())
