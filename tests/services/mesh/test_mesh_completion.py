@@ -275,3 +275,8 @@ def test_whatever_happens_nobody_is_told_of_what_is_not_so_and_later_floods_are_
         world.flood(name, b"end", announce=True)
         world.run(3.0)
         assert knew(world, name).keys() == set(world.names)
+
+
+def test_the_tree_has_no_link_of_which_one_end_alone_tells() -> None:
+    links = {"r0": {"r1", "r2"}, "r2": {"r0", "r1", "r3"}, "r3": {"r1", "r2"}}
+    assert completion._tree(links, "r0") == {"r0": {"r2"}, "r1": set(), "r2": {"r0", "r3"}, "r3": {"r2"}}

@@ -268,7 +268,9 @@ def _tree(graph: Mapping[str, Collection[str]], origin: str) -> dict[str, set[st
     hops = _hops(graph, origin)
     tree: dict[str, set[str]] = {name: set() for name in hops}
     for name in hops:
-        nearer = [peer for peer in graph.get(name, ()) if hops.get(peer) == hops[name] - 1 and name in graph[peer]]
+        nearer = [
+            peer for peer in graph.get(name, ()) if hops.get(peer) == hops[name] - 1 and name in graph.get(peer, ())
+        ]
         if nearer:
             tree[name].add(min(nearer))
             tree[min(nearer)].add(name)
