@@ -15,12 +15,13 @@ class Audience:
         self.doubt()
 
     def doubt(self) -> None:
-        """It is to be found out anew, and is taken to be there until then; `certain_at` is 0 from then on."""
-        self.there, self.certain_at = True, clock.now() + _CERTAIN_S
+        """It is to be found out anew at `ask_at`, and is taken to be there until then; what is told meanwhile does not
+        count."""
+        self.there, self.sure, self.ask_at = True, False, clock.now() + _CERTAIN_S
 
     def matched(self, status: zenoh.MatchingStatus) -> None:
         """It has come, or is gone."""
-        if not self.certain_at:
+        if self.sure:
             self.there = status.matching
 
 
@@ -35,7 +36,6 @@ class Publisher:
         """Raises `zenoh.ZError` where the bus does not take the key."""
         # Zenoh holds what it calls, so that must not be this: nothing would ever let go of it.
         self.audience = Audience()
-        self._ask_at = 0.0
         self._publisher = session.declare_publisher(
             key,
             congestion_control=zenoh.CongestionControl.DROP,
@@ -48,21 +48,13 @@ class Publisher:
     def heard(self) -> bool:
         """Return whether anybody may listen. Raises `zenoh.ZError`."""
         audience = self.audience
-        if audience.certain_at:
-            if clock.now() >= audience.certain_at:
-                # In this order, since who comes meanwhile is told of by `matched`.
-                audience.certain_at, audience.there = 0.0, False
-                self._ask()
-        elif not audience.there and clock.now() >= self._ask_at:
-            self._ask()
+        if not (audience.sure and audience.there) and clock.now() >= audience.ask_at:
+            # That nobody listens is asked again: were Zenoh's word that somebody does lost, or overtaken by an older
+            # one, this key would be silent for ever. In this order, since who comes meanwhile is told of by `matched`.
+            audience.sure, audience.there, audience.ask_at = True, False, clock.now() + _CERTAIN_S
+            if self._publisher.matching_status.matching:  # type: ignore[attr-defined]
+                audience.there = True
         return audience.there
-
-    def _ask(self) -> None:
-        """Ask Zenoh itself. That nobody listens is asked again: were its word that somebody does lost, or overtaken by
-        an older one, this key would be silent for ever."""
-        self._ask_at = clock.now() + _CERTAIN_S
-        if self._publisher.matching_status.matching:  # type: ignore[attr-defined]
-            self.audience.there = True
 
     def put(self, payload: bytes, encoding: str) -> None:
         """Publish `payload`. Raises `zenoh.ZError`."""
