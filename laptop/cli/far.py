@@ -25,6 +25,16 @@ _HERE = {"-h", "--help", "--port", "--ranges"}
 """Options with which a command concerns this computer, not the robots."""
 
 
+def reader(name: str) -> argparse.ArgumentParser:
+    """Return the parser of the options that say which robots are meant, real or simulated, and how to report."""
+    found = argparse.ArgumentParser(prog=f"swarm {name}", add_help=False, allow_abbrev=False)
+    robot_command.add_arguments(found)
+    add_robots(found, "")
+    add_run_dir(found)
+    add_json(found)
+    return found
+
+
 def run(name: str, words: Sequence[str]) -> int | None:
     """Run `swarm NAME WORDS` on the real robots that are meant; None where none is.
 
@@ -32,12 +42,7 @@ def run(name: str, words: Sequence[str]) -> int | None:
     """
     if _HERE & {word.partition("=")[0] for word in words}:
         return None
-    reader = argparse.ArgumentParser(prog=f"swarm {name}", add_help=False, allow_abbrev=False)
-    robot_command.add_arguments(reader)
-    add_robots(reader, "")
-    add_run_dir(reader)
-    add_json(reader)
-    args, rest = reader.parse_known_args(words)
+    args, rest = reader(name).parse_known_args(words)
     if not robot_command.is_meant(args):
         return None
     config = load(args.config, addressed=False)

@@ -28,7 +28,7 @@ from swarm.config.find import find
 from swarm.errors import ConfigError, LocalError
 from swarm.onboard.arguments import add_json, show
 from swarm.onboard.buses import buses
-from swarm.onboard.command_line import sentence
+from swarm.onboard.command_line import add_verb
 from swarm.process.simulations import CONFIG
 
 SECONDS = 3.0
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what can be done, each with its arguments."""
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     for name, (text, _) in VERBS.items():
-        verb = verbs.add_parser(name, help=text, description=sentence(text), epilog=parser.epilog)
+        verb = add_verb(verbs, name, text, parser.epilog)
         buses.add_arguments(verb)
         add_json(verb)
         verb.add_argument("--port", action="append", metavar="PATH", help="a module at a serial port of this machine")

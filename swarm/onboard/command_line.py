@@ -153,6 +153,13 @@ def sentence(text: str) -> str:
     return f"{text[:1].upper()}{text[1:]}" + ("" if text.endswith((".", "...")) else ".")
 
 
+def add_verb(
+    verbs: "argparse._SubParsersAction[argparse.ArgumentParser]", name: str, text: str, epilog: str | None = None
+) -> argparse.ArgumentParser:
+    """Add a verb of a command, and return its parser; `text` describes it in the command's help and in its own."""
+    return verbs.add_parser(name, help=text, description=sentence(text), epilog=epilog)
+
+
 def _main(sections: Sections, argv: list[str]) -> int:
     if not argv or argv[0] in ("-h", "--help"):
         sys.stdout.write(_usage(sections))
@@ -180,8 +187,7 @@ def _main(sections: Sections, argv: list[str]) -> int:
 
 def _call(name: str, command: Command, rest: list[str]) -> int:
     """Run a command with the arguments that the user gave; returns the exit code."""
-    if command.alone and (not rest or (rest[0].startswith("-") and rest[0] not in ("-h", "--help"))):
-        rest = [command.alone, *rest]
+    rest = with_verb(command, rest)
     if command.far and (there := importlib.import_module(command.far).run(name, rest)) is not None:
         return int(there)
     module = importlib.import_module(command.module)
@@ -190,6 +196,13 @@ def _call(name: str, command: Command, rest: list[str]) -> int:
         return module.main() or 0
     code: int = module.run(parser_of(name, command).parse_args([*command.first, *rest]))
     return code
+
+
+def with_verb(command: Command, rest: list[str]) -> list[str]:
+    """Return the words after a command with the verb that is meant where none is named."""
+    if command.alone and (not rest or (rest[0].startswith("-") and rest[0] not in ("-h", "--help"))):
+        return [command.alone, *rest]
+    return rest
 
 
 def _hint(name: str, commands: Commands) -> str:

@@ -9,7 +9,7 @@ from swarm.config.load import load
 from swarm.config.types import DEFAULT_RELAY, STAR, TREE, Config
 from swarm.core.graph import Graph
 from swarm.onboard.arguments import add_json, show
-from swarm.onboard.command_line import sentence
+from swarm.onboard.command_line import add_verb
 from swarm.process.terminal import columns
 
 HELP = "check a swarm.toml, or print a commented example"
@@ -19,8 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """`--example`, or `check [FILE] [--json]`."""
     parser.add_argument("--example", action="store_true", help="print a commented file to start from")
     verbs = parser.add_subparsers(dest="verb", metavar="check")
-    text = "show what a swarm.toml contains, or its errors"
-    check = verbs.add_parser("check", help=text, description=sentence(text))
+    check = add_verb(verbs, "check", "show what a swarm.toml contains, or its errors")
     check.add_argument("file", nargs="?", type=Path, metavar="FILE", help=f"configuration file (default: {LOOKED_IN})")
     add_json(check)
     parser.set_defaults(fail=parser.error)

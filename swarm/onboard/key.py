@@ -8,7 +8,7 @@ from pathlib import Path
 from swarm.config.keyfile import new_key_file, read_keys, retire, rotate
 from swarm.config.types import DEFAULT_KEY_FILE
 from swarm.onboard.arguments import add_json, show
-from swarm.onboard.command_line import sentence
+from swarm.onboard.command_line import add_verb
 
 HELP = "make or replace the key that the robots of a swarm share"
 
@@ -23,7 +23,7 @@ _VERBS = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="|".join(_VERBS))
     for verb, text in _VERBS.items():
-        command = verbs.add_parser(verb, help=text, description=sentence(text))
+        command = add_verb(verbs, verb, text)
         add_json(command)
         command.add_argument(
             "file", nargs="?", type=Path, metavar="FILE", default=Path(DEFAULT_KEY_FILE), help="key file (%(default)s)"

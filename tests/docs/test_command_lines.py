@@ -12,11 +12,10 @@ from typing import NoReturn
 import pytest
 from test_tutorial import commands_on_the_path
 
+from laptop.cli import far
 from laptop.cli.commands import SECTIONS
-from laptop.fleet.ssh import robot_command
 from sim.scenario import options as simulation
-from swarm.onboard.arguments import add_json, add_robots, add_run_dir
-from swarm.onboard.command_line import Command, CommandGroup, commands_of, parser_of
+from swarm.onboard.command_line import Command, CommandGroup, commands_of, parser_of, with_verb
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -61,17 +60,11 @@ def parsed(words: list[str]) -> None:
     if name == "sim":
         simulation.parse(rest)
         return
-    if command.alone and (not rest or rest[0].startswith("-")):
-        rest = [command.alone, *rest]
+    rest = with_verb(command, rest)
     if not hasattr(importlib.import_module(command.module), "add_arguments"):
         return
     if command.far:  # what leads to real robots is taken off before the command reads its words
-        reader = argparse.ArgumentParser(prog=f"swarm {name}", add_help=False, allow_abbrev=False)
-        robot_command.add_arguments(reader)
-        add_robots(reader, "")
-        add_run_dir(reader)
-        add_json(reader)
-        _, rest = reader.parse_known_args(rest)
+        _, rest = far.reader(name).parse_known_args(rest)
     parser_of(name, command).parse_args([*command.first, *rest])
 
 

@@ -21,7 +21,7 @@ from swarm.config import Config
 from swarm.errors import BusError, LocalError
 from swarm.files import atomic_write, make_folder
 from swarm.onboard.buses import buses
-from swarm.onboard.command_line import sentence
+from swarm.onboard.command_line import add_verb
 from swarm.process import log, service
 from swarm.process.simulations import CONFIG, default_run_dir, is_live
 from swarm.recording.thesis_ranges import read_recording
@@ -241,7 +241,7 @@ def options_of(argv: list[str]) -> argparse.Namespace:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     def command(name: str, run: object, text: str) -> argparse.ArgumentParser:
-        found = commands.add_parser(name, help=text, description=sentence(text))
+        found = add_verb(commands, name, text)
         buses.add_arguments(found)
         found.set_defaults(run=run)
         found.add_argument("--target", nargs=2, type=float, metavar=("X", "Y"), help="where the target stands, m")

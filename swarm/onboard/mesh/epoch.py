@@ -5,6 +5,7 @@ Any one member takes the order; the robots agree on it among themselves (docs/ex
 
 import argparse
 from dataclasses import asdict
+from functools import partial
 
 from swarm.errors import LocalError
 from swarm.messages import AppEpoch, SetAppEpoch
@@ -12,7 +13,7 @@ from swarm.messages.keys import is_name, key
 from swarm.onboard.arguments import add_json, number, show
 from swarm.onboard.buses import buses
 from swarm.onboard.buses.ask import PATIENCE, Answers, new_ticket, opened
-from swarm.onboard.command_line import sentence
+from swarm.onboard.command_line import add_verb
 
 HELP = "show or change which robots an app's lockstep runs on"
 
@@ -20,10 +21,7 @@ HELP = "show or change which robots an app's lockstep runs on"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """`show`, `drop ROBOT...`, `add ROBOT...` or `renew`, then options."""
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="show|drop|add|renew")
-
-    def verb(name: str, text: str) -> argparse.ArgumentParser:
-        return verbs.add_parser(name, help=text, description=sentence(text), epilog=parser.epilog)
-
+    verb = partial(add_verb, verbs, epilog=parser.epilog)
     look = verb("show", "show the members of the run as each robot knows them; exit code 1 if they differ")
     drop = verb("drop", "continue the run without these robots until they are added again")
     add = verb("add", "admit robots again that `drop` has removed")

@@ -7,6 +7,7 @@ simulation, else this robot's own, which cannot say whether the others have foll
 import argparse
 from collections.abc import Mapping
 from dataclasses import asdict
+from functools import partial
 
 from swarm.bus.zenoh_bus import Bus
 from swarm.core.graph import SHAPES
@@ -16,7 +17,7 @@ from swarm.messages.keys import is_name
 from swarm.onboard.arguments import add_json, number, show
 from swarm.onboard.buses import buses
 from swarm.onboard.buses.ask import PATIENCE, Answers, new_ticket, opened, request
-from swarm.onboard.command_line import sentence
+from swarm.onboard.command_line import add_verb
 from swarm.onboard.mesh.tables import pairs
 from swarm.process.terminal import columns
 
@@ -28,10 +29,7 @@ AUTO = "auto"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """`show` or `set WANTED...`, then options."""
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="show|set")
-
-    def verb(name: str, text: str) -> argparse.ArgumentParser:
-        return verbs.add_parser(name, help=text, description=sentence(text), epilog=parser.epilog)
-
+    verb = partial(add_verb, verbs, epilog=parser.epilog)
     look = verb("show", "show the topology in force on each robot; exit code 1 if a link is not up")
     change = verb("set", "change the topology of the whole swarm, and wait for its links")
     change.add_argument(
