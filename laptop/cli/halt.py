@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
 
     def by_ssh() -> None:
         nonlocal answers
-        answers = command(*far, stop=stop, reason=getattr(args, "reason", ""))
+        answers = command(*far, stop=stop, reason=args.reason)
 
     thread = threading.Thread(target=by_ssh, name="ssh")
     thread.start()

@@ -62,6 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> list[argparse.ArgumentPars
     parsers = [acts.add_parser(name, prog=parser.prog, description=parser.description) for name in ("stop", "arm")]
     text = "why the robots stop; their logs and faults show it (swarm estop)"
     parsers[0].add_argument("reason", nargs="?", metavar="REASON", default=DEFAULT_REASON, help=text)
+    parsers[1].set_defaults(reason="")
     for each in parsers:
         text = "seconds to wait for all robots to confirm (5)"
         each.add_argument("--timeout", type=number(0.1, 600, "s"), default=5.0, metavar="S", help=text)
@@ -91,7 +92,7 @@ def report(args: argparse.Namespace, rows: list[Row], done: bool) -> dict[str, o
 def give(args: argparse.Namespace, directories: Mapping[str, Path]) -> list[Row]:
     """Stop or arm over the buses with these runtime directories; returns what each robot has confirmed."""
     with opened(directories) as found:
-        return _command(found, stop=args.act == "stop", reason=getattr(args, "reason", ""), timeout=args.timeout)
+        return _command(found, stop=args.act == "stop", reason=args.reason, timeout=args.timeout)
 
 
 def rows_of(
