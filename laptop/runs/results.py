@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from swarm import config as configuration
+from swarm.core.state import entry_names
 from swarm.errors import LocalError, MissingPackageError, RecordingError
 from swarm.recording import folder
 from swarm.recording.reader import OUTCOME
@@ -143,8 +144,9 @@ class RunData:
             if values.ndim == 1:
                 table[name] = values
                 continue
-            for place in np.ndindex(*values.shape[1:]):
-                table[f"{name}[{','.join(map(str, place))}]"] = values[(slice(None), *place)]
+            shape = values.shape[1:]
+            for entry, place in zip(entry_names(name, shape), np.ndindex(*shape), strict=True):
+                table[entry] = values[(slice(None), *place)]
         return table_of(table)
 
     def plot(self, *columns: str, kind: str | None = None, path: str | Path | None = None) -> "Figure":

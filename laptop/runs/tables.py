@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from swarm.core.state import entry_names
+from swarm.core.state import names_of
 from swarm.errors import LocalError, MissingPackageError, RecordingError
 from swarm.recording.run import Run
 
@@ -57,8 +57,7 @@ def _flat(name: str, value: Any, shapes: Mapping[str, tuple[int, ...]]) -> dict[
         parts = {f"{name}.{key}" if name else str(key): part for key, part in value.items()}
     elif isinstance(value, list | tuple):
         called = [part.get("peer", part.get("robot")) if isinstance(part, Mapping) else None for part in value]
-        shape = shapes.get(name.rpartition(".")[2], ())
-        names = entry_names(name, shape if math.prod(shape) == len(value) else (len(value),))
+        names = names_of(name, len(value), shapes.get(name.rpartition(".")[2], ()))
         parts = {f"{name}.{it}" if it else number: part for it, number, part in zip(called, names, value, strict=True)}
     else:
         return {name: value}

@@ -322,6 +322,11 @@ def entry_names(name: str, shape: tuple[int, ...]) -> tuple[str, ...]:
     return tuple([f"{name}[{','.join(map(str, place))}]" for place in places])
 
 
+def names_of(name: str, count: int, shape: tuple[int, ...]) -> tuple[str, ...]:
+    """Return the names of `count` entries; those of a vector where the shape has another number of them."""
+    return entry_names(name, shape if math.prod(shape) == count else (count,))
+
+
 def field_of(name: str, annotation: object) -> Field:
     """The field that an annotation of an app class declares; `AppError` where that type cannot travel."""
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):

@@ -7,7 +7,7 @@ from dataclasses import field
 from pathlib import Path
 from typing import Any
 
-from swarm.core.state import entry_names
+from swarm.core.state import names_of
 from swarm.errors import RecordingError
 from swarm.frozen import frozen
 from swarm.recording.reader import RecordingReader, shapes_of
@@ -210,10 +210,7 @@ def _cells(prefix: str, values: Mapping[str, Any], shapes: Mapping[str, tuple[in
         if not isinstance(value, tuple):
             yield prefix + name, _text(value)
             continue
-        shape = shapes.get(name, ())
-        if math.prod(shape) != len(value):
-            shape = (len(value),)
-        yield from zip(entry_names(prefix + name, shape), map(_text, value), strict=True)
+        yield from zip(names_of(prefix + name, len(value), shapes.get(name, ())), map(_text, value), strict=True)
 
 
 def _text(value: object) -> str:
