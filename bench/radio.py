@@ -134,7 +134,4 @@ def _original(name: str, iterations: int, seed: int) -> float:
 
 
 def _bundled(name: str, iterations: int, parameters: Parameters, compute: float) -> float:
-    run = Bundled(_edges(name), parameters, 1, compute=compute)
-    while min(map(len, run.times.values())) < iterations:
-        run.time.run(run.time.now + 1.0)
-    return run.iteration()
+    return Bundled(_edges(name), parameters, 1, compute=compute).paced(iterations, turn=1.0)

@@ -61,8 +61,10 @@ class Pattern:
         """Call later."""
         self.time.at(self.time.now + seconds, call)
 
-    def iteration(self) -> float:
-        """s an iteration, after a warm-up."""
+    def paced(self, iterations: int, turn: float = 10.0) -> float:
+        """Run until each robot has had so many iterations, `turn` s at a time, and return s an iteration."""
+        while min(map(len, self.times.values())) < iterations:
+            self.time.run(self.time.now + turn)
         return pace(self.times.values())
 
 
@@ -98,12 +100,6 @@ class Original(Pattern):
         """The newest data and acknowledgement, by receiver and sender."""
         for name in self.names:
             self.after(0.3 * self.random.random(), partial(self._step, self._robot(name)))
-
-    def paced(self, iterations: int) -> float:
-        """Run until each robot has had so many iterations, and return s an iteration."""
-        while min(map(len, self.times.values())) < iterations:
-            self.time.run(self.time.now + 10.0)
-        return self.iteration()
 
     def _step(self, robot: Generator[float]) -> None:
         self.after(next(robot), partial(self._step, robot))

@@ -51,12 +51,6 @@ class Exchange(Pattern):
         for name in self.names:
             self.after(0.3 * self.random.random(), partial(self._begin, name))
 
-    def run(self, iterations: int) -> float:
-        """Return s an iteration."""
-        while min(map(len, self.times.values())) < iterations:
-            self.time.run(self.time.now + 10.0)
-        return self.iteration()
-
     def _begin(self, name: str) -> None:
         self.times[name].append(self.time.now)
         self._pass_on(name, name, len(self.times[name]) - 1)

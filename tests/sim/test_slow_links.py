@@ -106,7 +106,7 @@ def test_no_link_of_the_slot_radio_that_carries_is_given_up(graph, links, stay):
     assert ran.outcome.problems == ()
     assert ran.lost == 0
     assert ran.outcome.messages <= 1.3 * frames_of(edges, ways) * (iterations + 1)
-    model = [Exchange(edges, ways, Parameters(stay=stay), seed).run(iterations) for seed in range(3)]
+    model = [Exchange(edges, ways, Parameters(stay=stay), seed).paced(iterations) for seed in range(3)]
     assert pace(ran.moments.values()) <= 1.3 * fmean(model)
 
 
