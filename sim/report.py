@@ -130,11 +130,14 @@ def summary(outcome: RunOutcome) -> Json:
     if scenario.recorded:
         last = {name: rec.estimates[min(iterations, len(rec.estimates) - 1)] for name, rec in scenario.recorded.items()}
         report["recorded_error_cm"] = target_error_cm(outcome, last)
-        # Another algorithm is not meant to follow the recorded one, but to end where it ended.
-        thesis = scenario.algorithm == "thesis"
-        deviation = (replay_deviation_cm if thesis else end_deviation_cm)(scenario, paths)
+        if scenario.algorithm == "thesis":
+            deviation: float | None = replay_deviation_cm(scenario, paths)
+            problems = _mismatch(scenario, paths, deviation)
+        else:  # it is not meant to follow the recorded one, but to end where that ended
+            deviation = end_deviation_cm(scenario, paths)
+            problems = _other_end(deviation)
         report["replay_deviation_cm"] = deviation
-        report["problems"] = [*outcome.problems, *(_mismatch if thesis else _other_end)(scenario, paths, deviation)]
+        report["problems"] = [*outcome.problems, *problems]
     return report
 
 
@@ -242,7 +245,7 @@ def end_deviation_cm(scenario: Scenario, paths: Mapping[str, Trajectory]) -> flo
     return 100 * max(distances) if distances and not any(map(math.isnan, distances)) else None
 
 
-def _other_end(_: Scenario, __: Mapping[str, Trajectory], deviation: float | None) -> list[str]:
+def _other_end(deviation: float | None) -> list[str]:
     """Return the complaint about a replay with another algorithm that does not end where the recording does."""
     if deviation is None or deviation <= END_BOUND_CM:
         return []

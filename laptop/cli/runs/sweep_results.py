@@ -98,7 +98,7 @@ def draw_on(made: Any, app: str, points: Sequence[SweepPoint], found: Sequence[S
             "the app has no error: give it `def error(self, truth)` (docs/how-to/apps/measure-the-error.md)"
         )
     made.set_size_inches(4.5 * len(kinds), 4)
-    zeros = {"error": _zero(sums)} if any(filter(None, (y for each in sums for y in _drawn(each, "error")))) else {}
+    zeros = {"error": _zero(sums)} if any(y for each in sums for y in _drawn(each, "error")) else {}
     panels = dict(zip(kinds, made.subplots(1, len(kinds), squeeze=False)[0], strict=True))
     for index, (label, each_line) in enumerate(lines.items()):
         look = {"color": style.colour(index, len(lines)), "marker": style.mark(index), "markersize": 4}

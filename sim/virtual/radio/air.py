@@ -9,12 +9,8 @@ from services.mesh.core.link.calls import UNKNOWN, Caller
 from services.mesh.core.link.session import BULK_WRITE, Session
 from services.mesh.links.radio_model import AirModel, DelayLine
 from services.mesh.mesh import CLOSED, Mesh
+from sim.slots.connections import CHUNK, SOCKET
 from sim.virtual.events import EventQueue, Time
-
-CHUNK = 4096
-"""Bytes taken from a session at a time, as `services.mesh.sockets` does."""
-SOCKET = 50_000
-"""Bytes that the sender's socket takes, as `services.mesh.links.sim.SEND_BUFFER` has it."""
 
 UNREACHABLE = "unreachable"
 

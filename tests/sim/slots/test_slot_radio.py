@@ -71,10 +71,12 @@ GRAPHS = st.sampled_from(
 FRAMES = st.lists(st.tuples(st.floats(0.0, 0.3), st.integers(0, 9), st.booleans(), st.integers(0, FRAME)), max_size=25)
 
 
-@settings(max_examples=60, deadline=None)
-@given(GRAPHS, FRAMES, st.sampled_from((0.05, 0.3)), st.sampled_from((0.0, 0.05, 0.5)), st.integers(0, 9))
-def test_every_frame_arrives_once_and_in_order_on_any_graph(graph, frames, stay, loss, seed):
-    swarm = Swarm(graph, Parameters(stay=stay, loss=loss), seed)
+def at_last(frames):
+    return sum(gap for gap, *_ in frames)
+
+
+def planned(swarm, graph, frames):
+    """Plan to send these frames; by link and sender their number, time and size."""
     at, sent = 0.0, {}
     for number, (gap, which, down, size) in enumerate(frames):
         at += gap
@@ -82,7 +84,15 @@ def test_every_frame_arrives_once_and_in_order_on_any_graph(graph, frames, stay,
         sender = link[0] if down else link[1]
         swarm.time.at(at, swarm.send, link, sender, size, number)
         sent.setdefault((link, sender), []).append((number, at, size))
-    swarm.run(at + 60.0)
+    return sent
+
+
+@settings(max_examples=60, deadline=None)
+@given(GRAPHS, FRAMES, st.sampled_from((0.05, 0.3)), st.sampled_from((0.0, 0.05, 0.5)), st.integers(0, 9))
+def test_every_frame_arrives_once_and_in_order_on_any_graph(graph, frames, stay, loss, seed):
+    swarm = Swarm(graph, Parameters(stay=stay, loss=loss), seed)
+    sent = planned(swarm, graph, frames)
+    swarm.run(at_last(frames) + 60.0)
     assert not swarm.lost
     times = [time for time, *_ in swarm.heard]
     assert times == sorted(times)
@@ -135,18 +145,13 @@ def test_bridges_share_their_time_and_are_slower_than_one_piconet():
 @given(GRAPHS, FRAMES, st.lists(st.tuples(st.floats(0.0, 5.0), st.integers(0, 9)), max_size=8), st.integers(0, 9))
 def test_switches_of_roles_lose_and_reorder_nothing(graph, frames, switches, seed):
     swarm = Swarm(graph, Parameters(), seed)
-    at, sent = 0.0, {}
-    for number, (gap, which, down, size) in enumerate(frames):
-        at += gap
-        link = graph[which % len(graph)]
-        sender = link[0] if down else link[1]
-        swarm.time.at(at, swarm.send, link, sender, size, number)
-        sent.setdefault((link, sender), []).append(number)
+    sent = planned(swarm, graph, frames)
     for time, which in switches:
         swarm.time.at(time, swarm.radio.switch_roles, swarm.links[graph[which % len(graph)]])
-    swarm.run(at + 60.0)
+    swarm.run(at_last(frames) + 60.0)
     assert not swarm.lost
-    for way, numbers in sent.items():
+    for way, told in sent.items():
+        numbers = [number for number, *_ in told]
         assert [number for _, link, sender, number in swarm.heard if (link, sender) == way] == numbers
     for name, device in swarm.radio.devices.items():
         mine = [link.central.device.name for link in swarm.links.values() if name in link_names(link)]

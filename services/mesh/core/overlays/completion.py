@@ -203,7 +203,8 @@ class Completion:
         for peer in self._links:
             shared = flood.shared.get(peer, 0)
             wanted = (flood.goal,) if complete and flood.disturbed else self._told_by_us(id.origin, peer)
-            if any(not needs & flood.goal & ~flood.robots and needs & flood.goal & ~shared for needs in wanted):
+            told = (each & flood.goal for each in wanted)
+            if any(not needs & ~flood.robots and needs & ~shared for needs in told):
                 self._tell(id, flood, peer)
             elif flood.final is not None and peer not in flood.final:
                 flood.final.add(peer)
