@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from bench.running import running
+from bench.rigs.running import running
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 PATIENCE_MS = 30_000

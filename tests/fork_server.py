@@ -36,13 +36,13 @@ PACKAGES = (
     "services.mesh",
 )
 MODULES = (
-    "bench.talking_sim",
+    "bench.rigs.talking_sim",
     "laptop.cli.runs.sim",
     "laptop.cli.z_sub",
     "services.balancer.bridge.bridge",
     "sim.body",
 )
-SIMULATIONS = ("laptop.cli.runs.sim", "bench.talking_sim")
+SIMULATIONS = ("laptop.cli.runs.sim", "bench.rigs.talking_sim")
 """They start services themselves."""
 COMMAND = "laptop.cli"
 """Its `__main__` is one line, and does something when imported."""

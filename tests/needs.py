@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.fake_robots import SSHD
+from bench.rigs.fake_robots import SSHD
 
 needs_ssh = pytest.mark.skipif(
     not os.environ.get("CI") and (SSHD is None or shutil.which("ssh") is None),

@@ -1,4 +1,3 @@
-import importlib
 import json
 import math
 import os
@@ -9,8 +8,9 @@ import sys
 import pytest
 
 from bench import __main__ as program
-from bench import memory, page
+from bench import page
 from bench.__main__ import AREAS
+from bench.costs import memory
 from bench.rows import Row
 from swarm.errors import SwarmError
 
@@ -34,7 +34,7 @@ def test_what_is_only_told_is_never_missed():
 
 @pytest.mark.parametrize("area", AREAS)
 def test_every_area_has_sizes_for_its_figures_and_for_a_smoke_run(area):
-    module = importlib.import_module(f"bench.{area}")
+    module = program.area_module(area)
     assert callable(module.rows)
     assert isinstance(module.FULL, module.Sizes)
     assert isinstance(module.SMOKE, module.Sizes)

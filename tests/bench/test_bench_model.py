@@ -2,8 +2,9 @@
 
 import pytest
 
-from bench import lockstep, lockstep_model
-from bench.lockstep_model import Outage
+from bench.lockstep import lockstep
+from bench.lockstep import model as lockstep_model
+from bench.lockstep.model import Outage
 from services.mesh.links.radio_model import AirModel
 from swarm.core.graph import Graph
 

@@ -1,4 +1,4 @@
-"""Every decoder takes random inputs in bounded memory, and raises its own error only; `bench/decoders.py` lists them.
+"""Every decoder takes random inputs in bounded memory, and raises its own error only; `bench/decoders` lists them.
 
 10 000 inputs each in every run of the tests, 100 000 among the slow ones; `./run bench decoders` for more.
 """
@@ -9,8 +9,8 @@ import sys
 
 import pytest
 
-from bench.decoders import ELSEWHERE, ROOT, TARGETS, taking_apart
-from bench.decoders_run import MIB, Target, mutated, run
+from bench.decoders.decoders import ELSEWHERE, ROOT, TARGETS, taking_apart
+from bench.decoders.run import MIB, Target, mutated, run
 
 HALVES = {"mesh": [each.name for each in TARGETS if each.name.startswith("mesh: ")]}
 HALVES["others"] = [each.name for each in TARGETS if each.name not in HALVES["mesh"]]
@@ -18,7 +18,7 @@ HALVES["others"] = [each.name for each in TARGETS if each.name not in HALVES["me
 
 def feed(names: list[str], inputs: int) -> None:
     only = [word for name in names for word in ("--only", name)]
-    command = [sys.executable, "-m", "bench.decoders", "--inputs", str(inputs), *only]
+    command = [sys.executable, "-m", "bench.decoders.decoders", "--inputs", str(inputs), *only]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count(" ok ") == len(names)
@@ -40,14 +40,14 @@ def test_every_decoder_takes_a_hundred_thousand_inputs(half: str) -> None:
 def test_every_module_that_takes_bytes_apart_is_in_the_table_or_says_why_not() -> None:
     covered = {module for target in TARGETS for module in target.modules}
     found = taking_apart()
-    assert found - covered - ELSEWHERE.keys() == set(), "add a target to bench/decoders_*.py"
+    assert found - covered - ELSEWHERE.keys() == set(), "add a target to bench/decoders"
     assert ELSEWHERE.keys() - found == set(), "it takes no bytes apart any more"
     assert ELSEWHERE.keys() & covered == set()
     assert all((ROOT / module).is_file() for module in covered)
 
 
 FAULTY = """
-from bench.decoders_run import Target, run
+from bench.decoders.run import Target, run
 
 def greedy(data):
     return bytes(int.from_bytes(data[:4], "little"))

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.timed_robot import TimedRobot
+from bench.rigs.timed_robot import TimedRobot
 from services.balancer.core.control.body import body_model
 from services.balancer.core.devices import balboa, imu
 from sim.core.balboa import BalboaBody

@@ -7,7 +7,7 @@ import tempfile
 from contextlib import ExitStack
 from pathlib import Path
 
-from bench.running import running
+from bench.rigs.running import running
 
 ROOT = Path(__file__).parents[2]
 

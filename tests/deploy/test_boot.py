@@ -23,7 +23,7 @@ import pytest
 from neighbour import Neighbour
 from room import ANCHORS
 
-from bench import restless_rule
+from bench.faults import restless_rule
 from swarm.config.keyfile import new_key_file
 from swarm.core.graph import Graph
 
@@ -31,7 +31,7 @@ HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 TOOLS = ("systemd-nspawn", "mmdebstrap")
 SUITE, PYTHON = "bookworm", "3.11"
-APP = ROOT / "bench/restless.py"
+APP = ROOT / "bench/faults/restless.py"
 ARGUMENTS = ["--run", "1", "--absent", "drop", "--drop-after", "600"]
 STARTS = {"r0": 0.0, "r1": 0.5}
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from conftest import wait_until
 
-from bench.running import running
+from bench.rigs.running import running
 from services.dwm.core.calibration import calibration_file
 from swarm.process.simulations import default_run_dir, is_live
 

@@ -13,8 +13,8 @@ import pytest
 from conftest import wait_until
 from needs import needs_ssh
 
-from bench.fake_robots import FakeRobots
-from bench.running import running
+from bench.rigs.fake_robots import FakeRobots
+from bench.rigs.running import running
 from swarm.bus.zenoh_bus import Bus
 from swarm.messages import Pose, read
 

@@ -1,6 +1,6 @@
 """Inside a machine: how long an iteration takes on the slot radio, and how much of the processor the radio takes.
 
-Figures, not tests: bench/lab.py."""
+Figures, not tests: bench/lockstep/lab.py."""
 
 import json
 import os

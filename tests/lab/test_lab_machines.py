@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from bench import restless_rule
+from bench.faults import restless_rule
 from lab import waiting
 from lab.inside import command, furnish
 from lab.radio.remote import Radio

@@ -4,7 +4,7 @@ pages. Nothing else takes the radio's time."""
 from collections.abc import Sequence
 from functools import partial
 
-from bench.radio_patterns import HEAD, VALUE, Pattern, neighbours
+from bench.radio.patterns import HEAD, VALUE, Pattern, neighbours
 from sim.slots.calls import Calls
 from sim.slots.parameters import Parameters
 from swarm.core.graph import Edge

@@ -12,8 +12,8 @@ import fork_server
 import pytest
 from conftest import wait_until
 
-from bench import talking_sim
-from bench.simulation import Simulation, SimulationError, simulate
+from bench.rigs import talking_sim
+from bench.rigs.simulation import Simulation, SimulationError, simulate
 from sim.virtual.run import simulate as virtual
 from swarm.bus.zenoh_bus import Bus
 from swarm.messages import read

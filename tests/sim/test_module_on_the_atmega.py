@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.simulation import Simulation
+from bench.rigs.simulation import Simulation
 from sim.scenario import options, scenario
 from swarm.config.dump import dump
 

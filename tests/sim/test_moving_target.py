@@ -5,7 +5,7 @@ import statistics
 
 import pytest
 
-from bench.simulation import Simulation
+from bench.rigs.simulation import Simulation
 from sim.scenario.options import parse
 from sim.virtual.run import simulate
 from swarm.config.types import SimulationConfig as World

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from bench import random_faults, restless_rule
-from bench.restless import swing
-from bench.restless_rule import Epoch
+from bench.faults import random_faults, restless_rule
+from bench.faults.restless import swing
+from bench.faults.restless_rule import Epoch
 from swarm.core.graph import Graph
 from swarm.messages import AppEpoch, AppState
 from swarm.recording.core.writer import Writer

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.simulation import simulate
+from bench.rigs.simulation import simulate
 
 DATA = Path(os.environ.get("SWARM_THESIS_DATA") or Path(__file__).parents[3] / "shared" / "thesis-data")
 

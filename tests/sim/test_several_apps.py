@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.simulation import Simulation
+from bench.rigs.simulation import Simulation
 from laptop.cli import main
 from sim.scenario import options, scenario
 from sim.virtual.run import PLACE, simulate

@@ -7,7 +7,7 @@ from functools import cache
 import fork_server
 import pytest
 
-from bench.simulation import Simulation
+from bench.rigs.simulation import Simulation
 from sim.control.link_cuts import cut
 from sim.virtual.run import simulate as virtual
 from swarm.process.simulations import pid_of

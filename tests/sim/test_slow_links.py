@@ -6,7 +6,7 @@ from statistics import fmean
 import pytest
 from slot_exchange import Exchange, frames_of, ways_of
 
-from bench.radio_patterns import pace
+from bench.radio.patterns import pace
 from services.mesh.core.routing.physical_links import callers, physical
 from sim.scenario.options import parse
 from sim.scenario.scenario import build

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.running import running
+from bench.rigs.running import running
 
 PROGRAM = Path(__file__).parent / "other_systems.py"
 ROOT = Path(__file__).parents[2]

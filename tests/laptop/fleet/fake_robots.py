@@ -1,11 +1,11 @@
-"""Robots that are a real OpenSSH server each (bench/fake_robots.py), for tests."""
+"""Robots that are a real OpenSSH server each (bench/rigs/fake_robots.py), for tests."""
 
 import json
 from collections.abc import Callable
 
 import pytest
 
-from bench.fake_robots import SSHD, FakeRobots, free_port
+from bench.rigs.fake_robots import SSHD, FakeRobots, free_port
 
 __all__ = ["SSHD", "FakeRobots", "Run", "free_port", "outcomes"]
 

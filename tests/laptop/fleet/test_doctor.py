@@ -13,7 +13,7 @@ from fake_pis import PLACES, add_pi
 from fake_robots import FakeRobots
 from needs import needs_ssh
 
-from bench.simulation import Simulation
+from bench.rigs.simulation import Simulation
 from laptop.cli import main
 from laptop.cli.robots import doctor
 from laptop.fleet.core import doctor as core

@@ -12,7 +12,7 @@ from conftest import wait_until
 from fake_robots import FakeRobots, Run
 from needs import needs_ssh
 
-from bench.running import running
+from bench.rigs.running import running
 from laptop.cli import main
 from laptop.cli.commands import SECTIONS
 from swarm.onboard.command_line import Command, CommandGroup, commands_of

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from fake_robots import SSHD, FakeRobots
 
-from bench.running import running
+from bench.rigs.running import running
 from laptop.cli import main
 from laptop.fleet.ssh import remote
 from laptop.fleet.ssh.ssh import Host, Ssh

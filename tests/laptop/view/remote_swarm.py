@@ -9,7 +9,7 @@ from conftest import Processes
 from needs import needs_ssh
 from remote_units import Units, scripts
 
-from bench.fake_robots import FakeRobots
+from bench.rigs.fake_robots import FakeRobots
 from laptop.fleet.ssh.ssh import Ssh, hosts
 from laptop.view.actions.control import Control
 from laptop.view.actions.remote_actions import RemoteActions

@@ -11,7 +11,7 @@ from needs import needs_ssh
 from remote_units import SUDO, scripts
 from test_reach import Tunnel
 
-from bench.fake_robots import FakeRobots
+from bench.rigs.fake_robots import FakeRobots
 from laptop.fleet.ssh.ssh import Ssh, hosts
 from laptop.view.actions import remote_actions as module
 from laptop.view.actions.control import Control

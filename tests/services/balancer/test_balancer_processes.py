@@ -16,7 +16,7 @@ import msgpack
 import pytest
 from conftest import Processes, stop, wait_until
 
-from bench.running import running
+from bench.rigs.running import running
 from swarm.bus.zenoh_bus import Bus
 from swarm.messages import (
     AppState,

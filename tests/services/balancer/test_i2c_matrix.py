@@ -3,7 +3,7 @@ they may take: what goes on, and what gives way and is named."""
 
 import pytest
 
-from bench.timed_robot import TimedResult, TimedRobot
+from bench.rigs.timed_robot import TimedResult, TimedRobot
 
 CLOCKS_KHZ = (40.0, 50.0, 62.5, 80.0, 100.0)
 CPU_MS = (0.0, 0.5, 1.0, 1.5, 2.0)

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from bench.localization import SCENARIOS, cost, nis, outside
-from bench.uwb_motion import SEEDS, errors, lag, rms, run
+from bench.dwm.localization import SCENARIOS, cost, nis, outside
+from bench.dwm.motion import SEEDS, errors, lag, rms, run
 
 
 def judged(speed, hidden, limit, seeds):

@@ -1,6 +1,6 @@
 """Numbers and sizes that a member names: a mesh checks them before it uses them, so none costs it memory or its life.
 
-Each test is an attack by a robot that holds the key. The fuzzers of `bench/decoders.py` look for further ones.
+Each test is an attack by a robot that holds the key. The fuzzers of `bench/decoders/decoders.py` look for further ones.
 """
 
 import tracemalloc

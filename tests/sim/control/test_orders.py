@@ -13,7 +13,7 @@ from conftest import wait_until
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.simulation import Simulation
+from bench.rigs.simulation import Simulation
 from sim.control import app_requests
 from sim.control.app_requests_server import Orders
 from sim.processes.processes import Processes

@@ -20,7 +20,7 @@ from conftest import Processes, wait_until
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.running import running
+from bench.rigs.running import running
 from sim.control import datagrams
 from sim.core.action_effects import ActionEffects
 from sim.core.actions import BodyPlace, Carry, Lay, Press, Push, Unplug, check, pack, unpack

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.running import running
+from bench.rigs.running import running
 from services.apps import loader
 
 EXAMPLES = Path(__file__).parents[3] / "examples"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.radio_swarm import SIZE, fail_over, transfer
+from bench.radio.swarm import SIZE, fail_over, transfer
 from sim.scenario.options import parse
 from sim.scenario.scenario import build
 from sim.virtual.run import PLACE, VirtualRun, simulate

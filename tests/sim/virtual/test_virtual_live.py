@@ -16,7 +16,7 @@ from conftest import wait_until
 pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 from aiohttp.test_utils import TestClient, TestServer
 
-from bench.running import running
+from bench.rigs.running import running
 from laptop.view.feeds.virtual_feed import BEHIND_S, LAST_S, VirtualFeed
 from laptop.view.server import application
 from sim.report import RunOutcome

@@ -10,7 +10,7 @@ from collections import Counter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.running import running
+from bench.rigs.running import running
 from swarm.recording import budget as module
 from swarm.recording.budget import RESTING_S, Budget, runs_of
 from swarm.recording.file import RecordingFile

@@ -11,7 +11,7 @@ from collections import Counter
 import pytest
 from needs import fill, small_disk
 
-from bench.running import running
+from bench.rigs.running import running
 from swarm.recording import file as module
 from swarm.recording.file import RecordingFile
 from swarm.recording.journal import HALF, Journal

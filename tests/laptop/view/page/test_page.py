@@ -12,7 +12,7 @@ from browsing import PATIENCE_MS, View, event, row, seek, shown, until, visit
 from conftest import wait_until
 from virtual_run import recorded
 
-from bench.simulation import Simulation
+from bench.rigs.simulation import Simulation
 
 pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")

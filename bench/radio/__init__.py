@@ -1,0 +1,1 @@
+"""The slot radio beside recordings, and swarms that compute over it."""
