@@ -165,12 +165,13 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
     return outcome
 
 
-def wait_until(condition: Callable[[], object], timeout: float = 60.0, what: str = "") -> None:
-    """Poll until `condition()` is true; the deadline only bounds a failure."""
+def wait_until(condition: Callable[[], object], timeout: float = 60.0, what: str | Callable[[], str] = "") -> None:
+    """Poll until `condition()` is true; the deadline only bounds a failure, which tells `what` was awaited (a function
+    is asked for it then)."""
     deadline = time.monotonic() + timeout
     while not condition():
         if time.monotonic() > deadline:
-            pytest.fail(f"not within {timeout} s: {what or condition}")
+            pytest.fail(f"not within {timeout} s: {(what() if callable(what) else what) or condition}")
         time.sleep(0.01)
 
 

@@ -9,6 +9,7 @@ import subprocess
 import time
 from pathlib import Path
 
+from bench.rigs.ports import free_port
 from bench.rigs.running import running
 
 SSHD = next((path for path in ("/usr/sbin/sshd", "/usr/local/sbin/sshd") if Path(path).exists()), None)
@@ -49,13 +50,6 @@ esac
 echo "$@" >> $HOME/systemctl.log
 case $1 in list-units) [ ! -e $HOME/units ] || cat $HOME/units ;; esac
 """
-
-
-def free_port() -> int:
-    """One that nobody uses at this moment."""
-    with socket.socket() as sock:
-        sock.bind(("127.0.0.1", 0))
-        return int(sock.getsockname()[1])
 
 
 class FakeRobots:

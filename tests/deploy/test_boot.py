@@ -9,7 +9,6 @@ Needs root, systemd-nspawn and mmdebstrap (packages systemd-container, mmdebstra
 import json
 import os
 import shutil
-import socket
 import subprocess
 import sys
 import time
@@ -24,6 +23,7 @@ from neighbour import Neighbour
 from room import ANCHORS
 
 from bench.faults import restless_rule
+from bench.rigs.ports import free_port
 from swarm.config.keyfile import new_key_file
 from swarm.core.graph import Graph
 
@@ -105,13 +105,6 @@ class Rig:
     recordings: dict[str, list[Path]]
 
 
-def free_ports() -> dict[str, int]:
-    with socket.socket() as one, socket.socket() as other:
-        for sock in (one, other):
-            sock.bind(("127.0.0.1", 0))
-        return {"r0": one.getsockname()[1], "r1": other.getsockname()[1]}
-
-
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     """Install our release in a fresh system, boot it twice, and read what the checks inside have found."""
@@ -131,7 +124,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     (inside / "arguments").write_text(" ".join(ARGUMENTS))
     new_key_file(inside / "swarm.key", int(time.time()))
     shutil.copy(inside / "swarm.key", work / "swarm.key")
-    ports = free_ports()
+    ports = {"r0": free_port(), "r1": free_port()}
     (inside / "r0.toml").write_text(CONFIG.format(**ports, own=ports["r0"], key="/etc/swarm/key", anchors=ANCHORS))
     (work / "r1.toml").write_text(CONFIG.format(**ports, own=ports["r1"], key=work / "swarm.key", anchors=ANCHORS))
     units = root / "etc/systemd/system"

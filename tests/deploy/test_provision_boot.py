@@ -9,7 +9,6 @@ import json
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -21,6 +20,7 @@ from pathlib import Path
 import debian
 import pytest
 
+from bench.rigs.ports import free_port
 from laptop.cli.robots import doctor, provision, status
 from laptop.fleet.core.wish import PACKAGES, SUITES
 from laptop.fleet.provision import Rig
@@ -63,12 +63,6 @@ Environment=SWARM_RUNTIME=/run/swarm SWARM_SIM_LYING=front PYTHONPATH=/rig/simul
 """
 """The simulated body lies on its front: one that stands would fall where a busy machine holds up its loop, which has no
 real-time priority in a container, and the doctor would rightly say so."""
-
-
-def free_port() -> int:
-    with socket.socket() as sock:
-        sock.bind(("127.0.0.1", 0))
-        return int(sock.getsockname()[1])
 
 
 def sh(*words: object) -> str:

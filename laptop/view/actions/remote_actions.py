@@ -8,6 +8,7 @@ page's events. None waits for another. Of two orders about one app the newer one
 import asyncio
 import contextlib
 import itertools
+import logging
 import shlex
 import threading
 from collections.abc import Awaitable, Callable, Coroutine, Iterable, Mapping, Sequence
@@ -48,6 +49,8 @@ APPS = "view/apps"
 """Topic of the apps that were started on a real robot, running or not. The laptop adds it."""
 
 _LOOK_EVERY_S = 0.25
+
+_log = logging.getLogger("view")
 
 Job = Callable[[Host], Awaitable[str]]
 """Does the work on one robot and says what was done; raises `HostError`."""
@@ -163,7 +166,12 @@ class RemoteActions:
     def _launch(self, work: Coroutine[Any, Any, None]) -> None:
         task = self._loop.create_task(work)
         self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        task.add_done_callback(self._ended)
+
+    def _ended(self, task: asyncio.Task[None]) -> None:
+        self._tasks.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:  # a defect, or none would come here
+            _log.error("what was to be done has failed", exc_info=error)
 
     async def _cancel(self) -> None:
         for task in (tasks := list(self._tasks)):

@@ -5,9 +5,9 @@ from collections.abc import Callable
 
 import pytest
 
-from bench.rigs.fake_robots import SSHD, FakeRobots, free_port
+from bench.rigs.fake_robots import SSHD, FakeRobots
 
-__all__ = ["SSHD", "FakeRobots", "Run", "free_port", "outcomes"]
+__all__ = ["SSHD", "FakeRobots", "Run", "outcomes"]
 
 Run = Callable[..., int]
 """`swarm VERB ...` for these robots (the fixture `run`); its exit code."""

@@ -56,7 +56,11 @@ class Far:
 
     def told(self, text: str, count: int = 1) -> None:
         """Wait until it is among the events."""
-        wait_until(lambda: sum(text in each for each in self.events()) >= count, 40.0, what=f"{text}: {self.events()}")
+
+        def told() -> bool:
+            return sum(text in each for each in self.events()) >= count
+
+        wait_until(told, 40.0, what=lambda: f"{text!r} is told {count} times; told is {self.events()}")
 
     def events(self) -> list[str]:
         with self.view.lock:

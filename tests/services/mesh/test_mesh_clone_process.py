@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 from conftest import wait_until
-from test_mesh_process import SYNC, Build, Robot, Swarm, build, free_port, log_of
+from test_mesh_process import SYNC, Build, Robot, Swarm, build, log_of
 
+from bench.rigs.ports import free_port
 from swarm.config.keyfile import new_key_file
 from swarm.messages import read
 from swarm.onboard.mesh import show, tables

@@ -12,6 +12,7 @@ import msgpack
 import pytest
 from conftest import wait_until
 
+from bench.rigs.ports import free_port
 from services.mesh import link_address
 from services.mesh.link_address import Rfcomm, Sim, Slots, Tcp
 from services.mesh.links import sim, tcp
@@ -208,12 +209,6 @@ def test_a_missing_directory_is_named(runtime: Path) -> None:
 
 
 # -- tcp -----------------------------------------------------------------------------------------------------
-
-
-def free_port() -> int:
-    with socket.socket() as sock:
-        sock.bind(("127.0.0.1", 0))
-        return sock.getsockname()[1]
 
 
 def test_tcp_passes_bytes_and_ends() -> None:

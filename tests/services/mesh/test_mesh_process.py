@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from conftest import Processes, ask, stop, wait_until
 
+from bench.rigs.ports import free_port
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.frames import Hello
 from sim.control.link_cuts import silence
@@ -25,12 +26,6 @@ SYNC = "swarm/{}/app/consensus/sync/00000000000000a1-0-3-9f3c21aa"
 
 SHORT = "heartbeat = 0.1\nsuspect = 0.4\ndead = 2.0\n"
 """Shorter times than normal, so that tests of silence are short."""
-
-
-def free_port() -> int:
-    with socket.socket() as sock:
-        sock.bind(("127.0.0.1", 0))
-        return sock.getsockname()[1]
 
 
 class Robot:
