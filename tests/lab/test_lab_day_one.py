@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import documented_path
 import pytest
 
 from lab.radio.remote import Radio
@@ -19,9 +20,6 @@ from lab.robot import disk
 from lab.vm.build import Image
 from lab.vm.machine import Machine
 from lab.waiting import PATIENCE_S, Wait, finished
-
-sys.path.append(str(Path(__file__).parents[1] / "docs"))
-import documented_path
 
 pytest_plugins = ("lab_fixtures",)
 pytestmark = [pytest.mark.lab, pytest.mark.timeout(1400)]

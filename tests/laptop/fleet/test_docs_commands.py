@@ -11,17 +11,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import documented_path
 import pytest
+from fake_releases import add_python, add_robot
 from fake_robots import FakeRobots
 from needs import needs_ssh
-from test_fleet import add_python, add_robot
 
 from laptop.fleet.release import release
 from swarm.config import parse
 from swarm.config.example import EXAMPLE
-
-sys.path.append(str(Path(__file__).parents[2] / "docs"))
-import documented_path
 
 pytest_plugins = ["fleet_fixtures"]
 
@@ -31,16 +29,17 @@ INLINE = ("robots/build-a-robot.md", "robots/first-power-on.md", "robots/commiss
 TUTORIAL = DOCS / "tutorials/own-algorithm.md"
 
 ELSEWHERE = {
-    "swarm bundle": "Debian's archive: tests/laptop/fleet/test_bundle.py",
+    "swarm bundle": "Debian's archive: tests/laptop/fleet/release/test_bundle.py",
     "swarm provision": "a robot's system: tests/deploy/test_provision_boot.py, tests/laptop/fleet/test_provision.py",
     "swarm pair": "bluetoothd: tests/lab/test_lab_pairing.py, tests/laptop/fleet/test_pair.py",
     "swarm doctor": "a robot's system: tests/laptop/fleet/test_doctor.py",
     "swarm dwm": "modules: tests/services/dwm/test_dwm_tool.py",
-    "swarm calibrate": "a robot's module: tests/laptop/fleet/test_calibrations.py",
-    "swarm flash": "avr-gcc: tests/laptop/fleet/test_flash_fleet.py",
-    "swarm commission": "bodies: tests/laptop/fleet/test_commission_ssh.py, tests/sim/core/test_action_effects.py",
-    "swarm balance": "a robot's body: tests/laptop/fleet/test_balance_ssh.py",
-    "swarm drive": "a keyboard: tests/laptop/fleet/test_drive_ssh.py",
+    "swarm calibrate": "a robot's module: tests/laptop/fleet/files/test_calibrations.py",
+    "swarm flash": "avr-gcc: tests/laptop/cli/robots/body/test_flash_fleet.py",
+    "swarm commission": "bodies: tests/laptop/cli/robots/body/test_commission_ssh.py, "
+    "tests/sim/core/test_action_effects.py",
+    "swarm balance": "a robot's body: tests/laptop/cli/robots/body/test_balance_ssh.py",
+    "swarm drive": "a keyboard: tests/laptop/cli/robots/body/test_drive_ssh.py",
     "swarm sim": "a simulation: tests/sim/core/test_action_effects.py, tests/sim/scenario/test_commission_report.py",
     "swarm hand": "a simulation: tests/sim/core/test_action_effects.py",
 }

@@ -5,9 +5,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from fake_releases import add_python, make_release
 from fake_robots import FakeRobots, Run, outcomes
 from needs import needs_ssh
-from test_fleet import add_python, make_release
 
 from laptop.fleet.core import collect
 from services.dwm.core.calibration import calibration_file

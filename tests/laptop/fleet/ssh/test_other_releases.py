@@ -4,9 +4,9 @@ import json
 from dataclasses import replace
 from typing import Any
 
+from examined_robots import WELL, bus
 from hypothesis import example, given
 from hypothesis import strategies as st
-from test_doctor_core import WELL, bus
 
 from laptop.cli.robots import status
 from laptop.fleet.core import doctor

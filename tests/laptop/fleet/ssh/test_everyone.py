@@ -1,0 +1,61 @@
+"""Commands for all robots, over real ssh servers: every robot has its outcome, none waits for another."""
+
+import pytest
+from fake_robots import FakeRobots, Run, outcomes
+from needs import needs_ssh
+
+pytest_plugins = ["fleet_fixtures"]
+pytestmark = needs_ssh
+
+
+def test_a_command_runs_on_every_robot(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("r0", "r1", "r2"):
+        robots.add(name)
+    assert run("command", "basename $HOME; echo more") == 0
+    said = capsys.readouterr().out
+    assert all(f"{name}: {name}\n" in said and f"{name}: more\n" in said for name in ("r0", "r1", "r2"))
+    assert run("command", "test $(basename $HOME) != r1 || { echo broken >&2; exit 3; }", "--json") == 1
+    found = outcomes(capsys)
+    assert [found[name]["ok"] for name in ("r0", "r1", "r2")] == [True, False, True]
+    assert found["r1"]["text"] == "exit code 3: broken"
+
+
+def test_only_the_robots_that_are_named(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("r0", "r1", "r2"):
+        robots.add(name)
+    assert run("command", "true", "--robots", "r2,r0", "--json") == 0
+    assert sorted(outcomes(capsys)) == ["r0", "r2"]
+    assert run("command", "true", "--robots", "r9") == 2
+    assert "r9 is no robot of" in capsys.readouterr().err
+
+
+def test_what_is_wrong_is_named_and_the_others_go_on(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robots.add("r0")
+    robots.add("r1", up=False)
+    robots.add("r2", known=False)
+    robots.add("r3", hook="kill -9 $PPID")
+    robots.add("r4", hook="echo $$ > hung; exec sleep 1000")
+    assert run("command", "echo here", "--robots", "r0,r1,r2,r3", "--json") == 1
+    found = {name: str(outcome["text"]) for name, outcome in outcomes(capsys).items()}
+    assert found["r0"] == ""
+    assert found["r1"] == "it runs no ssh server (or another port)"
+    assert found["r2"] == "its host key has changed; if set up anew: ssh-keygen -R r2"
+    assert "in the middle of it" in found["r3"]
+    assert run("command", "echo here", "--robots", "r4", "--timeout", "5", "--json") == 1
+    assert outcomes(capsys)["r4"]["text"] == "not done within 5 s (--timeout)"
+
+
+def test_services_are_started_by_their_names(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    home = robots.add("r0")
+    assert run("services", "restart", "mesh", "consensus") == 0
+    assert run("services", "start") == 0
+    assert run("services", "stop", "dwm") == 0
+    assert (home / "systemctl.log").read_text().splitlines() == [
+        "restart swarm-mesh.service swarm-app@consensus.service",
+        "start swarm.target",
+        "stop swarm-dwm.service",
+    ]
+    assert run("services", "stop", "No Such") == 2
+    assert "'No Such': expected bus, mesh, balancer, dwm or the name of an app" in capsys.readouterr().err
