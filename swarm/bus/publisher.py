@@ -47,14 +47,16 @@ class Publisher:
 
     def heard(self) -> bool:
         """Return whether anybody may listen. Raises `zenoh.ZError`."""
-        audience = self.audience
-        if not (audience.sure and audience.there) and clock.now() >= audience.ask_at:
-            # That nobody listens is asked again: were Zenoh's word that somebody does lost, or overtaken by an older
-            # one, this key would be silent for ever. In this order, since who comes meanwhile is told of by `matched`.
-            audience.sure, audience.there, audience.ask_at = True, False, clock.now() + _CERTAIN_S
-            if self._publisher.matching_status.matching:  # type: ignore[attr-defined]
-                audience.there = True
-        return audience.there
+        audience, now = self.audience, clock.now()
+        if (audience.sure and audience.there) or now < audience.ask_at:
+            return audience.there
+        # In this order, since who comes meanwhile is told of by `matched`.
+        audience.sure, audience.there, audience.ask_at = True, False, now + _CERTAIN_S
+        if self._publisher.matching_status.matching:  # type: ignore[attr-defined]
+            audience.there = True
+        # One message a second goes to Zenoh whatever it says of listeners: were its word wrong, lost, or overtaken by
+        # an older one, this key would be silent for ever. Where nobody listens it goes no further.
+        return True
 
     def put(self, payload: bytes, encoding: str) -> None:
         """Publish `payload`. Raises `zenoh.ZError`."""

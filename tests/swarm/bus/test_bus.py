@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from conftest import Processes, wait_until
@@ -145,6 +146,29 @@ def test_a_key_is_not_silent_for_ever_when_the_word_that_somebody_listens_was_lo
     talk(alice, "swarm/r0/test/x", samples)
     alice._publishers["swarm/r0/test/x", False].audience.there = False
     talk(alice, "swarm/r0/test/x", samples, b"later")
+
+
+@pytest.mark.usefixtures("bus_service")
+def test_a_key_is_not_silent_where_zenoh_says_for_ever_that_nobody_listens(
+    open_bus: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("swarm.bus.publisher._CERTAIN_S", 0.01)
+    alice, bob = open_bus(), open_bus()
+    samples = Samples()
+    bob.subscribe("swarm/r0/test/x", samples)
+    talk(alice, "swarm/r0/test/x", samples)
+    publisher = alice._publishers["swarm/r0/test/x", False]
+
+    class Wrong:
+        """What Zenoh has declared, and its word that nobody listens."""
+
+        matching_status = SimpleNamespace(matching=False)
+        put = publisher._publisher.put
+
+    monkeypatch.setattr(publisher, "_publisher", Wrong)
+    publisher.audience.there = False
+    talk(alice, "swarm/r0/test/x", samples, b"later")
+    assert not publisher.audience.there
 
 
 @pytest.mark.usefixtures("bus_service")
