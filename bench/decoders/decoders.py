@@ -44,7 +44,7 @@ ELSEWHERE = {
     "services/apps/runner.py": "states of the size that the lockstep has checked",
     "services/apps/persistence/slots.py": "its own file: tests/services/apps/test_files.py",
     "services/balancer/bridge/link.py": "datagrams between the loop and its own second process",
-    "services/balancer/core/devices/mailbox.py": "1 or 2 bytes: tests/services/balancer/test_slack_tasks.py",
+    "services/balancer/core/devices/mailbox.py": "1 or 2 bytes: tests/services/balancer/core/slack/test_slack_tasks.py",
     "services/mesh/__main__.py": "makes a number of random bytes of its own",
     "services/mesh/core/link/calls.py": "a Bluetooth address that the configuration has checked",
     "services/mesh/links/sim.py": "simulated links only",

@@ -5,12 +5,12 @@ repository a-star (folder bootloaders/caterina). test_firmware_board.py and test
 """
 
 import os
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from avr_bench import BROWN_OUT, POWER_ON, RESET_PIN, WATCHDOG, Bench
+from caterina import Caterina
 from firmware_layout import CONSTANTS, FIRMWARE, RESET_CAUSE
 from usb_host import UsbHost
 
@@ -18,9 +18,6 @@ from services.balancer.core.flashing import avr109, image
 from services.balancer.core.flashing.image import Image
 from services.balancer.flash.flash import START_S
 from services.balancer.flash.usb_port import BOOTLOADER as IDS
-
-sys.path.append(str(Path(__file__).parents[1] / "services/balancer"))
-from caterina import Caterina
 
 pytest_plugins = ("firmware_fixtures",)
 

@@ -28,7 +28,7 @@ RISE_WAY = 0.36
 FALL_WAY = 0.15
 """m forward that lying down takes."""
 TOPPLES = 0.45
-"""N s of a push that it bears no more, with physics 0.40 to 0.50 (tests/services/balancer/test_body_physics.py)."""
+"""N s of a push that it bears no more, with physics 0.40 to 0.50 (tests/sim/core/test_body_physics.py)."""
 RECOVERS_S = 0.3
 """Seconds in which a robot rolls back what it bore: what pushes it meanwhile adds up, with weights that fall as
 exp(-t / RECOVERS_S). So two that drive into each other fall from 0.15 m/s each on; with physics they bear 0.1 and

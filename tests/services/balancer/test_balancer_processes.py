@@ -7,20 +7,17 @@ import signal
 import socket
 import subprocess
 import sys
-from collections import defaultdict
-from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
 import msgpack
 import pytest
 from conftest import Processes, stop, wait_until
+from process_rig import Watcher, watcher
 
 from bench.rigs.running import running
-from swarm.bus.zenoh_bus import Bus
 from swarm.messages import (
     AppState,
-    BalancerState,
     ImuRequest,
     MeasureI2C,
     ModuleRequest,
@@ -36,44 +33,9 @@ from swarm.messages import (
 )
 from swarm.process.edges import DEFECT
 
+__all__ = ["watcher"]
+
 RECORDING = str(Path(__file__).with_name("recording_body.py"))
-
-
-class Watcher:
-    """Everything the robot says, by topic."""
-
-    def __init__(self, runtime: Path) -> None:
-        self.heard: dict[str, list] = defaultdict(list)
-        self.bus = Bus.of(runtime)
-        self.bus.subscribe("swarm/r0/balancer/*", self._take)
-
-    def _take(self, key: str, payload: bytes) -> None:
-        self.heard[key.rpartition("/")[2]].append(read(key, payload))
-
-    def last(self, topic: str = "state") -> BalancerState:
-        return self.heard[topic][-1] if self.heard[topic] else None
-
-    def lamps(self) -> tuple[bool, bool, bool] | None:
-        leds = self.last("leds")
-        return None if leds is None else (leds.red, leds.yellow, leds.green)
-
-    def wait_mode(self, mode: str) -> BalancerState:
-        wait_until(lambda: self.last() is not None and self.last().mode == mode, what=f"mode {mode}")
-        return self.last()
-
-    @staticmethod
-    def body_pid(processes: Processes) -> int:
-        return processes._started[-1].pid
-
-    def command(self, what: str, message: object) -> None:
-        self.bus.publish(f"swarm/r0/balancer/set/{what}", message)
-
-
-@pytest.fixture
-def watcher(runtime: Path, router: object) -> Iterator[Watcher]:
-    watcher = Watcher(runtime)
-    yield watcher
-    watcher.bus.close()
 
 
 def children(pid: int) -> list[int]:

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import msgpack
 import pytest
+from balancer_rig import Rig, upright
 from conftest import Processes, wait_until
 from hypothesis import given
 from hypothesis import strategies as st
@@ -32,9 +33,6 @@ from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError, RemoteError
 from swarm.messages import BalancerState, Buttons, LedChange, SetMode, Truth, read
 from swarm.messages.codec import decode
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "services/balancer"))
-from balancer_rig import Rig, upright
 
 CLAIM = """
 import sys

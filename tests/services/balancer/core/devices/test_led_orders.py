@@ -7,7 +7,7 @@ import pytest
 from balancer_rig import upright
 from hypothesis import given
 from hypothesis import strategies as st
-from test_loop import VirtualLoop
+from loop_rig import VirtualLoop
 
 from services.balancer.core.devices.leds import (
     CONTROL_S,

@@ -5,8 +5,8 @@ import json
 from pathlib import Path
 
 import pytest
-from test_balancer_registers import Bench
-from test_slack_tasks import AT_100_KHZ, Ticking
+from device_rig import Bench
+from slack_rig import AT_100_KHZ, Ticking
 
 from services.balancer import measure_i2c as i2c
 from services.balancer.core.devices.rates import FAILURES, RateMeter, check_measurement, longest

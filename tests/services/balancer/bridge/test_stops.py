@@ -6,7 +6,7 @@ import subprocess
 
 import msgpack
 from conftest import Processes, wait_until
-from test_balancer_processes import Watcher, watcher
+from process_rig import Watcher, watcher
 
 from services.balancer.bridge.link import COMMANDS_A_TICK
 from swarm import clock

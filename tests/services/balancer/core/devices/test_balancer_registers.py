@@ -9,34 +9,18 @@ import struct
 import sys
 
 import pytest
-from balancer_rig import CONFIGURED, NO_ERRORS
+from balancer_rig import NO_ERRORS
+from device_rig import Bench
 from hypothesis import given
 from hypothesis import strategies as st
 
 from services.balancer.core.devices import balboa, imu
 from services.balancer.drivers import Balboa, Imu
 from services.balancer.i2c import PATIENCE_S, RETRY_S, KernelBus, open_patiently
-from sim.core.balboa import BalboaBody
-from sim.core.devices import ImuErrors, SimulatedRobot, draw_errors
-from sim.devices.i2c import SimulatedBus
+from sim.core.devices import SimulatedRobot, draw_errors
 from swarm.errors import LocalError, RemoteError
 
 words = st.integers(-0x8000, 0x7FFF)
-
-
-class Bench:
-    """The simulated devices and drivers on a clock set by hand."""
-
-    def __init__(
-        self, *, tilt: float = 0.0, held: bool = True, trim: float = 0.0, errors: ImuErrors = NO_ERRORS
-    ) -> None:
-        self.now = 10.0
-        self.body = BalboaBody(CONFIGURED, self.now, tilt=tilt, held=held)
-        self.robot = SimulatedRobot(self.body, random.Random(1), errors=errors, trim=trim)
-        self.bus = SimulatedBus(self.robot, lambda: self.now)
-        self.imu = Imu(self.bus)
-        self.slept: list[float] = []
-        self.balboa = Balboa(self.bus, lambda: self.now, self.slept.append)
 
 
 @given(st.tuples(*[words] * 6))

@@ -5,9 +5,9 @@ import logging
 import random
 
 import pytest
-from balancer_rig import Rig
 from hypothesis import given
 from hypothesis import strategies as st
+from slack_rig import AT_100_KHZ, Ticking
 
 from services.balancer.core.control.lqr import PERIOD_S
 from services.balancer.core.devices import balboa, uwb
@@ -16,10 +16,9 @@ from services.balancer.core.devices.display import ScreenText
 from services.balancer.core.devices.mailbox import check_request
 from services.balancer.core.devices.requests import check
 from services.balancer.core.slack.transfers import read
-from services.balancer.core.slack.wire_time import Transfer, WireTime
-from services.balancer.slack_tasks import MARGIN_S, SLACK_S, SlackTasks
+from services.balancer.core.slack.wire_time import Transfer
+from services.balancer.slack_tasks import MARGIN_S, SLACK_S
 from services.dwm.core.module.tlv import LOC_GET, AnchorRange, Location, Position, encode_location
-from sim.core.devices import SimulatedRobot
 from swarm.errors import LocalError, RemoteError
 from swarm.messages import (
     Battery,
@@ -34,36 +33,6 @@ from swarm.messages import (
     SetNotes,
     Uwb,
 )
-
-AT_100_KHZ = WireTime(100e3)
-
-
-class Ticking:
-    """A robot whose loop calls the slack tasks after each control step."""
-
-    def __init__(self, rig: Rig | None = None) -> None:
-        self.rig = rig or Rig()
-        self.tasks = SlackTasks(self.rig.balancer, lambda: self.rig.now)
-        self.news: list = []
-        self.transfers: list[tuple[int, Transfer]] = []
-        self.tick = 0
-        driver = self.rig.balancer.balboa
-        transfer = driver.transfer
-        driver.transfer = lambda each: (self.transfers.append((self.tick, each)), transfer(each))[1]
-
-    def run(self, seconds: float) -> "Ticking":
-        for _ in range(round(seconds / PERIOD_S)):
-            self.rig.run(PERIOD_S)
-            self.tick += 1
-            self.news += self.tasks.run(self.rig.deadline)
-        return self
-
-    def of(self, kind: type) -> list:
-        return [each for each in self.news if isinstance(each, kind)]
-
-    @property
-    def robot(self) -> SimulatedRobot:
-        return self.rig.robot
 
 
 def test_no_tick_has_more_than_its_share() -> None:

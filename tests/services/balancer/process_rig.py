@@ -1,0 +1,48 @@
+"""The balancer's real processes, started for a test, and who listens to what they say."""
+
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from conftest import Processes, wait_until
+
+from swarm.bus.zenoh_bus import Bus
+from swarm.messages import BalancerState, read
+
+
+class Watcher:
+    """Everything the robot says, by topic."""
+
+    def __init__(self, runtime: Path) -> None:
+        self.heard: dict[str, list] = defaultdict(list)
+        self.bus = Bus.of(runtime)
+        self.bus.subscribe("swarm/r0/balancer/*", self._take)
+
+    def _take(self, key: str, payload: bytes) -> None:
+        self.heard[key.rpartition("/")[2]].append(read(key, payload))
+
+    def last(self, topic: str = "state") -> BalancerState:
+        return self.heard[topic][-1] if self.heard[topic] else None
+
+    def lamps(self) -> tuple[bool, bool, bool] | None:
+        leds = self.last("leds")
+        return None if leds is None else (leds.red, leds.yellow, leds.green)
+
+    def wait_mode(self, mode: str) -> BalancerState:
+        wait_until(lambda: self.last() is not None and self.last().mode == mode, what=f"mode {mode}")
+        return self.last()
+
+    @staticmethod
+    def body_pid(processes: Processes) -> int:
+        return processes._started[-1].pid
+
+    def command(self, what: str, message: object) -> None:
+        self.bus.publish(f"swarm/r0/balancer/set/{what}", message)
+
+
+@pytest.fixture
+def watcher(runtime: Path, router: object) -> Iterator[Watcher]:
+    watcher = Watcher(runtime)
+    yield watcher
+    watcher.bus.close()
