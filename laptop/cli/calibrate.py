@@ -18,6 +18,7 @@ from services.dwm.calibrate import __main__ as calibrate
 from swarm.config import Config, load
 from swarm.errors import LocalError
 from swarm.files import atomic_write
+from swarm.onboard.command_line import FAR_OPTIONS
 
 _SESSIONS = ("distance", "position", "check")
 _THERE = "/run/swarm/calibration-{robot}-{stamp}.csv"
@@ -28,7 +29,7 @@ def main() -> int:
     way = argparse.ArgumentParser(add_help=False)
     robot_command.add_arguments(way)
     args, words = way.parse_known_args(sys.argv[1:])
-    options = calibrate.options_of(words)
+    options = calibrate.options_of(words, FAR_OPTIONS)
     args.run_dir = options.run_dir
     if options.command not in _SESSIONS or (options.samples and options.samples.exists()):
         args.run_dir = args.run_dir or Path()  # files alone: no robot is asked

@@ -1,4 +1,4 @@
-"""`swarm app param ... --fleet`: an app's parameters on every robot of the configuration, over ssh."""
+"""`swarm app param ... --real`: an app's parameters on every robot of the configuration, over ssh."""
 
 import argparse
 import shlex
@@ -16,14 +16,13 @@ COMMAND = "sudo -n /opt/swarm/current/bin/swarm app param"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what a robot's command takes, and the way by ssh."""
     param.add_arguments(parser)
-    parser.add_argument("--fleet", action="store_true", help="the robots of the config, even if a simulation runs here")
+    parser.add_argument("--real", "--fleet", action="store_true", help=robot_command.REAL_HELP)
     everyone.add_way(parser, timeout_s=20)
 
 
 def run(args: argparse.Namespace) -> int:
     """Code 1 where a robot does not answer, or refuses."""
-    args.real = args.fleet
-    if not (args.fleet or robot_command.is_meant(args)):
+    if not (args.real or robot_command.is_meant(args)):
         return param.run(args)
     param.settings_of(args)  # what is wrong is said here, not by each robot
     _, robots, ssh = everyone.chosen(args)

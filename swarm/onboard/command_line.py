@@ -62,6 +62,9 @@ _WIDTH = 100
 MORE = "more"
 """Title of the section whose commands share one line of the help, without a text for each."""
 
+FAR_OPTIONS = "Real robots, over ssh: --real, --config FILE, --ssh-config FILE."
+"""Last line of the help of a command that a laptop can have real robots run."""
+
 _HELP = re.compile(r'^HELP = (".*")$', re.MULTILINE)
 
 
@@ -142,7 +145,7 @@ def help_of(command: Command | CommandGroup) -> str:
 
 def parser_of(name: str, command: Command) -> argparse.ArgumentParser:
     """Return the parser of a command whose module has `add_arguments`."""
-    epilog = "Real robots, over ssh: --real, --config FILE, --ssh-config FILE." if command.far else None
+    epilog = FAR_OPTIONS if command.far else None
     parser = argparse.ArgumentParser(prog=f"swarm {name}", description=sentence(help_of(command)), epilog=epilog)
     importlib.import_module(command.module).add_arguments(parser)
     return parser

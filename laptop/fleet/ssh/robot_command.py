@@ -20,10 +20,12 @@ from swarm.process.simulations import default_run_dir, is_live, robots
 
 PROGRAM = "/opt/swarm/current/bin/swarm"
 
+REAL_HELP = "the robots of the config, even if a simulation runs here"
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare `--real`, `--config` and `--ssh-config`: the way to real robots."""
-    parser.add_argument("--real", action="store_true", help="the robots of the config, even if a simulation runs here")
+    parser.add_argument("--real", action="store_true", help=REAL_HELP)
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="swarm.toml with the robots and their hosts, for ssh"
     )
@@ -47,7 +49,7 @@ def is_meant(args: argparse.Namespace) -> bool:
 def add_simulation(parser: argparse.ArgumentParser) -> None:
     """Declare `--run-dir` and `--real`, beside the way to real robots that `everyone` declares."""
     add_run_dir(parser)
-    parser.add_argument("--real", action="store_true", help="the robots of the config, even if a simulation runs here")
+    parser.add_argument("--real", action="store_true", help=REAL_HELP)
 
 
 def simulated(args: argparse.Namespace) -> dict[str, Path] | None:

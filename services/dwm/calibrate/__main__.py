@@ -230,18 +230,18 @@ def _config(options: argparse.Namespace) -> Config:
     return configuration.load()
 
 
-def options_of(argv: list[str]) -> argparse.Namespace:
-    """The arguments of one command; ends the process where they are wrong."""
+def options_of(argv: list[str], far: str = "") -> argparse.Namespace:
+    """Return the arguments of one command; end the process where they are wrong. `far`: the help's last line."""
     parser = argparse.ArgumentParser(
         prog="swarm calibrate",
         description=DESCRIPTION,
-        epilog=EPILOG,
+        epilog=f"{EPILOG}\n{far}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     def command(name: str, run: object, text: str) -> argparse.ArgumentParser:
-        found = add_verb(commands, name, text)
+        found = add_verb(commands, name, text, far or None)
         buses.add_arguments(found)
         found.set_defaults(run=run)
         found.add_argument("--target", nargs=2, type=float, metavar=("X", "Y"), help="where the target stands, m")

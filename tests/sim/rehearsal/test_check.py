@@ -185,7 +185,7 @@ def test_a_sum_of_floats_is_warned_of(tmp_path: Path, short: None) -> None:
     found = check.judge(findings(file), findings(file))
     assert found["ok"]
     assert found["warnings"] == [
-        f"{file}, line 8: sum() of floats may have another last bit from Python 3.12 on, math.fsum never"
+        f"{file}, line 8: sum() rounds floats differently from Python 3.12 on; math.fsum() gives all robots the same bits"
     ]
 
 
