@@ -52,7 +52,7 @@ class Block(NamedTuple):
     @property
     def commands(self) -> list[str]:
         """Its lines without their comments."""
-        lines = (line.partition(" #")[0].strip() for line in self.text.splitlines())
+        lines = (line.partition(" #")[0].strip() for line in self.text.replace("\\\n", " ").splitlines())
         return [line for line in lines if line and not line.startswith("#")]
 
     @property

@@ -48,7 +48,7 @@ def work_through(page: str, tmp_path: Path, *, slow: bool) -> int:
             assert beside, "a file's name stands beside ```python"
             (home / beside).write_text(text)
         elif language == "sh" and (beside == "slow") == slow:
-            for line in text.splitlines():
+            for line in text.replace("\\\n", " ").splitlines():
                 command, _, comment = line.partition("#")
                 code = int(comment.removeprefix(" exit code ")) if comment.startswith(" exit code ") else 0
                 done = subprocess.run(
