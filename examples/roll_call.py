@@ -4,16 +4,16 @@ from swarm import SyncApp
 
 
 class RollCall(SyncApp):
-    """The first robot floods a call; whoever hears it sends an answer back, over as many links as it takes."""
+    """The first robot floods a call; each other robot sends an answer back, over as many links as it takes."""
 
     reached: int = 0
     answers: int = 0
     _call: str = ""
 
     def step(self, neighbours):
-        """Call once; answer whoever calls; count who answers."""
+        """Call once; answer each call; count the answers."""
         robot = self.robot
-        # By now all have begun, since each step waits for the neighbours' one.
+        # All robots have begun by this iteration, because each step waits for the neighbours' values.
         if robot.name == robot.swarm[0] and self.k == len(robot.swarm):
             self._call = robot.flood(b"who is there?").ticket
         for message in robot.messages():
