@@ -196,7 +196,7 @@ def _sync(task: Task, finding: _Finding) -> None:
             f"the result depends on the order of the neighbours ({min(orders)}): they always come sorted by name"
         )
     finding.warnings += [
-        f"{file}, line {line}: sum() rounds floats differently from Python 3.12 on; math.fsum() gives all robots the same bits"
+        f"{file}, line {line}: sum() rounds floats differently from Python 3.12 on; use math.fsum"
         for file, line in sorted(sums)
     ]
 
