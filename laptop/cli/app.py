@@ -7,7 +7,7 @@ from laptop.fleet.ssh import everyone, robot_command
 from laptop.fleet.ssh.ssh import Host
 from laptop.fleet.units import unit
 from sim.control import app_requests
-from swarm.onboard.arguments import show
+from swarm.process.arguments import show
 from swarm.process.simulations import robots, running
 
 

@@ -11,7 +11,7 @@ from laptop.fleet.ssh import everyone, robot_command
 from laptop.fleet.ssh.ssh import Done, Host, Ssh, hosts, last_words
 from swarm.config import load
 from swarm.messages.json_input import read_json
-from swarm.onboard.arguments import add_json, add_robots, add_run_dir, show
+from swarm.process.arguments import add_json, add_robots, add_run_dir, show
 
 TIMEOUT_S = 600.0
 """Seconds to wait for each robot: a measurement may take minutes."""

@@ -21,9 +21,9 @@ from swarm.config import Config, load
 from swarm.errors import LocalError, PayloadError
 from swarm.messages.json_input import read_json
 from swarm.onboard import halt
-from swarm.onboard.arguments import show
 from swarm.onboard.buses import buses
 from swarm.onboard.halt import Row
+from swarm.process.arguments import show
 from swarm.process.paths import DEFAULT_RUNTIME
 from swarm.process.terminal import columns
 

@@ -12,7 +12,7 @@ from sim.core import actions
 from sim.core.actions import Carry, Lay, Lift, Miswire, Press, Push, Roll, Unplug
 from swarm.errors import LocalError
 from swarm.messages.keys import is_name
-from swarm.onboard.arguments import add_json, add_run_dir, number, show
+from swarm.process.arguments import add_json, add_run_dir, number, show
 from swarm.process.simulations import pid_of, runtime_of
 
 BOOT_S = 3.0

@@ -22,7 +22,7 @@ from swarm.config.types import GRAPH
 from swarm.errors import LocalError
 from swarm.frozen import frozen
 from swarm.messages import LinkState
-from swarm.onboard.arguments import add_json, show, whole
+from swarm.process.arguments import add_json, show, whole
 from swarm.process.terminal import columns
 from swarm.recording.restore import published
 from swarm.recording.run import Run

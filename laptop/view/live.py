@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from laptop.fleet.ssh import robot_command
 from laptop.fleet.ssh.ssh import Ssh, hosts
 from swarm.config import load
-from swarm.onboard.arguments import add_robots, add_run_dir
+from swarm.process.arguments import add_robots, add_run_dir
 from swarm.process.simulations import default_run_dir
 
 if TYPE_CHECKING:

@@ -32,6 +32,7 @@ from swarm.app.truth import TruthWatch
 from swarm.config import Config
 from swarm.core.lockstep.frames import MAX_ITERATION
 from swarm.errors import AppError, LocalError
+from swarm.process.arguments import whole
 from swarm.process.service import Service, run
 from swarm.process.threads import ThreadedRuntime
 
@@ -104,7 +105,8 @@ def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m services.apps", description="Run one app on this robot.")
     text = f"{', '.join(loader.BUILT_IN)}, or the path of a Python file with an app"
     parser.add_argument("app", metavar="APP", help=text)
-    parser.add_argument("--iterations", type=_iterations, metavar="K", help="end after K iterations (default: no end)")
+    number = whole(0, MAX_ITERATION)
+    parser.add_argument("--iterations", type=number, metavar="K", help="end after K iterations (default: no end)")
     run_options.add_arguments(parser)
     parser.add_argument(
         "--run",
@@ -129,12 +131,6 @@ def _options() -> argparse.Namespace:
     given: str | None = options.run or os.environ.get("SWARM_RUN")
     options.run = None if not given else _number("--run or SWARM_RUN", given, 16)
     return options
-
-
-def _iterations(text: str) -> int:
-    if not (text.isascii() and text.isdecimal() and int(text) <= MAX_ITERATION):
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number from 0 to {MAX_ITERATION}")
-    return int(text)
 
 
 def _setting(text: str) -> Setting:

@@ -18,9 +18,9 @@ from swarm import clock
 from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError, SwarmError
 from swarm.messages import I2CRates, MeasureI2C, Status
-from swarm.onboard.arguments import add_json, show, sizes, whole
 from swarm.onboard.buses import buses
 from swarm.onboard.buses.ask import Answers, new_ticket, request
+from swarm.process.arguments import add_json, show, sizes, whole
 from swarm.process.paths import DEFAULT_RUNTIME
 
 HELP = "measure the read and write rates of a robot's I2C bus"

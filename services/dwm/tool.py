@@ -26,9 +26,9 @@ from services.dwm.localizer import known_modules, load_calibration, uncalibrated
 from swarm.config import Config, load
 from swarm.config.find import find
 from swarm.errors import ConfigError, LocalError
-from swarm.onboard.arguments import add_json, show
 from swarm.onboard.buses import buses
 from swarm.onboard.command_line import add_verb
+from swarm.process.arguments import add_json, show
 from swarm.process.simulations import CONFIG
 
 SECONDS = 3.0

@@ -10,10 +10,8 @@ from sim.disturbances import SERVICES, Cut, Kill, Off, ScheduledPress, Scheduled
 from sim.scenario import commission_report
 from sim.scenario.quantities import (
     AppSetting,
-    at_least,
     duration,
     loss,
-    positive,
     rate,
     setting,
     skew,
@@ -28,6 +26,7 @@ from swarm.app.run_options import RunOptions
 from swarm.config.types import LINKS
 from swarm.errors import ConfigError
 from swarm.frozen import frozen
+from swarm.process.arguments import number, whole
 
 FROM_START, SETTLED, DELAY = "start", "settled", "delay"
 MESHES = (FROM_START, SETTLED, DELAY)
@@ -128,7 +127,7 @@ def parser(kind: type[argparse.ArgumentParser] = argparse.ArgumentParser) -> arg
         "apps; the first one ends the run",
     )
     swarm = p.add_argument_group("the swarm")
-    swarm.add_argument("--robots", type=at_least(1), metavar="N", help="number of robots (3, or as in the replay)")
+    swarm.add_argument("--robots", type=whole(1), metavar="N", help="number of robots (3, or as in the replay)")
     swarm.add_argument(
         "--topology", metavar="NAME|FILE", help="line, loop, full, thesis-d, random:SEED, auto, or a matrix file"
     )
@@ -156,7 +155,9 @@ def parser(kind: type[argparse.ArgumentParser] = argparse.ArgumentParser) -> arg
         metavar="[APP/][ROBOT.]NAME=VALUE",
         help="a parameter of the first app or of the one named, for all robots or for one",
     )
-    app.add_argument("--step-size", type=positive, metavar="G", help="gradient step in the thesis' unit, 1/cm^2")
+    app.add_argument(
+        "--step-size", type=number(0.0, above=True), metavar="G", help="gradient step in the thesis' unit, 1/cm^2"
+    )
     app.add_argument(
         "--replay", type=Path, metavar="DIR", help="feed the measurements recorded in DIR (k.csv for robot k)"
     )
@@ -253,12 +254,12 @@ def parser(kind: type[argparse.ArgumentParser] = argparse.ArgumentParser) -> arg
     end.add_argument("--seconds", type=duration, metavar="S", help="end after this time")
     end.add_argument(
         "--iterations",
-        type=at_least(1),
+        type=whole(1),
         metavar="K",
         help="end after K iterations (100, or all of a replay)",
     )
     run.add_argument(
-        "--seed", type=at_least(0), default=1, metavar="S", help="seed of noise, jitter and random topologies (1)"
+        "--seed", type=whole(0), default=1, metavar="S", help="seed of noise, jitter and random topologies (1)"
     )
     run_options.add_arguments(p)
     run.add_argument("--json", action="store_true", help="one JSON object as the last line of the output")

@@ -6,7 +6,6 @@ Each reader raises `argparse.ArgumentTypeError`, which says what was expected.
 import argparse
 import math
 import re
-from collections.abc import Callable
 from typing import NamedTuple
 
 from services.mesh.links.radio_model import MAX_LOSS
@@ -83,21 +82,6 @@ def setting(text: str) -> AppSetting:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
-def at_least(low: int) -> Callable[[str], int]:
-    """Reads a whole number that is at least `low`."""
-
-    def convert(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
-        if value < low:
-            raise argparse.ArgumentTypeError(f"must be at least {low}")
-        return value
-
-    return convert
-
-
 def speed(text: str) -> float:
     """`0.5`, or `max`: infinity."""
     if text == "max":
@@ -132,12 +116,4 @@ def skew(text: str) -> float:
     value = _quantity(text, {"ppm": 1e-6}, "an error such as 20ppm")
     if not value <= MAX_SKEW:
         raise argparse.ArgumentTypeError(f"{text!r}: expected at most {1e6 * MAX_SKEW:g}ppm")
-    return value
-
-
-def positive(text: str) -> float:
-    """Parse a number above zero."""
-    value = _quantity(text, {"": 1.0}, "a number")
-    if value <= 0:
-        raise argparse.ArgumentTypeError("must be above zero")
     return value

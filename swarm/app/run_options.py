@@ -4,10 +4,10 @@
 """
 
 import argparse
-import math
 
 from swarm.core.lockstep.stopping import Rule
 from swarm.frozen import frozen
+from swarm.process.arguments import number, whole
 
 AFTER = 10.0
 """Seconds without a message after which a robot is dropped, if the run drops absent robots."""
@@ -21,6 +21,8 @@ ROUNDS = 10
 MAX_ROUNDS = 10_000
 
 WAIT, DROP = "wait", "drop"
+
+_positive = number(0.0, above=True)
 
 
 @frozen
@@ -57,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     end.add_argument("--until", choices=("converged",), help="end when all robots have converged")
     end.add_argument(
         "--rounds",
-        type=_rounds,
+        type=whole(1, MAX_ROUNDS),
         default=ROUNDS,
         metavar="R",
         help=f"end when they have been converged for R iterations ({ROUNDS})",
@@ -97,22 +99,6 @@ def of(options: argparse.Namespace) -> RunOptions:
     absent, after, tolerance = values.pop("absent"), values.pop("drop_after"), values.pop("tolerance")
     rule = Rule(rounds if until else None, seconds) if until or seconds is not None else None
     return RunOptions(values["iterations"], rule, absent == DROP, after, tolerance)
-
-
-def _rounds(text: str) -> int:
-    if not (text.isascii() and text.isdecimal() and 1 <= int(text) <= MAX_ROUNDS):
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number from 1 to {MAX_ROUNDS}")
-    return int(text)
-
-
-def _positive(text: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not (math.isfinite(number) and number > 0):
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a number above zero, such as 0.5")
-    return number
 
 
 def _seconds(text: str) -> float:

@@ -8,8 +8,8 @@ from swarm.config.find import LOOKED_IN
 from swarm.config.load import load
 from swarm.config.types import DEFAULT_RELAY, STAR, TREE, Config
 from swarm.core.graph import Graph
-from swarm.onboard.arguments import add_json, show
 from swarm.onboard.command_line import add_verb
+from swarm.process.arguments import add_json, show
 from swarm.process.terminal import columns
 
 HELP = "check a swarm.toml, or print a commented example"

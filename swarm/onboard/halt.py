@@ -18,9 +18,9 @@ from swarm.errors import PayloadError
 from swarm.frozen import frozen
 from swarm.messages import Arm, BalancerState, GraphRobot, Stop, read
 from swarm.messages.keys import STOP, key, parse
-from swarm.onboard.arguments import add_json, number, show
 from swarm.onboard.buses import buses
 from swarm.onboard.buses.ask import AWAY, Views, opened
+from swarm.process.arguments import add_json, number, show
 from swarm.process.terminal import columns
 
 ROUND = 0.2

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from swarm.config.keyfile import new_key_file, read_keys, retire, rotate
 from swarm.config.types import DEFAULT_KEY_FILE
-from swarm.onboard.arguments import add_json, show
 from swarm.onboard.command_line import add_verb
+from swarm.process.arguments import add_json, show
 
 HELP = "make or replace the key that the robots of a swarm share"
 

@@ -12,9 +12,9 @@ from swarm.errors import LocalError
 from swarm.messages import AppParameter, AppParameters, AppParametersSet, SetAppParameters
 from swarm.messages.codec import Value
 from swarm.messages.keys import is_name
-from swarm.onboard.arguments import add_json, show
 from swarm.onboard.buses import buses
 from swarm.onboard.buses.ask import PATIENCE, Answers, new_ticket, opened, request
+from swarm.process.arguments import add_json, show
 from swarm.process.terminal import columns
 
 HELP = "show or change parameters of a running app"

@@ -21,9 +21,9 @@ from swarm.messages import AppParameters
 from swarm.messages.codec import decode
 from swarm.messages.keys import EVERYTHING
 from swarm.messages.keys import key as key_of
-from swarm.onboard.arguments import add_robots, add_run_dir, number, whole
 from swarm.onboard.buses import buses, samples
 from swarm.onboard.command_line import complain, end_with
+from swarm.process.arguments import add_robots, add_run_dir, number, whole
 from swarm.process.paths import DEFAULT_RUNTIME, bus_endpoint, runtime_dir
 from swarm.process.simulations import default_run_dir, is_live, robots
 

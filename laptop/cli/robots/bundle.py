@@ -10,7 +10,7 @@ from laptop.fleet.release.install import read_release
 from laptop.fleet.release.release import build
 from swarm.config import load
 from swarm.config.find import LOOKED_IN, find
-from swarm.onboard.arguments import add_json, show
+from swarm.process.arguments import add_json, show
 
 HELP = "download packages and releases that swarm provision needs for robots without internet"
 

@@ -20,8 +20,8 @@ from laptop.fleet.ssh.ssh import Host, HostError, Ssh
 from swarm.config import Config, load
 from swarm.errors import LocalError, PayloadError
 from swarm.messages.json_input import read_json
-from swarm.onboard.arguments import add_run_dir, show
 from swarm.onboard.buses import buses
+from swarm.process.arguments import add_run_dir, show
 from swarm.process.simulations import CONFIG, default_run_dir, is_live, robots
 
 HELP = "test everything on robots (or simulated ones); name faults and what to do"

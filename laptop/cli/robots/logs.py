@@ -16,7 +16,7 @@ from sim.processes.progress import said
 from swarm.config.find import find
 from swarm.errors import LocalError
 from swarm.messages import AppLog
-from swarm.onboard.arguments import show, whole
+from swarm.process.arguments import show, whole
 from swarm.process.terminal import write_lines
 from swarm.process.text import printable
 from swarm.recording.reader import SUFFIX

@@ -11,7 +11,7 @@ from laptop.fleet.ssh import everyone
 from swarm.config import Config, parse
 from swarm.errors import ConfigError, LocalError
 from swarm.files import atomic_write
-from swarm.onboard.arguments import show
+from swarm.process.arguments import show
 from swarm.process.terminal import write_lines
 
 HELP = "pair all neighbours over Bluetooth; write missing addresses into swarm.toml"

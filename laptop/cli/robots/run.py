@@ -12,8 +12,8 @@ from sim.scenario.quantities import setting
 from swarm.app import run_options
 from swarm.config import Config
 from swarm.errors import LocalError
-from swarm.onboard.arguments import number, whole
 from swarm.onboard.command_line import complain
+from swarm.process.arguments import number, whole
 
 HELP = "start apps on all robots, over ssh (swarm services stop APP ends one)"
 

@@ -11,7 +11,7 @@ from laptop.fleet.ssh.ssh import Host
 from laptop.fleet.units import SERVICES, units
 from sim.control import app_requests
 from swarm.errors import LocalError
-from swarm.onboard.arguments import show
+from swarm.process.arguments import show
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -10,7 +10,7 @@ from laptop.foxglove.recorded import RecordedScenes
 from laptop.runs import tables
 from laptop.view.feeds.feed import config_of
 from swarm.errors import LocalError, RecordingError
-from swarm.onboard.arguments import add_json, show
+from swarm.process.arguments import add_json, show
 from swarm.recording import thesis_csv
 from swarm.recording.core.mcap import McapSchema
 from swarm.recording.core.writer import Writer

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from swarm.errors import LocalError, MissingPackageError
-from swarm.onboard.arguments import add_json, number, show
 from swarm.onboard.command_line import UNIX_MODULES
+from swarm.process.arguments import add_json, number, show
 from swarm.process.terminal import bar
 
 if TYPE_CHECKING:

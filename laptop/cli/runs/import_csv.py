@@ -6,7 +6,7 @@ from pathlib import Path, PurePosixPath
 
 from swarm.errors import LocalError, RecordingError
 from swarm.messages import AppState
-from swarm.onboard.arguments import add_json, show
+from swarm.process.arguments import add_json, show
 from swarm.recording import folder, thesis_csv
 from swarm.recording.reader import SUFFIX
 from swarm.recording.virtual_file import DirectRecording
@@ -43,7 +43,9 @@ def run(args: argparse.Namespace) -> int:
     folder.begin(output, info, {})
     recording = DirectRecording(output / f"{app}{SUFFIX}", info, clock=UNIX)
     try:
-        topics = {name: _topic(name) for name in texts}
+        topics = {
+            name: f"swarm/{thesis_csv.robot_of(name)}/thesis/{'.'.join(name.with_suffix('').parts)}" for name in texts
+        }
         recording.metadata(FILES, {str(name): topic for name, topic in topics.items()})
         for name, text in texts.items():
             _put(recording, name, kinds[name], text, topics[name])
@@ -58,10 +60,6 @@ def _read(path: Path) -> str:
         return path.read_bytes().decode("ascii")
     except (OSError, UnicodeDecodeError) as error:
         raise RecordingError(f"{path}: cannot be read: {error}") from None
-
-
-def _topic(name: PurePosixPath) -> str:
-    return f"swarm/{thesis_csv.robot_of(name)}/thesis/{'.'.join(name.with_suffix('').parts)}"
 
 
 def _put(recording: DirectRecording, name: PurePosixPath, kind: str, text: str, topic: str) -> None:

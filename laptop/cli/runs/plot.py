@@ -8,7 +8,7 @@ from typing import Any
 
 from laptop.plotting import events, journeys, mesh, places, states, style
 from swarm.errors import LocalError
-from swarm.onboard.arguments import add_json, show
+from swarm.process.arguments import add_json, show
 from swarm.recording.run import Run
 
 HELP = "draw a recorded run: states, map, mesh, LEDs, floods, ..."

@@ -11,7 +11,7 @@ from pathlib import Path
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus, Router
 from swarm.errors import LocalError
-from swarm.onboard.arguments import number
+from swarm.process.arguments import number
 from swarm.process.paths import bus_endpoint
 from swarm.process.simulations import claim, default_run_dir
 from swarm.recording.reader import RecordedSample

@@ -17,8 +17,8 @@ from sim.sweep.limit import search
 from sim.sweep.measure import check
 from sim.sweep.plan import SweepPoint, jobs_of, points_of, seeds_of, setting_of, values_of
 from swarm.errors import ConfigError
-from swarm.onboard.arguments import whole
 from swarm.process import log, service
+from swarm.process.arguments import whole
 from swarm.process.terminal import bar, steer
 
 WITHIN = 0.01

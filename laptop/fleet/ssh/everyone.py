@@ -15,7 +15,7 @@ from swarm.config import Config, load
 from swarm.config.find import LOOKED_IN
 from swarm.errors import LocalError
 from swarm.frozen import frozen
-from swarm.onboard.arguments import add_json, add_robots, number, show
+from swarm.process.arguments import add_json, add_robots, number, show
 from swarm.process.terminal import columns, write_lines
 
 

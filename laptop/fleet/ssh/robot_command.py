@@ -13,8 +13,8 @@ from pathlib import Path
 from laptop.fleet.ssh.ssh import Host
 from swarm.config import find
 from swarm.errors import LocalError
-from swarm.onboard.arguments import add_run_dir
 from swarm.onboard.buses import buses
+from swarm.process.arguments import add_run_dir
 from swarm.process.paths import DEFAULT_RUNTIME
 from swarm.process.simulations import default_run_dir, is_live, robots
 

@@ -16,10 +16,10 @@ from swarm.bus.zenoh_bus import Bus
 from swarm.errors import PayloadError
 from swarm.messages import SetMode, read
 from swarm.messages.keys import key
-from swarm.onboard.arguments import add_json, number, show
 from swarm.onboard.body.mode_change import COMMANDS, ModeChange
 from swarm.onboard.buses import buses
 from swarm.onboard.buses.ask import PATIENCE, opened
+from swarm.process.arguments import add_json, number, show
 from swarm.process.terminal import columns
 
 TIMEOUT_S = 40.0

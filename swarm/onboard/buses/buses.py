@@ -7,7 +7,7 @@ from pathlib import Path
 
 from swarm.config import load, who_am_i
 from swarm.errors import LocalError
-from swarm.onboard.arguments import add_robots, add_run_dir
+from swarm.process.arguments import add_robots, add_run_dir
 from swarm.process.paths import DEFAULT_RUNTIME, runtime_dir
 from swarm.process.simulations import default_run_dir, is_live, robots
 

@@ -21,13 +21,13 @@ from swarm.errors import LocalError, PayloadError
 from swarm.files import atomic_write
 from swarm.messages import Arm, ImuRequest, MeasureI2C, SetDisplay, SetMode, Stop, TryMotors, read
 from swarm.messages.keys import STOP, key
-from swarm.onboard.arguments import add_json
 from swarm.onboard.body.drive import one
 from swarm.onboard.body.keyboard import Keyboard
 from swarm.onboard.buses import buses
 from swarm.onboard.buses.ask import PATIENCE
 from swarm.onboard.commission.core.procedure import PASSED, Action, Ask, Procedure, Say, SendCommand, Subject
 from swarm.onboard.commission.core.steps import STEPS
+from swarm.process.arguments import add_json
 from swarm.process.simulations import CONFIG
 from swarm.process.terminal import write_lines
 

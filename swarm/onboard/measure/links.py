@@ -18,12 +18,12 @@ from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError
 from swarm.messages import GraphRobot
 from swarm.messages.keys import is_name
-from swarm.onboard import arguments
 from swarm.onboard.buses import buses
 from swarm.onboard.buses.ask import PATIENCE, Views, opened
 from swarm.onboard.measure.figures import FLOOD, NEIGHBOURS, OVERLAYS, UNICAST, Figures, Series
 from swarm.onboard.measure.senders import Floods, Pings, Sender, UnicastMessages
 from swarm.onboard.mesh.collected import CollectedMesh
+from swarm.process import arguments
 
 SIZES = (50, 200, 500, 750, 1000)
 """Bytes; those of the thesis' figure 3.19."""

@@ -15,8 +15,8 @@ from swarm.bluetooth.adapter import Adapter
 from swarm.config import load
 from swarm.config.types import RobotConfig
 from swarm.errors import LocalError
-from swarm.onboard.arguments import show, whole
 from swarm.onboard.measure import links
+from swarm.process.arguments import show, whole
 from swarm.process.simulations import CONFIG, is_live
 
 HELP = "measure the signal strength of a Bluetooth link"

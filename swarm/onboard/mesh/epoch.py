@@ -10,10 +10,10 @@ from functools import partial
 from swarm.errors import LocalError
 from swarm.messages import AppEpoch, SetAppEpoch
 from swarm.messages.keys import is_name, key
-from swarm.onboard.arguments import add_json, number, show
 from swarm.onboard.buses import buses
 from swarm.onboard.buses.ask import PATIENCE, Answers, new_ticket, opened
 from swarm.onboard.command_line import add_verb
+from swarm.process.arguments import add_json, number, show
 
 HELP = "show or change which robots an app's lockstep runs on"
 

@@ -13,11 +13,11 @@ from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError, PayloadError
 from swarm.messages import Clock, Links, Status, Topology, read
 from swarm.messages.keys import key, parse
-from swarm.onboard.arguments import add_json, show
 from swarm.onboard.buses import buses
 from swarm.onboard.buses.ask import PATIENCE, Views, opened
 from swarm.onboard.mesh import tables
 from swarm.onboard.mesh.collected import CollectedMesh, MeshView
+from swarm.process.arguments import add_json, show
 
 HELP = "show the robots of the swarm, their links and the graph"
 

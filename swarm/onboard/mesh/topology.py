@@ -14,11 +14,11 @@ from swarm.core.graph import SHAPES
 from swarm.errors import LocalError
 from swarm.messages import Topology, TopologyRequest, TopologySet
 from swarm.messages.keys import is_name
-from swarm.onboard.arguments import add_json, number, show
 from swarm.onboard.buses import buses
 from swarm.onboard.buses.ask import PATIENCE, Answers, new_ticket, opened, request
 from swarm.onboard.command_line import add_verb
 from swarm.onboard.mesh.tables import pairs
+from swarm.process.arguments import add_json, number, show
 from swarm.process.terminal import columns
 
 HELP = "show or change the topology while the swarm runs"
