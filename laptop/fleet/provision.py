@@ -124,7 +124,8 @@ class Provisioning:
 
     async def _resolve(self, repository: Repository, names: Sequence[str]) -> tuple[list[Package], str]:
         """Return what apt on the robot would install for these names, and what prevents it."""
-        request = {"folder": self._cache, "index": repository.index, "apt": self._apt(), "packages": names}
+        apt = [word.replace(packages.CACHE, self._cache) for word in packages.apt_get()]
+        request = {"folder": self._cache, "index": repository.index, "apt": apt, "packages": names}
         said = await remote.call(self._ssh, self._host, "repository", request)
         wanted = [repository.packages.get((name, version)) for name, version in said["install"]]
         if None in wanted:
@@ -135,9 +136,6 @@ class Provisioning:
     @property
     def _cache(self) -> str:
         return self._rig.root.rstrip("/") + packages.CACHE
-
-    def _apt(self) -> list[str]:
-        return [word.replace(packages.CACHE, self._cache) for word in packages.apt_get()]
 
     async def _send(self, repository: Repository, files: Sequence[Package]) -> None:
         """Bring those files that are not there yet."""

@@ -2,6 +2,7 @@
 
 import asyncio
 import tempfile
+from functools import partial
 from pathlib import Path
 from urllib.parse import urlencode
 
@@ -18,17 +19,9 @@ _SHOWN = ("token", "theme", "run")
 def add_camera(app: web.Application, recording: ViewedRecording | None) -> None:
     """Give a server of pages the addresses `/picture` and, of a recording, `/film`."""
     app[_BUSY] = asyncio.Lock()
-    app.router.add_get("/picture", _picture)
+    app.router.add_get("/picture", partial(_make, name="page.png"))
     if recording is not None:
-        app.router.add_get("/film", _film)
-
-
-async def _picture(request: web.Request) -> web.StreamResponse:
-    return await _make(request, "page.png")
-
-
-async def _film(request: web.Request) -> web.StreamResponse:
-    return await _make(request, "page.mp4")
+        app.router.add_get("/film", partial(_make, name="page.mp4"))
 
 
 async def _make(request: web.Request, name: str) -> web.StreamResponse:

@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from sim.sweep.engines import Engine
-from sim.sweep.measure import SweptRun
 from sim.sweep.plan import SweepPoint, jobs_of
 
 PRECISION = 0.01
@@ -44,7 +43,7 @@ def search(
         tried = [points[index].with_value(name, value) for index, value in values.items()]
         found = engine(jobs_of(app, tried, seeds, rest, within), done)
         for place, (index, value) in enumerate(values.items()):
-            if all(_settles(run) for run in found if run.point == place):
+            if all(not run.problem and run.settled is not None for run in found if run.point == place):
                 brackets[index].good = value
             else:
                 brackets[index].bad = value
@@ -60,7 +59,3 @@ def search(
         if not open_:
             return brackets
         judge(open_)
-
-
-def _settles(run: SweptRun) -> bool:
-    return not run.problem and run.settled is not None

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from swarm.config.load import AUTO
-from swarm.config.types import DEFAULT_RELAY, AppConfig, Config
+from swarm.config.types import DEFAULT_RELAY, Config
 from swarm.errors import LocalError
 
 
@@ -26,13 +26,11 @@ def dump(config: Config) -> str:
     if config.packages:
         document["robot"] = {"packages": list(config.packages)}
     document["relay"] = _plain(rules)
-    document["apps"] = {name: _app(app) for name, app in config.apps.items()}
+    document["apps"] = {
+        name: {**_plain(app.parameters), "robots": _plain(app.robots)} for name, app in config.apps.items()
+    }
     text: str = tomli_w.dumps(document)
     return text
-
-
-def _app(app: AppConfig) -> dict[str, Any]:
-    return {**_plain(app.parameters), "robots": _plain(app.robots)}
 
 
 def _plain(value: Any) -> Any:

@@ -186,7 +186,7 @@ def _topology(top: Table, robots: Sequence[RobotConfig], addressed: bool, *, hub
     way = given[0] if given else "edges"
     try:
         if way == "shape":
-            graph = Graph.of_shape(table.text("shape", expected=_shapes()), names)
+            graph = Graph.of_shape(table.text("shape", expected=f"{', '.join(SHAPES[:-1])} or {SHAPES[-1]}"), names)
         elif way == "matrix":
             graph = Graph.of_matrix(_matrix(table), names)
         else:
@@ -245,10 +245,6 @@ def _check_addresses(top: Table, robots: Sequence[RobotConfig], way: str) -> Non
                 f"with {way} each robot can be called by any other: expected the address of "
                 f'{robot.name}, like "B8:27:EB:12:34:56", or its link',
             )
-
-
-def _shapes() -> str:
-    return f"{', '.join(SHAPES[:-1])} or {SHAPES[-1]}"
 
 
 def _edges(table: Table) -> list[tuple[str, str]]:

@@ -75,7 +75,7 @@ def checked(value: object, shape: tuple[int, ...], *, single: bool) -> "Numbers"
     except (TypeError, ValueError, OverflowError):
         given = np.array(None)
     if given.dtype.kind not in "biuf":
-        raise AppError(f"expected an array of {_named(shape)} numbers, got {_shown(value)}")
+        raise AppError(f"expected an array of {' x '.join(map(str, shape))} numbers, got {_shown(value)}")
     with np.errstate(over="ignore"):  # beyond float32: it is not finite, which is told by its name
         found = np.array(given, dtype=kind)
     if found.shape != shape and found.ndim == 1 and isinstance(value, tuple | list) and found.size == _size(shape):
@@ -128,10 +128,6 @@ def _size(shape: tuple[int, ...]) -> int:
     for each in shape:
         size *= each
     return size
-
-
-def _named(shape: tuple[int, ...]) -> str:
-    return " x ".join(map(str, shape))
 
 
 def _shown(value: object) -> str:

@@ -18,12 +18,10 @@ def printable(text: str, longest: int | None = LONGEST) -> str:
     written as JSON writes it, `\u001b`, so that a line of JSON means what it meant.
     """
     # Cut before anything is made longer: the text may be a megabyte.
-    shown = _shown(text if longest is None else text[: longest + 1])
+    shown = text if longest is None else text[: longest + 1]
+    if not shown.isprintable():
+        shown = "".join(map(_letter, shown))
     return shown if longest is None or len(shown) <= longest else shown[: longest - len(_CUT)] + _CUT
-
-
-def _shown(text: str) -> str:
-    return text if text.isprintable() else "".join(map(_letter, text))
 
 
 def _letter(letter: str) -> str:

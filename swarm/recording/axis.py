@@ -47,7 +47,7 @@ class Clocks:
         """The way from each clock to common time."""
         if len(self._epochs) < 2:
             self.epoch = next(iter(self._epochs.values()), 0.0)
-            return dict.fromkeys(self._epochs, _same)
+            return dict.fromkeys(self._epochs, _shifted(0.0))
         counts = Counter(relation.root for each in self._relations.values() for relation in each)
         root = min(counts, key=lambda name: (-counts[name], name), default="")
         axes: dict[str, Axis] = {}
@@ -63,10 +63,6 @@ class Clocks:
                 axes[clock] = _shifted(epoch + shift)
                 self.notes.append(f"clock {clock}: no samples of the mesh clock, its time of day has to do")
         return axes
-
-
-def _same(t: float) -> float:
-    return t
 
 
 def _shifted(by: float) -> Axis:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from laptop.cli.runs import sim
 from sim.scenario import options as arguments
-from sim.scenario.options import Options
 from swarm.process import log, service
 
 APP = "localization"
@@ -21,7 +20,13 @@ def main() -> int:
     _, rest = parser().parse_known_args()
     options = arguments.parse([APP, *rest])
     sys.stderr.write("Three simulated robots, each six processes as on a Pi, find a target together.\n")
-    return sim.simulate(_completed(options))
+    return sim.simulate(
+        replace(
+            options,
+            iterations=options.iterations or (None if options.seconds else ITERATIONS),
+            plot=options.plot or PLOT,
+        )
+    )
 
 
 def parser() -> argparse.ArgumentParser:
@@ -35,15 +40,6 @@ def parser() -> argparse.ArgumentParser:
         "takes less than a minute.",
         epilog="Every option of swarm sim is allowed as well, for example --json, --virtual or --robots N: see "
         "swarm sim --help.",
-    )
-
-
-def _completed(options: Options) -> Options:
-    """Return the options with the number of iterations and the picture of the demo where none is given."""
-    return replace(
-        options,
-        iterations=options.iterations or (None if options.seconds else ITERATIONS),
-        plot=options.plot or PLOT,
     )
 
 

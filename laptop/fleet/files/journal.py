@@ -4,7 +4,6 @@ The robot's journald gives each entry a cursor. The mark holds the cursor of the
 of the text then, so that a transfer which broke goes on behind it, with nothing twice and nothing missing.
 """
 
-from collections.abc import Iterable
 from datetime import UTC, datetime
 
 from swarm.errors import PayloadError
@@ -60,9 +59,5 @@ def entry(line: str) -> tuple[str, str] | None:
 def _message(value: object) -> str:
     """journald gives what is no text as a list of bytes, and what is too long not at all."""
     if isinstance(value, list):
-        value = bytes(_byte_values(value)).decode(errors="replace")
+        value = bytes(each for each in value if isinstance(each, int) and 0 <= each < 256).decode(errors="replace")
     return "(left out)" if value is None else str(value)
-
-
-def _byte_values(values: Iterable[object]) -> Iterable[int]:
-    return (value for value in values if isinstance(value, int) and 0 <= value < 256)

@@ -94,7 +94,11 @@ class Control:
         # Before the other lock: a stop does not wait for a picture that is being drawn.
         with self._feed.lock:
             said = {name: self._feed.picture.newest(name, "mesh/stopped") for name in self._feed.buses}
-        late = [name for name, value in said.items() if not _agrees(value, wanted.stop)]
+        late = [
+            name
+            for name, value in said.items()
+            if not (isinstance(value, dict) and value.get("stopped") is wanted.stop)
+        ]
         with self._halting:
             if self._wanted is not wanted:
                 return  # a later one has gone out meanwhile
@@ -205,7 +209,3 @@ class Control:
 
 def _except(silent: list[str]) -> str:
     return f", not of {' '.join(silent)}: they are not reached" if silent else ""
-
-
-def _agrees(value: object, stopped: bool) -> bool:
-    return isinstance(value, dict) and value.get("stopped") is stopped

@@ -102,7 +102,9 @@ class EventHost:
         self._changes = Changes(runtime, name, app, self._change, storage.parameters(name), place.run, record)
         runner.change(self._changes.kept())
         app.robot.timers = runtime.entry(self._after)
-        self._claims = DeviceClaims(runtime, devices, self._well)
+        self._claims = DeviceClaims(
+            runtime, devices, lambda: self._core.phase not in ("fault", "done") and not self._hung
+        )
         if links_change:
             # Of whomever the mesh brings: neighbours may change.
             self._bus.subscribe(key("*", f"app/{name}", "latest", "*"), self._on_latest)
@@ -339,9 +341,6 @@ class EventHost:
                 view.take(latest.k, dict(zip(schema.names, schema.unpack(latest.value), strict=True)))
 
     # What is told
-
-    def _well(self) -> bool:
-        return self._core.phase not in ("fault", "done") and not self._hung
 
     def _look_for_hang(self, now: float) -> None:
         if self._core.hangs(now) == self._hung:

@@ -95,7 +95,7 @@ class LockstepHost:
             runner = parts[0].runner
             self._let_change(runner, run, storage, observer)
             if runner.app.robot.devices is not None:
-                self._claims = DeviceClaims(runtime, runner.app.robot.devices, self._well)
+                self._claims = DeviceClaims(runtime, runner.app.robot.devices, lambda: not self.failed)
         # Of neighbours, and of another process of this app on this robot: there must not be one.
         runtime.bus.subscribe(key("*", f"app/{app}", "sync", "**"), self._on_sync)
         listen(runtime, key(self.robot, f"app/{app}", "set", "epoch"), SetAppEpoch, self._on_order)
@@ -150,9 +150,6 @@ class LockstepHost:
         runner.change(changes.kept())
         runner.changed = changes.tell
         changes.tell()
-
-    def _well(self) -> bool:
-        return not self.failed
 
     def _changed(self) -> None:
         """Look anew at the locksteps after one has begun, has changed its epoch, or has ended."""

@@ -19,7 +19,7 @@ from swarm.core.epochs.notes import LOST, Epoch
 from swarm.core.lockstep.actions import Advanced, Compute, Fault, Finished, Save, Send, Waiting, key_of
 from swarm.core.lockstep.frames import Channel, Snapshot
 from swarm.errors import SwarmError
-from swarm.messages import AppEpoch, AppProgress, AppState, Measurement
+from swarm.messages import AppProgress, AppState, Measurement
 from swarm.messages.codec import Value, encode
 from swarm.messages.keys import key
 from swarm.process.runtime import Runtime
@@ -90,7 +90,7 @@ class LockstepDriver:
         self._counted = f"{part}_sync" if part else "sync"
         self._epoch_key = key(self.robot, topics, "epoch")
         self._status = AppStatus(runtime, topics, lambda: self.progress, self._look_at_state)
-        self._bus.serve(self._epoch_key, lambda *_: encode(self._epoch()))
+        self._bus.serve(self._epoch_key, lambda *_: encode(told(self.run.epochs.epoch, runtime.now)))
 
     @property
     def failed(self) -> bool:
@@ -369,6 +369,3 @@ class LockstepDriver:
         if run.phase == "running" and run.waiting:
             return "waiting", run.k, run.waiting, self.watch.reason(run.waiting)
         return run.phase, run.k, (), run.reason
-
-    def _epoch(self) -> AppEpoch:
-        return told(self.run.epochs.epoch, self._runtime.now)

@@ -101,7 +101,10 @@ def positions(samples: Sequence[RangeSample]) -> PositionFigures:
         if sample.px is not None and sample.py is not None:
             raw.setdefault(sample.place, []).append((sample.px * 100, sample.py * 100))
     smooth = {place: _smooth(values) for place, values in raw.items()}
-    means = {place: _centroid(values) for place, values in smooth.items()}
+    means = {
+        place: (mean([value[0] for value in values]), mean([value[1] for value in values]))
+        for place, values in smooth.items()
+    }
     model = _affine(means)
     table = {place: value for place, value in means.items() if place not in _NOT_IN_TABLE}
     of_table = _affine(table)
@@ -122,10 +125,6 @@ def _smooth(values: Sequence[Place]) -> list[Place]:
     kept = inlying_places(values, ORIGINAL_PERCENTILES)
     x, y = (recursive_average([value[axis] for value in kept], WINDOW) for axis in (0, 1))
     return list(zip(x, y, strict=True))
-
-
-def _centroid(values: Sequence[Place]) -> Place:
-    return mean([value[0] for value in values]), mean([value[1] for value in values])
 
 
 def _affine(means: dict[int, Place]) -> Affine:

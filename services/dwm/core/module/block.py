@@ -2,7 +2,7 @@
 
 from services.dwm.core.module.poller import ModuleHealth, ModuleReport
 from services.dwm.core.module.tlv import ERRORS, AnchorRange, Location, Position
-from swarm.messages import Uwb, UwbRange
+from swarm.messages import Uwb
 
 PATIENCE = 3.0
 """Seconds without a message after which the source counts as silent: the balancer publishes at least once a second."""
@@ -63,8 +63,8 @@ class Block:
 
 def location(block: Uwb) -> Location:
     """The report as the module gave it to the ATmega."""
-    return Location(Position(block.x, block.y, block.z, block.quality), tuple([_range(item) for item in block.ranges]))
-
-
-def _range(item: UwbRange) -> AnchorRange:
-    return AnchorRange(item.anchor, item.distance, item.quality, Position(item.x, item.y, item.z, item.place_quality))
+    ranges = [
+        AnchorRange(item.anchor, item.distance, item.quality, Position(item.x, item.y, item.z, item.place_quality))
+        for item in block.ranges
+    ]
+    return Location(Position(block.x, block.y, block.z, block.quality), tuple(ranges))

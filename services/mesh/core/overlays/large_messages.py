@@ -219,14 +219,12 @@ class LargeFloods:
         """Forget others' messages, the one first that was not asked for for longest, until there is room."""
         used = size + sum(len(held.payload) for held in self._held.values())
         used += total_of(fetch for fetch in self.exchange.fetching if fetch.id.flood)
-        for id in sorted(self._others_held(), key=lambda id: self._held[id].until):
+        others = [id for id in self._held if id.origin != self._me]
+        for id in sorted(others, key=lambda id: self._held[id].until):
             if used <= MAX_BYTES:
                 break
             used -= len(self._held.pop(id).payload)
         return used <= MAX_BYTES
-
-    def _others_held(self) -> Collection[MessageId]:
-        return [id for id in self._held if id.origin != self._me]
 
     def _was_delivered(self, id: MessageId) -> bool:
         incarnation, window = self._delivered.get(id.origin, (0, None))

@@ -130,7 +130,7 @@ MOST = 32
 
 def callers(names: Sequence[str], edges: Sequence[Edge]) -> frozenset[Edge]:
     """Return the links, each with its caller first."""
-    links = sorted(map(_sorted, edges))
+    links = sorted((min(edge), max(edge)) for edge in edges)
     first = _by_sides(names, links)
     if len(links) > MOST:
         return frozenset(first)
@@ -140,10 +140,6 @@ def callers(names: Sequence[str], edges: Sequence[Edge]) -> frozenset[Edge]:
     starts += [_by_circle([name for name in order if name != last], links) for last in order]
     best = min(map(_turned, starts), key=waiting)
     return frozenset(best)
-
-
-def _sorted(edge: Edge) -> Edge:
-    return (min(edge), max(edge))
 
 
 def _by_sides(names: Sequence[str], links: Sequence[Edge]) -> list[Edge]:

@@ -337,7 +337,9 @@ class Linking:
         if not self.value.auto and not self.value.version and not self.carried:
             return
         reachable = self._map.routes()
-        strangers = self._strangers()
+        strangers = [
+            name for name, dials in self._dials.items() if dials and name not in self._links and name not in self.wanted
+        ]
         far = [name for name in strangers if name not in reachable]
         if self.carried:
             far = self._succession.due(far, reachable.keys(), now)
@@ -351,10 +353,6 @@ class Linking:
         self._search.aim(far, near, now)
         if self.value.auto:
             self._plan_at = min(self._plan_at, now + SETTLE)
-
-    def _strangers(self) -> list[str]:
-        return [name for name, dials in self._dials.items()
-                if dials and name not in self._links and name not in self.wanted]  # fmt: skip
 
     def _look_for_spare(self, kept: tuple[str, ...], now: float) -> None:
         """Drop what has not been needed for a while."""

@@ -33,7 +33,10 @@ def imu(desk: Desk) -> Script:
     back = yield from _mean(desk)
     front = yield from _sample(desk, "lay-front", "Lay it on its front.")
     upright = yield from _sample(desk, "lift-upright", "Take it in your hand and hold it upright, wheels in the air.")
-    tilts = {name: _tilt(mean) for name, mean in (("back", back), ("front", front), ("upright", upright))}
+    tilts = {
+        name: math.atan2(mean.acceleration[BACK], mean.acceleration[UP])
+        for name, mean in (("back", back), ("front", front), ("upright", upright))
+    }
     desk.figures |= {f"{name}_deg": round(math.degrees(tilt), 1) for name, tilt in tilts.items()}
     desk.figures |= {
         "gyro_zero_rad_s": [round(rate, 5) for rate in back.gyro],
@@ -147,10 +150,6 @@ def _listen(desk: Desk) -> None:
     """Forget samples of before, and have more of them told for a minute."""
     desk.robot.imu.clear()
     desk.send(ImuRequest(IMU_RATE, 60.0))
-
-
-def _tilt(mean: ImuMean) -> float:
-    return math.atan2(mean.acceleration[BACK], mean.acceleration[UP])
 
 
 def _tilt_of(desk: Desk) -> float:

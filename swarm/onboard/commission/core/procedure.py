@@ -237,9 +237,6 @@ class Procedure:
             desk.say(f"  -> {failure.remedy}")
             return False
         self.results[step.name] = StepResult(step.name, PASSED, tries, desk.figures)
-        desk.say("passed" + "".join(f", {name} {value}" for name, value in desk.figures.items() if _short(value)))
+        short = (f"{name} {value}" for name, value in desk.figures.items() if isinstance(value, int | float | str))
+        desk.say(", ".join(["passed", *short]))
         return True
-
-
-def _short(value: object) -> bool:
-    return isinstance(value, int | float | str)
