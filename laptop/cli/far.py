@@ -4,8 +4,7 @@
 """
 
 import argparse
-import asyncio
-from collections.abc import Sequence
+from collections.abc import Awaitable, Sequence
 
 from laptop.fleet.ssh import everyone, robot_command
 from laptop.fleet.ssh.ssh import Done, Host, Ssh, hosts, last_words
@@ -51,24 +50,12 @@ def run(name: str, words: Sequence[str]) -> int | None:
         args.robots, rest = args.robots or named, [word for word in rest if word not in named]
     if name in FROM_ONE:
         args.robots = (args.robots or named or list(config.names))[:1]
-    return _show(args, *_asked(Ssh(args.ssh_config), hosts(config, args.robots), name, rest, as_json=args.json))
+    ssh, command = Ssh(args.ssh_config), [*name.split(), *rest, *(["--json"] if args.json else [])]
 
+    def ask(host: Host) -> Awaitable[Done]:
+        return ssh.run(host, robot_command.words(host, command))
 
-def _asked(
-    ssh: Ssh, robots: Sequence[Host], name: str, rest: Sequence[str], *, as_json: bool
-) -> tuple[list[everyone.RobotOutcome], dict[str, Done]]:
-    command = [*name.split(), *rest, *(["--json"] if as_json else [])]
-
-    async def ask(host: Host) -> Done:
-        return await ssh.run(host, robot_command.words(host, command))
-
-    found: dict[str, Done] = {}
-
-    async def job(host: Host, _: everyone.ReportProgress) -> str:
-        found[host.robot] = await ask(host)
-        return ""
-
-    return asyncio.run(everyone.each(robots, job, TIMEOUT_S)), found
+    return _show(args, *everyone.gather(hosts(config, args.robots), ask, TIMEOUT_S))
 
 
 def _show(args: argparse.Namespace, outcomes: Sequence[everyone.RobotOutcome], said: dict[str, Done]) -> int:

@@ -8,14 +8,12 @@ ATmega switches them off 0.2 s later in any case.
 import argparse
 import asyncio
 import os
-import shlex
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
-from laptop.fleet.ssh import everyone
+from laptop.fleet.ssh import everyone, robot_command
 from laptop.fleet.ssh.ssh import Host, HostError, Ssh, hosts, last_words
 from swarm.config import Config, load
 from swarm.errors import LocalError, PayloadError
@@ -27,7 +25,6 @@ from swarm.process.arguments import show
 from swarm.process.paths import DEFAULT_RUNTIME
 from swarm.process.terminal import columns
 
-PROGRAM = "/opt/swarm/current/bin/swarm"
 THERE_S = 3.0
 """Seconds for which the command on the robot waits for the robot's own balancer and mesh."""
 _SLACK_S = 15.0
@@ -48,10 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what a robot's command takes, and the way by ssh."""
     for each in halt.add_arguments(parser):
         each.add_argument("--no-ssh", action="store_true", help="use only bus and mesh, not ssh")
-        each.add_argument("--config", type=Path, metavar="FILE", help="swarm.toml with the robots to reach by ssh")
-        each.add_argument(
-            "--ssh-config", type=Path, metavar="FILE", help="ssh configuration, in place of ~/.ssh/config"
-        )
+        everyone.add_config(each, "swarm.toml with the robots to reach by ssh")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -125,11 +119,10 @@ def table(how: Mapping[str, str], answers: _Answers, *, stop: bool) -> list[str]
 def command(robots: tuple[Host, ...], ssh: Ssh, *, stop: bool, reason: str) -> _Answers:
     """Tell all robots at once; returns when each has answered or is given up."""
     answers = _Answers()
-    words = [PROGRAM, "estop", reason] if stop else [PROGRAM, "arm"]
+    words = [*(["estop", reason] if stop else ["arm"]), "--json", "--timeout", str(THERE_S)]
 
     async def job(host: Host, tell: everyone.ReportProgress) -> str:
-        there = ["sudo", "-n", "env", f"SWARM_ROBOT={host.robot}", f"SWARM_RUNTIME={DEFAULT_RUNTIME}", *words]
-        done = await ssh.run(host, shlex.join([*there, "--json", "--timeout", str(THERE_S)]))
+        done = await ssh.run(host, robot_command.words(host, words))
         rows = _rows(done.out)
         for name, row in rows.items():
             if row.get("confirmed") and name != host.robot:

@@ -16,7 +16,7 @@ COMMAND = "sudo -n /opt/swarm/current/bin/swarm app param"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what a robot's command takes, and the way by ssh."""
     param.add_arguments(parser)
-    parser.add_argument("--real", "--fleet", action="store_true", help=robot_command.REAL_HELP)
+    robot_command.add_real(parser, "--fleet")
     everyone.add_way(parser, timeout_s=20)
 
 

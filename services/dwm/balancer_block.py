@@ -8,9 +8,10 @@ from services.dwm.core.module.poller import ModuleHealth
 from services.dwm.localizer import Localizer
 from services.dwm.requests import ModuleRequests
 from swarm import clock
-from swarm.errors import FrameError, PayloadError
-from swarm.messages import ModuleAnswer, Uwb, read
+from swarm.errors import FrameError
+from swarm.messages import ModuleAnswer, Uwb
 from swarm.messages.keys import key
+from swarm.process.runtime import listen
 from swarm.process.service import Service
 
 _POLL = 0.25
@@ -19,20 +20,10 @@ _POLL = 0.25
 
 def serve(service: Service) -> None:
     """Publish what the ATmega hears of the module until the service is to stop."""
-    robot, bus = service.robot, service.bus
     arrived: queue.SimpleQueue[Uwb | ModuleAnswer | None] = queue.SimpleQueue()
 
-    def take(name: str, payload: bytes) -> None:
-        try:
-            message = read(name, payload)
-        except PayloadError as error:
-            service.counters["refused_payloads"] += 1
-            service.log.debug("%s", error)
-            return
-        if isinstance(message, Uwb | ModuleAnswer):
-            arrived.put(message)
-
-    bus.subscribe((key(robot, "balancer", "uwb"), key(robot, "balancer", "module")), take)
+    listen(service, key(service.robot, "balancer", "uwb"), Uwb, arrived.put)
+    listen(service, key(service.robot, "balancer", "module"), ModuleAnswer, arrived.put)
     requests = ModuleRequests(service, lambda: arrived.put(None), repeats=True)
     block, localizer = Block(clock.now()), Localizer(service, clock.now())
     service.ready()

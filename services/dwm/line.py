@@ -16,9 +16,9 @@ from services.dwm.core.module.exchange import SLOW_TIMEOUT, TIMEOUT, Answer, Mod
 from services.dwm.core.module.tlv import ModuleCall
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus
-from swarm.errors import LocalError, MissingPackageError, PayloadError, RemoteError
+from swarm.errors import LocalError, MissingPackageError, RemoteError
 from swarm.messages import ModuleAnswer, ModuleRequest
-from swarm.messages.codec import decode
+from swarm.messages.codec import decoded
 from swarm.messages.keys import key
 
 if TYPE_CHECKING:
@@ -130,7 +130,8 @@ class BusLine:
         self._count = 0
         self._key = key(robot, "dwm", "set", "module")
         self.bus = Bus.of(directory)
-        self.bus.subscribe(key(robot, "dwm", "module"), self._take)
+        # What is no answer, only a broken service could have sent.
+        self.bus.subscribe(key(robot, "dwm", "module"), decoded(ModuleAnswer, self._answers.put))
 
     def ask(self, call: ModuleCall[T]) -> T:
         if not self.bus.wait_connected(_PATIENCE):
@@ -162,12 +163,6 @@ class BusLine:
             if answer.ticket == ticket:
                 return answer
         return None
-
-    def _take(self, name: str, payload: bytes) -> None:
-        try:
-            self._answers.put(decode(ModuleAnswer, payload, name))
-        except PayloadError:
-            return  # only a broken service could have sent it
 
 
 def _read(call: ModuleCall[T], answer: ModuleAnswer) -> Answer[T] | Trouble:

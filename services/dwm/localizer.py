@@ -1,8 +1,8 @@
 """The common part of all live sources of a module's answers: pipeline, odometry from the balancer, messages on the
 bus."""
 
-from collections import Counter, deque
-from logging import INFO, WARNING, Logger
+from collections import deque
+from logging import INFO, WARNING
 from pathlib import Path
 from typing import Protocol
 
@@ -12,12 +12,11 @@ from services.dwm.core.estimation.motion import Increments
 from services.dwm.core.estimation.pipeline import Pipeline
 from services.dwm.core.module.diagnosis import DiagnosisWatch
 from services.dwm.core.module.tlv import Location
-from swarm.bus.protocol import BusLike
 from swarm.config import Config
-from swarm.errors import ConfigError, PayloadError
+from swarm.errors import ConfigError
 from swarm.messages import Odometry
-from swarm.messages.codec import decode
 from swarm.messages.keys import key
+from swarm.process.runtime import Outlets, listen
 
 _MAX_WAITING = 250
 """Odometry messages that wait for a report of the module: ten seconds of them. Then the oldest go."""
@@ -71,17 +70,11 @@ def known_modules(config: Config) -> dict[str, str]:
     return known
 
 
-class _Host(Protocol):
+class _Host(Outlets, Protocol):
     """The part of a service that is used here: `swarm.process.service.Service` in a process."""
 
     config: Config
     robot: str
-    counters: Counter[str]
-    log: Logger
-
-    @property
-    def bus(self) -> BusLike:
-        """The robot's bus."""
 
 
 class Localizer:
@@ -107,7 +100,7 @@ class Localizer:
         self._odometry: deque[Odometry] = deque(maxlen=_MAX_WAITING)
         self._increments = Increments()
         if kind in ("auto", "ekf"):
-            service.bus.subscribe(key(robot, "balancer", "odometry"), self._take)
+            listen(service, key(robot, "balancer", "odometry"), Odometry, self._odometry.append)
 
     def report(self, location: Location, when: float) -> None:
         """Publish what follows from an answer that the module gave at `when`, and from the odometry heard so far."""
@@ -122,16 +115,6 @@ class Localizer:
         service.counters["filter_restarts"] = self._pipeline.tracker.restarts
         service.bus.publish(key(service.robot, "dwm", "ranges"), ranges)
         service.bus.publish(key(service.robot, "dwm", "pose"), pose)
-
-    def _take(self, name: str, payload: bytes) -> None:
-        try:
-            self._odometry.append(decode(Odometry, payload, name))
-        except PayloadError as error:
-            self._refuse(error)
-
-    def _refuse(self, error: PayloadError) -> None:
-        self._service.counters["refused_payloads"] += 1
-        self._service.log.debug("%s", error)
 
     def _move(self) -> None:
         """Give the filter the motion since the last report."""

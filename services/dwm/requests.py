@@ -9,10 +9,9 @@ from collections import OrderedDict
 from collections.abc import Callable
 
 from swarm import clock
-from swarm.errors import PayloadError
 from swarm.messages import ModuleAnswer, ModuleRequest
-from swarm.messages.codec import decode
 from swarm.messages.keys import key
+from swarm.process.runtime import listen
 from swarm.process.service import Service
 
 MAX_OPEN = 16
@@ -34,7 +33,7 @@ class ModuleRequests:
         self._queue: queue.SimpleQueue[ModuleRequest] = queue.SimpleQueue()
         self._answers: OrderedDict[str, ModuleAnswer | None] = OrderedDict()
         self._key = key(service.robot, "dwm", "module")
-        service.bus.subscribe(key(service.robot, "dwm", "set", "module"), self._take)
+        listen(service, key(service.robot, "dwm", "set", "module"), ModuleRequest, self._take)
 
     def new(self) -> list[ModuleRequest]:
         """Return the requests since the last call."""
@@ -46,14 +45,8 @@ class ModuleRequests:
             message = self._answers[ticket] = ModuleAnswer(clock.now(), ticket, data, problem)
             self._service.bus.publish(self._key, message)
 
-    def _take(self, name: str, payload: bytes) -> None:
+    def _take(self, request: ModuleRequest) -> None:
         """Runs on Zenoh's thread."""
-        try:
-            request = decode(ModuleRequest, payload, name)
-        except PayloadError as error:
-            self._service.counters["refused_payloads"] += 1
-            self._service.log.debug("%s", error)
-            return
         if len(request.request) > MAX_REQUEST:
             self._service.counters["refused_payloads"] += 1
             return

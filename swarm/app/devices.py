@@ -9,11 +9,12 @@ import logging
 import math
 import threading
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import TypeVar
 
 from swarm import clock
 from swarm.bus.protocol import BusLike, Now
-from swarm.errors import AppError, PayloadError
+from swarm.errors import AppError
 from swarm.frozen import frozen
 from swarm.messages import (
     BalancerState,
@@ -25,7 +26,7 @@ from swarm.messages import (
     SetMode,
     SetVelocity,
 )
-from swarm.messages.codec import decode
+from swarm.messages.codec import decoded
 from swarm.messages.keys import key
 
 LED_CLAIM, LED_REPEAT = 3.0, 1.0
@@ -232,16 +233,7 @@ class Devices:
         if topic in self._watched:
             return
         self._watched.add(topic)
-
-        def handle(name: str, payload: bytes) -> None:
-            try:
-                message = decode(kind, payload, name)
-            except PayloadError as error:
-                _log.debug("%s", error)
-                return
-            take(message)
-
-        self._bus.subscribe(key(self._robot, service, topic), handle)
+        self._bus.subscribe(key(self._robot, service, topic), decoded(kind, take, partial(_log.debug, "%s")))
 
     def _take_pose(self, pose: Pose) -> None:
         self._pose = pose

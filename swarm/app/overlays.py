@@ -19,9 +19,9 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 from swarm import clock
 from swarm.bus.protocol import BusLike, Now
-from swarm.errors import LocalError, PayloadError
+from swarm.errors import LocalError
 from swarm.messages import Arm, Flooded, FloodRequest, Progress, Reminder, SendRequest, Sent
-from swarm.messages.codec import MAX_BINARY, decode, encode
+from swarm.messages.codec import MAX_BINARY, decoded, encode
 from swarm.messages.keys import key, parse
 
 REPEAT = 0.5
@@ -39,7 +39,6 @@ MAX_COLLECTED_BYTES = 4 * 1024 * 1024
 """Bytes of other robots' messages that wait until the app reads them. Beyond this the oldest ones are lost."""
 
 A = TypeVar("A", Flooded, Sent)
-B = TypeVar("B", Flooded, Sent, Progress)
 
 OnPayload = Callable[[str, bytes], None]
 
@@ -146,9 +145,10 @@ class Overlays:
         self._send_key = key(robot, "mesh", "set", "send")
         self._remind_key = key(robot, "mesh", "set", "remind")
         self._on_answer: Callable[[str, Flooded | Sent], None] | None = None
-        bus.subscribe(key(robot, "mesh", "flooded"), self._on_flooded)
-        bus.subscribe(key(robot, "mesh", "sent"), self._on_sent)
-        bus.subscribe(key(robot, "mesh", "progress"), self._on_progress)
+        # What is no answer, only a broken process could have published.
+        bus.subscribe(key(robot, "mesh", "flooded"), decoded(Flooded, self._finish))
+        bus.subscribe(key(robot, "mesh", "sent"), decoded(Sent, self._finish))
+        bus.subscribe(key(robot, "mesh", "progress"), decoded(Progress, self._on_progress))
         bus.on_change(self._on_bus)
 
     def flood(self, payload: bytes, *, priority: str = "bulk", announce: bool = False) -> Handle[Flooded]:
@@ -204,11 +204,14 @@ class Overlays:
     def on_complete(self, callback: Callable[[str, Flooded], None]) -> None:
         """Call `callback(origin, answer)` on Zenoh's thread when all have another robot's flood with `announce`."""
 
-        def handle(name: str, payload: bytes) -> None:
-            answer = _decoded(Flooded, name, payload)
-            origin = parse(name).robot
-            if answer is not None and answer.app == self._app and origin != self._robot:
+        def take(origin: str, answer: Flooded) -> None:
+            if answer.app == self._app:
                 callback(origin, answer)
+
+        def handle(name: str, payload: bytes) -> None:
+            origin = parse(name).robot
+            if origin != self._robot:
+                decoded(Flooded, partial(take, origin))(name, payload)
 
         self._bus.subscribe(key("*", "mesh", "flooded"), handle)
 
@@ -263,37 +266,20 @@ class Overlays:
 
         self._bus.subscribe(keys, handle)
 
-    def _on_flooded(self, name: str, payload: bytes) -> None:
-        self._finish(_decoded(Flooded, name, payload))
+    def _on_progress(self, progress: Progress) -> None:
+        with self._lock:
+            handle = self._handles.get(progress.ticket)
+        if handle is not None and progress.known:
+            handle.moved = progress.moved
+        elif handle is not None and not handle.done:
+            handle.ask()
 
-    def _on_sent(self, name: str, payload: bytes) -> None:
-        self._finish(_decoded(Sent, name, payload))
-
-    def _on_progress(self, name: str, payload: bytes) -> None:
-        progress = _decoded(Progress, name, payload)
-        if progress is not None:
-            with self._lock:
-                handle = self._handles.get(progress.ticket)
-            if handle is not None and progress.known:
-                handle.moved = progress.moved
-            elif handle is not None and not handle.done:
-                handle.ask()
-
-    def _finish(self, answer: Flooded | Sent | None) -> None:
-        if answer is not None:
-            with self._lock:
-                handle = self._handles.get(answer.ticket)
-            if handle is not None and handle.finish(answer) and self._on_answer is not None:
-                self._on_answer(answer.ticket, answer)
+    def _finish(self, answer: Flooded | Sent) -> None:
+        with self._lock:
+            handle = self._handles.get(answer.ticket)
+        if handle is not None and handle.finish(answer) and self._on_answer is not None:
+            self._on_answer(answer.ticket, answer)
 
 
 def _nothing() -> None:
     """Do nothing: the way to repeat a request that was answered."""
-
-
-def _decoded(kind: type[B], name: str, payload: bytes) -> B | None:
-    """The answer; None where it is none, which only a broken process could have published."""
-    try:
-        return decode(kind, payload, name)
-    except PayloadError:
-        return None

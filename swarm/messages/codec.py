@@ -79,6 +79,23 @@ def decode(kind: type[T], payload: bytes, key: str) -> T:
         raise PayloadError(f"{key}: {error}") from None
 
 
+def decoded(
+    kind: type[T], take: Callable[[T], None], refused: Callable[[PayloadError], None] = lambda error: None
+) -> Callable[[str, bytes], None]:
+    """Return the callback of a subscription that calls `take(message)` for each sample which is a message of type
+    `kind`, and `refused(error)` for every other one."""
+
+    def handle(key: str, payload: bytes) -> None:
+        try:
+            message = decode(kind, payload, key)
+        except PayloadError as error:
+            refused(error)
+        else:
+            take(message)
+
+    return handle
+
+
 def as_value(value: object) -> Value:
     """Convert an author's value into one that a free-form map carries: lists to tuples of floats, numpy arrays row
     by row. Raises `LocalError` for other values."""

@@ -16,9 +16,9 @@ from typing import NoReturn
 
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus
-from swarm.errors import LocalError, PayloadError
+from swarm.errors import LocalError
 from swarm.messages import AppParameters
-from swarm.messages.codec import decode
+from swarm.messages.codec import decoded
 from swarm.messages.keys import EVERYTHING
 from swarm.messages.keys import key as key_of
 from swarm.onboard.buses import buses, samples
@@ -223,15 +223,11 @@ class _Watched:
 
     def layouts(self, app: str) -> dict[str, str]:
         """Ask an app on this bus for the layouts of its frames and wait up to `_ANSWER_S`; empty without an answer."""
-        told: queue.SimpleQueue[dict[str, str]] = queue.SimpleQueue()
-
-        def answered(name: str, payload: bytes) -> None:
-            with contextlib.suppress(PayloadError):
-                told.put(decode(AppParameters, payload, name).states)
-
-        self._bus.ask(key_of("*", f"app/{app}", "parameters"), answered, timeout_s=_ANSWER_S)
+        told: queue.SimpleQueue[AppParameters] = queue.SimpleQueue()
+        on_reply = decoded(AppParameters, told.put)
+        self._bus.ask(key_of("*", f"app/{app}", "parameters"), on_reply, timeout_s=_ANSWER_S)
         with contextlib.suppress(queue.Empty):
-            return told.get(timeout=_ANSWER_S)
+            return told.get(timeout=_ANSWER_S).states
         return {}
 
     def tell_changes(self) -> None:

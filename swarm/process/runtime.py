@@ -8,11 +8,12 @@ it a runtime whose clock moves from one planned call to the next (`sim.virtual.r
 import logging
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Protocol, TypeVar
 
 from swarm.bus.protocol import BusLike
 from swarm.errors import PayloadError, SwarmError
-from swarm.messages.codec import decode
+from swarm.messages.codec import decoded
 
 T = TypeVar("T")
 F = TypeVar("F", bound=Callable[..., Any])
@@ -102,16 +103,12 @@ class Runtime(Process, Schedule, Protocol):
         """Return a worker with a thread of that name."""
 
 
-def listen(runtime: Runtime, key: str, kind: type[M], take: Callable[[M], None]) -> None:
+def listen(outlets: Outlets, key: str, kind: type[M], take: Callable[[M], None]) -> None:
     """Let `take(message)` be called for each message of type `kind` under a key. What is none is counted and logged."""
+    outlets.bus.subscribe(key, decoded(kind, take, partial(refuse, outlets)))
 
-    def handle(name: str, payload: bytes) -> None:
-        try:
-            message = decode(kind, payload, name)
-        except PayloadError as error:
-            runtime.counters["refused_payloads"] += 1
-            runtime.log.debug("%s", error)
-            return
-        take(message)
 
-    runtime.bus.subscribe(key, handle)
+def refuse(outlets: Outlets, error: PayloadError) -> None:
+    """Count and log a sample that is not the message it should be."""
+    outlets.counters["refused_payloads"] += 1
+    outlets.log.debug("%s", error)

@@ -15,14 +15,14 @@ from laptop.fleet.core import doctor, steps
 from laptop.fleet.core.checkup import ExaminedRobot, Finding
 from laptop.fleet.core.wish import FIRMWARE_PACKAGE, KERNEL_PACKAGE, PACKAGES
 from laptop.fleet.provision import Rig
-from laptop.fleet.ssh import everyone, remote
+from laptop.fleet.ssh import everyone, remote, robot_command
 from laptop.fleet.ssh.ssh import Host, HostError, Ssh
 from swarm.config import Config, load
-from swarm.errors import LocalError, PayloadError
+from swarm.errors import PayloadError
 from swarm.messages.json_input import read_json
-from swarm.onboard.buses import buses
-from swarm.process.arguments import add_run_dir, show
-from swarm.process.simulations import CONFIG, default_run_dir, is_live, robots
+from swarm.onboard.listen import listen
+from swarm.process.arguments import show
+from swarm.process.simulations import CONFIG
 
 HELP = "test everything on robots (or simulated ones); name faults and what to do"
 
@@ -33,8 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "which", nargs="*", metavar="ROBOT", help="names of robots (default: all of the simulation, or of the config)"
     )
-    add_run_dir(parser)
-    parser.add_argument("--real", action="store_true", help="the robots of the config, even if a simulation runs here")
+    robot_command.add_simulation(parser)
     parser.add_argument("--all", action="store_true", help="show checks without a problem as well")
     everyone.add_arguments(parser, timeout_s=60)
 
@@ -42,14 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace, rig: Rig | None = None) -> int:
     """0 where nothing is wrong (warnings are not), 1 where something is, or a robot cannot be asked."""
     everyone.named(args)
-    directory = (args.run_dir or default_run_dir()).absolute()
-    if not args.real and is_live(directory):
-        found = _simulated(directory, args.robots)
-        problems: dict[str, str] = {}
-    elif args.run_dir is not None:
-        raise LocalError(f"no simulation is running in {directory}")
-    else:
-        found, problems = _real(args, rig or Rig())
+    there = robot_command.simulated(args)
+    found, problems = _real(args, rig or Rig()) if there is None else (_simulated(there), {})
     report = {name: doctor.examine(robot) for name, robot in found.items()}
     swarm_problems = doctor.compare(list(found.values()))
     rows = {name: {check: asdict(each) for check, each in its.items()} for name, its in report.items()}
@@ -85,11 +78,8 @@ def text(
 # -- simulated robots ------------------------------------------------------------------------------------------------
 
 
-def _simulated(directory: Path, only: Sequence[str] | None) -> dict[str, ExaminedRobot]:
-    from swarm.onboard.listen import listen
-
-    config = load(directory / CONFIG)
-    there = buses.chosen(robots(directory), only or ())
+def _simulated(there: Mapping[str, Path]) -> dict[str, ExaminedRobot]:
+    config = load(next(iter(there.values())).parent / CONFIG)
     said = listen(there)
     return {
         name: ExaminedRobot(

@@ -59,12 +59,15 @@ def add_arguments(parser: argparse.ArgumentParser, *, timeout_s: float) -> None:
 
 def add_way(parser: argparse.ArgumentParser, *, timeout_s: float) -> None:
     """Declare how robots are reached, and how long each may take."""
-    parser.add_argument(
-        "--config", type=Path, metavar="FILE", help=f"swarm.toml with the robots (default: {LOOKED_IN})"
-    )
-    parser.add_argument("--ssh-config", type=Path, metavar="FILE", help="ssh configuration, in place of ~/.ssh/config")
+    add_config(parser, f"swarm.toml with the robots (default: {LOOKED_IN})")
     text = f"seconds to wait for each robot ({timeout_s:g})"
     parser.add_argument("--timeout", type=number(0, unit="s", above=True), default=timeout_s, metavar="S", help=text)
+
+
+def add_config(parser: argparse.ArgumentParser, text: str) -> None:
+    """Declare `--config`, which `text` explains, and `--ssh-config`."""
+    parser.add_argument("--config", type=Path, metavar="FILE", help=text)
+    parser.add_argument("--ssh-config", type=Path, metavar="FILE", help="ssh configuration, in place of ~/.ssh/config")
 
 
 def chosen(args: argparse.Namespace, *, addressed: bool = True) -> tuple[Config, tuple[Host, ...], Ssh]:

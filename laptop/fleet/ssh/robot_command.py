@@ -10,6 +10,7 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
+from laptop.fleet.ssh import everyone
 from laptop.fleet.ssh.ssh import Host
 from swarm.config import find
 from swarm.errors import LocalError
@@ -20,16 +21,17 @@ from swarm.process.simulations import default_run_dir, is_live, robots
 
 PROGRAM = "/opt/swarm/current/bin/swarm"
 
-REAL_HELP = "the robots of the config, even if a simulation runs here"
+
+def add_real(parser: argparse.ArgumentParser, *also: str) -> None:
+    """Declare `--real`, `also` under other names."""
+    text = "the robots of the config, even if a simulation runs here"
+    parser.add_argument("--real", *also, action="store_true", help=text)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare `--real`, `--config` and `--ssh-config`: the way to real robots."""
-    parser.add_argument("--real", action="store_true", help=REAL_HELP)
-    parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="swarm.toml with the robots and their hosts, for ssh"
-    )
-    parser.add_argument("--ssh-config", type=Path, metavar="FILE", help="ssh configuration, in place of ~/.ssh/config")
+    add_real(parser)
+    everyone.add_config(parser, "swarm.toml with the robots and their hosts, for ssh")
 
 
 def is_far(args: argparse.Namespace) -> bool:
@@ -49,7 +51,7 @@ def is_meant(args: argparse.Namespace) -> bool:
 def add_simulation(parser: argparse.ArgumentParser) -> None:
     """Declare `--run-dir` and `--real`, beside the way to real robots that `everyone` declares."""
     add_run_dir(parser)
-    parser.add_argument("--real", action="store_true", help=REAL_HELP)
+    add_real(parser)
 
 
 def simulated(args: argparse.Namespace) -> dict[str, Path] | None:

@@ -10,6 +10,7 @@ import threading
 import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,9 +24,10 @@ from swarm.errors import LocalError, PayloadError
 from swarm.files import atomic_write
 from swarm.frozen import frozen
 from swarm.messages import AppProgress, Topology
-from swarm.messages.codec import decode, encode
+from swarm.messages.codec import decode, decoded, encode
 from swarm.messages.keys import key
 from swarm.process.paths import VOLATILE
+from swarm.process.runtime import refuse
 from swarm.process.service import Service
 
 CONFIGURED = 0
@@ -97,18 +99,15 @@ def of_run(service: Service, app: str, run: int) -> RunLinks | None:
     answers: list[Topology] = []
     answered = threading.Event()
 
-    def take(text: str, payload: bytes) -> None:
-        try:
-            answers.append(decode(Topology, payload, text))
-            answered.set()
-        except PayloadError as error:
-            service.counters["refused_payloads"] += 1
-            service.log.debug("%s", error)
+    def take(topology: Topology) -> None:
+        answers.append(topology)
+        answered.set()
 
+    on_reply = decoded(Topology, take, partial(refuse, service))
     told_at = clock.now()
     while True:
         answered.clear()
-        service.bus.ask(key(service.robot, "mesh", "topology"), take, timeout_s=TELL_EVERY)
+        service.bus.ask(key(service.robot, "mesh", "topology"), on_reply, timeout_s=TELL_EVERY)
         answered.wait(ASK_EVERY)
         reason = lacking(config, answers[-1], clock.now()) if answers else "the mesh does not tell its topology"
         if not reason:

@@ -18,9 +18,10 @@ from typing import TextIO
 from services.dwm.core.calibration.guide import Guide, GuideButton
 from services.dwm.core.calibration.samples import HEADER, write
 from swarm.bus.zenoh_bus import Bus
-from swarm.errors import BusError, LocalError, PayloadError
+from swarm.errors import BusError, LocalError
 from swarm.files import atomic_write
-from swarm.messages import Buttons, Pose, Ranges, read
+from swarm.messages import Buttons, Pose, Ranges
+from swarm.messages.codec import decoded
 from swarm.messages.keys import key
 
 KEYS = {
@@ -44,15 +45,9 @@ class Hearing:
 
     def __init__(self, bus: Bus, robot: str) -> None:
         self.messages: queue.SimpleQueue[Message] = queue.SimpleQueue()
-        topics = (("dwm", "ranges"), ("dwm", "pose"), ("balancer", "buttons"))
-        bus.subscribe([key(robot, *topic) for topic in topics], self._take)
-
-    def _take(self, name: str, payload: bytes) -> None:
-        """Runs on Zenoh's thread."""
-        with contextlib.suppress(PayloadError):
-            message = read(name, payload)
-            if isinstance(message, Ranges | Pose | Buttons):
-                self.messages.put(message)
+        bus.subscribe(key(robot, "dwm", "ranges"), decoded(Ranges, self.messages.put))
+        bus.subscribe(key(robot, "dwm", "pose"), decoded(Pose, self.messages.put))
+        bus.subscribe(key(robot, "balancer", "buttons"), decoded(Buttons, self.messages.put))
 
 
 class Reports:

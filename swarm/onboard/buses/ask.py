@@ -10,9 +10,9 @@ from typing import Generic, Protocol, TypeVar
 
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus
-from swarm.errors import LocalError, PayloadError
+from swarm.errors import LocalError
 from swarm.messages import GraphRobot, MeshGraph
-from swarm.messages.codec import decode
+from swarm.messages.codec import decoded
 from swarm.messages.keys import is_name, key
 
 PATIENCE = 3.0
@@ -59,17 +59,15 @@ class Answers(Generic[T]):
             if order is not None:
                 order()
             for name, bus in self.buses.items():
-                bus.ask(key(name, self._service, self._topic), partial(self._take, name))
+                bus.ask(key(name, self._service, self._topic), decoded(self._kind, partial(self._take, name)))
             with self._changed:
                 self._changed.wait_for(enough, ROUND)  # an answer is no reason to ask at once
         return enough()
 
-    def _take(self, name: str, text: str, payload: bytes) -> None:
-        with contextlib.suppress(PayloadError):
-            answer = decode(self._kind, payload, text)
-            with self._changed:
-                self.newest[name] = answer
-                self._changed.notify_all()
+    def _take(self, name: str, answer: T) -> None:
+        with self._changed:
+            self.newest[name] = answer
+            self._changed.notify_all()
 
 
 def request(
@@ -91,16 +89,14 @@ def request(
     answers: dict[str, A] = {}
     changed = threading.Condition()
 
-    def take(robot: str, text: str, payload: bytes) -> None:
-        with contextlib.suppress(PayloadError):
-            answer = decode(kind, payload, text)
-            if answer.ticket == requests[robot].ticket:
-                with changed:
-                    answers.setdefault(robot, answer)
-                    changed.notify_all()
+    def take(robot: str, answer: A) -> None:
+        if answer.ticket == requests[robot].ticket:
+            with changed:
+                answers.setdefault(robot, answer)
+                changed.notify_all()
 
     for robot in requests:
-        buses[robot].subscribe(key(robot, service, answered or f"{topic}_set"), partial(take, robot))
+        buses[robot].subscribe(key(robot, service, answered or f"{topic}_set"), decoded(kind, partial(take, robot)))
     end = clock.now() + seconds
     with changed:
         while len(answers) < len(requests) and clock.now() < end:
@@ -115,13 +111,12 @@ def newest(directory: Path, robot: str, kind: type[T], service: str, topic: str,
     found: list[T] = []
     heard = threading.Event()
 
-    def take(name: str, payload: bytes) -> None:
-        with contextlib.suppress(PayloadError):
-            found.append(decode(kind, payload, name))
-            heard.set()
+    def take(message: T) -> None:
+        found.append(message)
+        heard.set()
 
     with Bus.of(directory) as bus:
-        bus.subscribe(key(robot, service, topic), take)
+        bus.subscribe(key(robot, service, topic), decoded(kind, take))
         heard.wait(seconds)
     return found[-1] if found else None
 
@@ -139,18 +134,17 @@ class Views:
         self._page(name, bus, timeout_s, "", {})
 
     def _page(self, name: str, bus: Bus, timeout_s: float, after: str, found: dict[str, GraphRobot]) -> None:
-        def take(text: str, payload: bytes) -> None:
-            with contextlib.suppress(PayloadError):
-                graph = decode(MeshGraph, payload, text)
-                found.update((each.robot, each) for each in graph.robots if is_name(each.robot))
-                if graph.more and graph.robots and graph.robots[-1].robot > after:  # or it would never end
-                    self._page(name, bus, timeout_s, graph.robots[-1].robot, found)
-                    return
-                with self.changed:
-                    self.robots[name] = found
-                    self.changed.notify_all()
+        def take(graph: MeshGraph) -> None:
+            found.update((each.robot, each) for each in graph.robots if is_name(each.robot))
+            if graph.more and graph.robots and graph.robots[-1].robot > after:  # or it would never end
+                self._page(name, bus, timeout_s, graph.robots[-1].robot, found)
+                return
+            with self.changed:
+                self.robots[name] = found
+                self.changed.notify_all()
 
-        bus.ask(key(name, "mesh", "graph"), take, timeout_s=timeout_s, **({"after": after} if after else {}))
+        parameters = {"after": after} if after else {}
+        bus.ask(key(name, "mesh", "graph"), decoded(MeshGraph, take), timeout_s=timeout_s, **parameters)
 
     def best(self) -> dict[str, GraphRobot]:
         """Return one entry for each robot: its own word where it was asked, else that of one who has a way to it."""

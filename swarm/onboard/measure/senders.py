@@ -10,8 +10,9 @@ from typing import Any
 from swarm import clock
 from swarm.app.overlays import Handle, Overlays
 from swarm.bus.zenoh_bus import Bus
-from swarm.errors import LocalError, PayloadError
-from swarm.messages import Echo, EchoRequest, Flooded, Sent, read
+from swarm.errors import LocalError
+from swarm.messages import Echo, EchoRequest, Flooded, Sent
+from swarm.messages.codec import decoded
 from swarm.messages.keys import key
 from swarm.onboard.measure.figures import Figures, of_bursts, of_times
 
@@ -85,7 +86,7 @@ class Pings(Sender):
         self._echoes: queue.SimpleQueue[Echo] = queue.SimpleQueue()
         # Who measures at the same time has other numbers.
         self._sequence = itertools.count(int(clock.wall() * 1e6))
-        bus.subscribe(key(robot, "mesh", "echo"), self._take)
+        bus.subscribe(key(robot, "mesh", "echo"), decoded(Echo, self._echoes.put))
 
     def one(self, size: int) -> float | None:
         """Send one ping that is answered by as many bytes; return its round trip in s."""
@@ -109,11 +110,6 @@ class Pings(Sender):
                         raise LocalError(echo.reason)
                     answers.append(echo)
         return answers
-
-    def _take(self, text: str, payload: bytes) -> None:
-        with contextlib.suppress(PayloadError):
-            if isinstance(message := read(text, payload), Echo):
-                self._echoes.put(message)
 
 
 class _Messages(Sender):
