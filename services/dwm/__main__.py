@@ -1,24 +1,37 @@
 """The dwm process of one robot: `python -m services.dwm`."""
 
 from services.dwm import balancer_block, external, replay, serial_port
-from services.dwm.source import BalancerSource, BusSource, Replay, parse_source
+from swarm.config import Config
 from swarm.process.service import Service, run
 from swarm.recording.thesis_ranges import read_recording
+
+BALANCER, REPLAY, BUS = "balancer", "replay", "bus"
+"""Kinds of sources besides a DWM1001 in generic mode at a serial port: one that is wired to the ATmega32U4, and whose
+reports come from the balancer; recordings, one file for each robot by its number in the config; another process on the
+robot's bus that gives poses or ranges, as a motion capture system."""
+
+
+def source_of(config: Config, robot: str) -> tuple[str, str]:
+    """The kind of the source of `robot` as `[dwm] source` says it, and its port, folder or key, in which `{robot}`
+    stands for the name."""
+    kind, _, rest = config.dwm.source.partition(":")
+    return kind, rest.replace("{robot}", robot)
 
 
 def main() -> None:
     """Publish ranges and pose from the configured source until told to stop."""
     with Service("dwm") as service:
-        source = parse_source(service.config, service.robot)
-        if isinstance(source, Replay):
-            index = service.config.names.index(service.robot)
-            replay.serve(service, read_recording(source.directory, index))
-        elif isinstance(source, BalancerSource):
+        config, robot = service.config, service.robot
+        kind, rest = source_of(config, robot)
+        path = config.path.parent / rest  # a relative path starts at the config's folder
+        if kind == REPLAY:
+            replay.serve(service, read_recording(path, config.names.index(robot)))
+        elif kind == BALANCER:
             balancer_block.serve(service)
-        elif isinstance(source, BusSource):
-            external.serve(service, source.key)
+        elif kind == BUS:
+            external.serve(service, rest)
         else:
-            serial_port.serve(service, source.path)
+            serial_port.serve(service, path)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ from services.apps import loader
 from services.apps.equipment.equipment import equip
 from services.apps.runner import Runner
 from services.mesh.links.radio_model import AirModel
-from sim.rehearsal.clock import CommonClock
 from sim.rehearsal.messages import RehearsalOverlays
 from sim.rehearsal.scene import measurement
 from sim.scenario.options import DELAY
@@ -32,6 +31,21 @@ _SILENT = logging.getLogger("rehearsal")
 """What an app logs is for its robot."""
 _SILENT.addHandler(logging.NullHandler())
 _SILENT.propagate = False
+
+
+class CommonClock:
+    """A replacement of `swarm.app.mesh_clock.MeshClock` in which all robots have the very same time."""
+
+    error = 0.0
+
+    def __init__(self, root: str, now: Callable[[], float]) -> None:
+        """`root`: whose clock it is; `now`: the time of the rehearsal, s."""
+        self.root = root
+        self.now = now
+
+    def monotonic(self, mesh: float) -> float:
+        """Return the time of the robot's own clock at a time of the mesh."""
+        return mesh
 
 
 class SyncRehearsal:

@@ -1,17 +1,22 @@
-"""The notes that a simulated run prints before it starts: step sizes, buttons that it waits for, states that will be
-lost."""
+"""The notes that a simulated run prints before it starts: limits of real robots that it exceeds, step sizes, buttons
+that it waits for, states that will be lost.
 
-from collections.abc import Iterator, Mapping
+A state or message too large for a frame is refused by simulations, too, where the app is loaded.
+"""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from services.apps import loader
 from services.apps.builtin.localization.guard import check_step_size, limit_step_size
-from services.mesh.core.routing.physical_links import links_of
+from services.mesh.core.routing.physical_links import links_of, physical
+from sim.scenario import imports
 from sim.scenario.options import LAMPS, Options
-from sim.scenario.robot_limits import lacking_modules, too_many_links
 from swarm.app.event_app import EventApp, channels_of
-from swarm.config import Config
-from swarm.core.graph import Graph
+from swarm.config.types import MAX_RFCOMM_LINKS, Config
+from swarm.core.graph import Edge, Graph
 from swarm.errors import AppError
 from swarm.recording.thesis_ranges import ThesisRecording
 
@@ -32,12 +37,26 @@ def notes(
     if not config.auto:
         yield from too_many_links(config.names, config.edges, links_of(config, bluetooth=True))
     for app in apps:
-        if options.config is not None:  # else no robots are meant; `swarm check` and `swarm run` tell it, too
-            yield from lacking_modules(given, app)
+        # Without a configuration no robots are meant. `swarm check` and `swarm run` tell it, too. A notebook's cell is
+        # no file.
+        if options.config is not None and not app.is_built_in and Path(app.source).is_file():
+            yield from imports.lacking(app.source, (*given.packages, *imports.own_packages()))
         yield from _step_size(config, app, recordings)
         yield from _buttons(app, options)
         yield from _forgetting(config, app, options)
         yield from _clocks(app, options)
+
+
+def too_many_links(names: Sequence[str], edges: Sequence[Edge], links: str) -> Iterator[str]:
+    """Tell which robots have more links than a Bluetooth radio holds; `links` is the way they carry the topology."""
+    counts = Counter(name for edge in physical(names, edges, links) for name in edge)
+    crowded = [name for name in names if counts[name] > MAX_RFCOMM_LINKS]
+    if crowded:
+        most = max(counts.values())
+        yield (
+            f"real robots would refuse this topology: {', '.join(crowded[:6])}{', ...' if len(crowded) > 6 else ''} "
+            f"with up to {most} links, and a Bluetooth radio holds {MAX_RFCOMM_LINKS}; --links tree carries it"
+        )
 
 
 def algorithm_of(config: Config, app: loader.LoadedApp) -> str | None:

@@ -10,8 +10,8 @@ from dwm_rig import ANCHORS
 from hypothesis import given
 from hypothesis import strategies as st
 
+from services.dwm.__main__ import BUS, source_of
 from services.dwm.external import MAX_AGE_S, checked, location_of, pose_of
-from services.dwm.source import BusSource, parse_source
 from swarm.bus.zenoh_bus import Bus
 from swarm.config import parse
 from swarm.config.example import EXAMPLE
@@ -28,7 +28,7 @@ def config_with(source: str):
 
 def test_the_key_of_a_source_names_its_robot() -> None:
     config = config_with("bus:swarm/{robot}/mocap")
-    assert parse_source(config, "r1") == BusSource("swarm/r1/mocap")
+    assert source_of(config, "r1") == (BUS, "swarm/r1/mocap")
 
 
 @pytest.mark.parametrize(

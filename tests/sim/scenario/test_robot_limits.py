@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from sim.scenario import options, scenario
-from sim.scenario.robot_limits import too_many_links
+from sim.scenario.notes import too_many_links
 
 NAMES = [f"r{i}" for i in range(9)]
 APP = """import numpy
