@@ -79,12 +79,14 @@ class Balancer:
         self._zero: GyroZero | None = GyroZero(kept=kept_zero)
         self._estimator: Estimator | None = None
         self._wish = start_mode
-        self._connected = False
+        self.connected = False
+        """Whether the devices answer."""
         self._unreachable: MotorFault | None = None
         self._retry_at = 0.0
         self._errors_in_row = 0
         self._claim = LedClaim()
-        self._leds: Shown | None = None
+        self.leds: Shown | None = None
+        """The LEDs as they are lit; None before they were first written."""
         self._leds_again_at = 0.0
         self.notices: deque[tuple[str, str]] = deque(maxlen=8)
         """Events that are no fault, as (about what, text), until somebody asks."""
@@ -109,11 +111,6 @@ class Balancer:
         return None if self._estimator is None else self._estimator.gyro_zero
 
     @property
-    def connected(self) -> bool:
-        """Whether the devices answer."""
-        return self._connected
-
-    @property
     def bus_errors(self) -> int:
         """Failed transfers of the control loop since the start, those done again included."""
         return self._bus_errors + self.imu.retried + self.balboa.retried
@@ -125,7 +122,7 @@ class Balancer:
             return FAULT
         if self._controller.mode != IDLE or self._zero is None:
             return self._controller.mode
-        return CALIBRATING if self._connected else STARTING
+        return CALIBRATING if self.connected else STARTING
 
     @property
     def fault(self) -> MotorFault | None:
@@ -156,11 +153,6 @@ class Balancer:
     def battery_time_left(self) -> float | None:
         """s until it lies down, roughly; None before the battery was read."""
         return self._guard.time_left(moving=self.mode == BALANCING)
-
-    @property
-    def leds(self) -> Shown | None:
-        """Return the LEDs as they are lit; None before they were first written."""
-        return self._leds
 
     def command(self, mode: str, now: float) -> None:
         """`stand` or `rest`, at once or as soon as it is ready; `lie` and `calibrate` where they can be done now.
@@ -227,7 +219,7 @@ class Balancer:
     def step(self, now: float) -> None:
         """Run one tick: read, estimate, decide, command the motors. Failures of the bus lead to `fault`, not to
         errors."""
-        if not self._connected and not self._connect(now):
+        if not self.connected and not self._connect(now):
             return
         try:
             reading = self._read(now)
@@ -290,7 +282,7 @@ class Balancer:
             low_battery=self._guard.level != OK,
             now=now,
         )
-        return None if wanted == self._leds and now < self._leds_again_at else wanted
+        return None if wanted == self.leds and now < self._leds_again_at else wanted
 
     def show_leds(self, now: float) -> bool:
         """Write the LEDs as they shall be at `now`, where they changed, and now and then; for the slack.
@@ -298,14 +290,14 @@ class Balancer:
         True when they were written.
         """
         wanted = self.leds_wanted(now)
-        if not self._connected or wanted is None:
+        if not self.connected or wanted is None:
             return False
         try:
             self.balboa.write_leds(*wanted)
         except OSError:
             self._bus_errors += 1
             return False
-        self._leds, self._leds_again_at = wanted, now + LEDS_AGAIN_S
+        self.leds, self._leds_again_at = wanted, now + LEDS_AGAIN_S
         return True
 
     def motors_off(self) -> None:
@@ -370,7 +362,7 @@ class Balancer:
         reset = balboa.describe_reset(found.reset_cause)
         _log.info("ATmega firmware=%d last_reset=%s battery=%.2f V", found.revision, reset, found.battery)
         self.battery, self.firmware = found.battery, (balboa.LAYOUT_VERSION, found.revision)
-        self._connected, self._unreachable, self._leds = True, None, None
+        self.connected, self._unreachable, self.leds = True, None, None
         self._errors_in_row = 0
         if self._estimator is not None:
             self._estimator.lost_track()
@@ -389,7 +381,7 @@ class Balancer:
         self._unreachable = fault
         if self._estimator is not None:
             self._controller.fail(fault)
-        self._connected, self._retry_at = False, now + RETRY_S
+        self.connected, self._retry_at = False, now + RETRY_S
         self.motors_off()
 
 

@@ -86,7 +86,8 @@ class SlackTasks:
         """Planned duration of the tick's transfers besides those of the control step, s."""
         self._busy = TypicalTime(PERIOD_S)
         """Duration of the rest of a tick: the control step and computation."""
-        self._behind = ""
+        self.behind = ""
+        """Tasks for which the bus has no time, by name; empty where it has time for all."""
         self._lines: tuple[str, ...] = ()
         self._shown: tuple[bool, tuple[str, ...]] | None = None
         """The state of the display that was published last."""
@@ -99,11 +100,6 @@ class SlackTasks:
         self.errors = 0
         """Transfers that failed here since the start."""
         balancer.passenger = self
-
-    @property
-    def behind(self) -> str:
-        """Tasks for which the bus has no time, by name; empty where it has time for all."""
-        return self._behind
 
     def obey(self, message: LoopMessage, now: float) -> bool:
         """Take a command; False where it is none for a task."""
@@ -277,8 +273,8 @@ class SlackTasks:
             if slow or queued.waited(now) >= STARVED_S:
                 queued.starved_at = now
         behind = ", ".join(each.name for each in self._queue if now < each.starved_at + BEHIND_S)
-        if behind != self._behind:
-            self._behind = behind
+        if behind != self.behind:
+            self.behind = behind
             clock = f"SCL {1e-3 * self._balancer.wire.scl:.0f} kHz"
             see = "see docs/reference/robot/i2c-bus.md"
             text = f"no time for {behind} ({clock}): {see}" if behind else f"time for all tasks ({clock})"

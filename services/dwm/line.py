@@ -9,7 +9,7 @@ import select
 import termios
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 from services.dwm.core.module import calls, shell
 from services.dwm.core.module.exchange import SLOW_TIMEOUT, TIMEOUT, Answer, ModuleExchange, Trouble
@@ -20,9 +20,6 @@ from swarm.errors import LocalError, MissingPackageError, RemoteError
 from swarm.messages import ModuleAnswer, ModuleRequest
 from swarm.messages.codec import decoded
 from swarm.messages.keys import key
-
-if TYPE_CHECKING:
-    pass
 
 T = TypeVar("T")
 

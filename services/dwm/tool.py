@@ -102,17 +102,25 @@ def _lines(args: argparse.Namespace, stack: contextlib.ExitStack) -> Iterator[Mo
         yield line
 
 
+def _of_each(
+    lines: Sequence[ModuleConnection], ask: Callable[[ModuleConnection], dict[str, Any]]
+) -> dict[str, dict[str, Any]]:
+    """Return what `ask` says of each module, by the module's name; the problem with one that does not answer."""
+    told = {}
+    for line in lines:
+        try:
+            told[line.name] = ask(line)
+        except NoAnswerError as error:
+            told[line.name] = {"problem": str(error)}
+    return told
+
+
 # -- info --------------------------------------------------------------------------------------------------------
 
 
 def _info(args: argparse.Namespace, config: Config | None, lines: Sequence[ModuleConnection]) -> int:
     del config
-    told: dict[str, Any] = {}
-    for line in lines:
-        try:
-            told[line.name] = _as_json(configure.inspect(line))
-        except NoAnswerError as error:
-            told[line.name] = {"problem": str(error)}
+    told = _of_each(lines, lambda line: _as_json(configure.inspect(line)))
     text: list[str] = []
     for name, fields in told.items():
         text += [name, *(f"  {field:<12} {value}" for field, value in _flat(fields))]
@@ -153,16 +161,15 @@ def _flat(fields: dict[str, Any]) -> Iterator[tuple[str, str]]:
 def _configure(args: argparse.Namespace, config: Config | None, lines: Sequence[ModuleConnection]) -> int:
     if (args.initiator or args.at) and args.tag:
         raise LocalError("--initiator and --at are for anchors")
-    told: dict[str, dict[str, Any]] = {}
-    for line in lines:
-        try:
-            info = configure.inspect(line)
-            wish = _wish(args, config, line, info)
-            changes = configure.apply(line, wish)
-            missing = configure.unfulfilled(configure.inspect(line), wish) if changes else []
-            told[line.name] = {"address": info.address, "changes": changes, "missing": missing}
-        except NoAnswerError as error:
-            told[line.name] = {"problem": str(error)}
+
+    def configured(line: ModuleConnection) -> dict[str, Any]:
+        info = configure.inspect(line)
+        wish = _wish(args, config, line, info)
+        changes = configure.apply(line, wish)
+        missing = configure.unfulfilled(configure.inspect(line), wish) if changes else []
+        return {"address": info.address, "changes": changes, "missing": missing}
+
+    told = _of_each(lines, configured)
     text: list[str] = []
     for name, fields in told.items():
         words = fields.get("problem") or "; ".join(fields["changes"]) or "is as it shall be"
@@ -276,13 +283,12 @@ def _anchors(args: argparse.Namespace, config: Config | None, lines: Sequence[Mo
         return lay_out(args, config, lines, _calibrate(config, args.robots[0] if args.robots else None), _wait)
     if args.ranges:
         raise LocalError("--ranges goes with --auto")
-    told: dict[str, Any] = {}
-    for line in lines:
-        try:
-            robot = line.name if isinstance(line, BusLine) else None
-            told[line.name] = _seen(survey.sample(line, args.seconds or SECONDS, _wait), config, robot)
-        except NoAnswerError as error:
-            told[line.name] = {"problem": str(error)}
+
+    def seen(line: ModuleConnection) -> dict[str, Any]:
+        robot = line.name if isinstance(line, BusLine) else None
+        return _seen(survey.sample(line, args.seconds or SECONDS, _wait), config, robot)
+
+    told = _of_each(lines, seen)
     text: list[str] = []
     for name, rows in told.items():
         text += [f"{name}: {rows['problem']}"] if "problem" in rows else [name, *_table(rows)]

@@ -48,7 +48,8 @@ class ModuleLine:
         self.answer_length = 0
         self.mailbox = bytearray(MAILBOX_SIZE)
         """The request; then the answer."""
-        self._sequence = 0
+        self.newest = 0
+        """The sequence number of the newest report; 0 before there is one."""
         self._report = bytes(balboa.UWB_SIZE)
         self._came = now
         self._request_length = 0
@@ -64,14 +65,9 @@ class ModuleLine:
         """Send the first `length` bytes of the mailbox as soon as the line is free."""
         self.mail, self.echo, self.answer_length, self._request_length = Mail.BUSY, token, 0, length
 
-    @property
-    def newest(self) -> int:
-        """The sequence number of the newest report; 0 before there is one."""
-        return self._sequence
-
     def reporting(self, now: float) -> Callable[[], bytes]:
         """Tells the UWB block as it is now, to who asks for it later: few do."""
-        sequence, came, report = self._sequence, self._came, self._report
+        sequence, came, report = self.newest, self._came, self._report
 
         def block() -> bytes:
             age = min(0xFFFF, int((now - came) * 1e3)) if sequence else 0xFFFF
@@ -133,7 +129,7 @@ class ModuleLine:
                 self.state, self.error = UwbState.REFUSED, answer.code
 
     def _publish(self, location: Location, now: float) -> None:
-        self._sequence = self._sequence % 0xFFFF + 1
+        self.newest = self.newest % 0xFFFF + 1
         self._came = now
         data = encode_location(location)
         count = data[_HEAD - 1]
@@ -147,7 +143,7 @@ class ModuleLine:
                 data[_PLACE],
                 ranges.ljust(balboa.UWB_RANGE_SIZE * balboa.UWB_RANGES, b"\0"),
                 places.ljust(balboa.UWB_PLACE_SIZE * balboa.UWB_RANGES, b"\0"),
-                struct.pack("<H", self._sequence),
+                struct.pack("<H", self.newest),
             )
         )
 

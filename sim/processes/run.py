@@ -67,7 +67,7 @@ class ProcessRun:
         self._moves_from = math.inf
         self._stop = False
         names = scenario.config.names
-        _make_records(self._records)
+        folder.make_empty(self._records)
         for name in (*names, *([RADIO] if options.slots is not None else [])):
             (run_dir / name).mkdir()
         (run_dir / "swarm.toml").write_text(dump(scenario.config))
@@ -306,13 +306,6 @@ class ProcessRun:
             radio=late,
             never=never(self._disturbances, (), 0.0 if started is None else now - started),
         )
-
-
-def _make_records(directory: Path) -> None:
-    """Recordings are never written over: a run's data may be all there is of an experiment."""
-    directory.mkdir(parents=True, exist_ok=True)
-    if next(directory.iterdir(), None) is not None:
-        raise LocalError(f"--record {directory}: the folder is not empty; name a new one")
 
 
 def _members(seen: Mapping[str, Seen]) -> tuple[str, ...]:

@@ -4,7 +4,6 @@ import contextlib
 import gc
 import json
 import math
-import os
 import random
 import time as real_time
 from collections.abc import Callable, Collection, Iterator
@@ -31,7 +30,7 @@ from sim.virtual.world import Launch, VirtualWorld
 from swarm.app.run_options import RunOptions
 from swarm.config.dump import dump
 from swarm.config.types import GRAPH
-from swarm.errors import ConfigError, LocalError
+from swarm.errors import ConfigError
 from swarm.messages import AppEpoch, AppLog, AppParameters
 from swarm.recording import folder
 from swarm.recording.recorded_topics import TOPICS
@@ -374,13 +373,6 @@ def simulate(*arguments: str, rows: bool = False, app: loader.LoadedApp | None =
     see `build`."""
     options = arguments_of([*arguments, "--virtual"])
     if options.record is not None:
-        make_records(options.record)
+        folder.make_empty(options.record)
     outcome = VirtualRun(options, build(options, PLACE, app), rows=rows).go()
     return summary(outcome), outcome
-
-
-def make_records(directory: Path) -> None:
-    """Recordings are never written over: a run's data may be all there is of an experiment."""
-    directory.mkdir(parents=True, exist_ok=True)
-    if any(os.scandir(directory)):
-        raise LocalError(f"--record {directory}: the folder is not empty; name a new one")

@@ -118,7 +118,8 @@ class Asynchronous:
         self._told_at = -math.inf
         self._tell_at = math.inf
         self._queue: deque[HandlerCall] = deque()
-        self._running: HandlerCall | None = None
+        self.running: HandlerCall | None = None
+        """The handler that has not returned yet."""
         self._since = math.inf
         self._began = False
         self._done = False
@@ -151,14 +152,9 @@ class Asynchronous:
         """Neighbours that run another version of the app: their state is not used."""
         return tuple([name for name, peer in self._peers.items() if peer.stranger])
 
-    @property
-    def running(self) -> HandlerCall | None:
-        """The handler that has not returned yet."""
-        return self._running
-
     def hangs(self, now: float) -> bool:
         """Return whether a handler takes too long to be well."""
-        return self._running is not None and now - self._since >= HANG
+        return self.running is not None and now - self._since >= HANG
 
     def known(self, now: float) -> list[NeighbourState]:
         """The newest states of the neighbours that have told one, sorted by name."""
@@ -222,7 +218,7 @@ class Asynchronous:
 
     def returned(self, state: bytes, now: float, *, finished: bool = False) -> None:
         """The handler has returned, and left this state; `finished`: the app has done its work."""
-        call, self._running, self._since = self._running, None, math.inf
+        call, self.running, self._since = self.running, None, math.inf
         if call is None or self.failure:
             return
         if call.handler == "step" or (self.period is None and call.handler != "start"):
@@ -342,15 +338,15 @@ class Asynchronous:
 
     def _next(self, now: float) -> None:
         """Call the next handler, where none runs. Before `start` has returned nothing else is called."""
-        if self._running is not None or not self._queue:
+        if self.running is not None or not self._queue:
             return
         if not self._began:
             start = HandlerCall("start")
             if start not in self._queue:
                 return
             self._queue.remove(start)
-            self._running = start
+            self.running = start
         else:
-            self._running = self._queue.popleft()
+            self.running = self._queue.popleft()
         self._since = now
-        self._actions.append(self._running)
+        self._actions.append(self.running)

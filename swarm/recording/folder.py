@@ -14,7 +14,7 @@ from pathlib import Path
 
 from swarm import __version__
 from swarm.config.toml_input import read_toml
-from swarm.errors import PayloadError, RecordingError
+from swarm.errors import LocalError, PayloadError, RecordingError
 from swarm.files import atomic_write, make_folder
 from swarm.process.locks import folder_lock
 from swarm.process.paths import state_dir
@@ -33,6 +33,14 @@ def root() -> Path:
 def of_robot(app: str, run: int) -> Path:
     """Return the folder of a run's recording on a robot."""
     return root() / f"{app}-{run:016x}"
+
+
+def make_empty(folder: Path) -> None:
+    """Make the folder of `--record`. Raises `LocalError` where something is in it: recordings are never written over,
+    since a run's data may be all there is of an experiment."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if next(folder.iterdir(), None) is not None:
+        raise LocalError(f"--record {folder}: the folder is not empty; name a new one")
 
 
 def describe(app: str, run: int, seed: int, digest: bytes) -> dict[str, str]:

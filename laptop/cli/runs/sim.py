@@ -20,6 +20,7 @@ from swarm.errors import LocalError
 from swarm.messages import AppLog
 from swarm.process import log, service
 from swarm.process.simulations import claim, default_run_dir
+from swarm.recording import folder
 
 
 def main() -> int:
@@ -51,7 +52,7 @@ def _virtual(options: Options) -> int:
     from sim.virtual import run as virtual  # most of the services: a quarter of what a simulation imports
 
     if options.record is not None:
-        virtual.make_records(options.record)
+        folder.make_empty(options.record)
     plan = scenario.build(options, virtual.PLACE)
     for note in plan.notes:
         sys.stderr.write(note + "\n")

@@ -85,17 +85,15 @@ def distance_part(data: CalibrationData, made: str) -> tuple[CalibrationFile, fi
             "the module among [[anchors]]"
         )
     fit = fitting.fit_ranges(data.groups)
-    evidence = _evidence(fit.name, made, data, len({g.place for g in data.groups}), fit.left_out, fit.nested)
-    part = (fit.model, _with(evidence, fit.residuals))
-    return CalibrationFile("", "", (), distance=part), fit
+    evidence = _evidence(fit, made, data, len({g.place for g in data.groups}))
+    return CalibrationFile("", "", (), distance=(fit.model, evidence)), fit
 
 
 def position_part(data: CalibrationData, made: str) -> tuple[CalibrationFile, fitting.PlaceFitted]:
     """Fit the model of places alone; the file has no robot and layout yet."""
     fit = fitting.fit_places(data.spots)
-    evidence = _evidence(fit.name, made, data, len(data.spots), fit.left_out, fit.nested)
-    part = (fit.model, _with(evidence, fit.residuals))
-    return CalibrationFile("", "", (), position=part), fit
+    evidence = _evidence(fit, made, data, len(data.spots))
+    return CalibrationFile("", "", (), position=(fit.model, evidence)), fit
 
 
 def save(part: CalibrationFile, path: Path, robot: str, anchors: Sequence[Anchor]) -> CalibrationFile:
@@ -236,14 +234,11 @@ def _judge(lines: list[str], what: str, errors: Sequence[float], nested: float |
 
 
 def _evidence(
-    name: str, made: str, data: CalibrationData, places: int, left_out: Mapping[str, float], nested: float
+    fit: fitting.FittedRanges | fitting.PlaceFitted, made: str, data: CalibrationData, places: int
 ) -> Evidence:
-    return Evidence(name, made, places, len(data.samples), samples.digest(data.samples), left_out, nested, ())
-
-
-def _with(evidence: Evidence, residuals: Sequence[tuple[float, ...]]) -> Evidence:
-    rounded = tuple(tuple(round(value, 5) for value in row) for row in residuals)
-    return replace(evidence, residuals=rounded)
+    residuals = tuple(tuple(round(value, 5) for value in row) for row in fit.residuals)
+    count, digest = len(data.samples), samples.digest(data.samples)
+    return Evidence(fit.name, made, places, count, digest, fit.left_out, fit.nested, residuals)
 
 
 def rms(values: Sequence[float]) -> float:

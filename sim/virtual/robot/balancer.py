@@ -186,7 +186,7 @@ class VirtualBalancer:
         return True
 
     def notice(self, about: str, text: str) -> None:
-        """SendToNeighbours people something about a command."""
+        """Tell people something about a command."""
         self._side.publish(Notice(self._time.now, about, text))
 
     # -- what it tells -----------------------------------------------------------------------------------------------

@@ -88,7 +88,8 @@ class Epochs:
         self._bound: tuple[object, ...] = ()
         self._relink = False
         self._settled = True
-        self._deaf: tuple[str, ...] = ()
+        self.deaf: tuple[str, ...] = ()
+        """The neighbours that it was told cannot be heard."""
         self._request: EpochRequest | None = None
         self._round = self._mine.promised.round
         self._offered_at = self._answered_at = 0.0
@@ -118,11 +119,6 @@ class Epochs:
     def lost(self) -> bool:
         """Whether this robot has lost its vote, and no epoch has given it another."""
         return self._mine.lost != 0
-
-    @property
-    def deaf(self) -> tuple[str, ...]:
-        """The neighbours that it was told cannot be heard."""
-        return self._deaf
 
     @property
     def reason(self) -> str:
@@ -179,8 +175,8 @@ class Epochs:
 
     def suspect(self, names: tuple[str, ...], now: float) -> None:
         """These neighbours, sorted, cannot be heard."""
-        if names != self._deaf:
-            self._deaf = names
+        if names != self.deaf:
+            self.deaf = names
             if self._mine.promised != NONE:
                 self._tell(now)
 
@@ -263,7 +259,7 @@ class Epochs:
     @property
     def _busy(self) -> bool:
         """Whether this robot wants something of the others."""
-        wanting = not self.well or self._deaf or self.stalled
+        wanting = not self.well or self.deaf or self.stalled
         return self.frozen or self.lost or self.k < 0 or self._request is not None or bool(self.auto and wanting)
 
     @property
@@ -361,7 +357,7 @@ class Epochs:
         if self._request is None or not set(self._request.drop) & set(epoch.members) or not self.member:
             self._request = None
         self._relink = False
-        self._deaf = ()
+        self.deaf = ()
         self._cause_at = None
         self._tell(now)
         if not lost:  # else it may have been in this epoch, and must not begin it a second time
@@ -378,7 +374,7 @@ class Epochs:
             return True
         if not self.auto:
             return False
-        if self._deaf or self._relink:
+        if self.deaf or self._relink:
             return True
         if not self._roster.notes:
             return False
@@ -389,7 +385,7 @@ class Epochs:
     def _tell(self, now: float) -> None:
         mine = self._mine
         k = mine.k if mine.promised != NONE else self.k
-        self._become(version=mine.version + 1, well=self.well, deaf=self._deaf, k=k)
+        self._become(version=mine.version + 1, well=self.well, deaf=self.deaf, k=k)
         self._told_at, self._tell_at = now, now + TELL_EVERY
         new = self._mine
         stopped_at = new.k if new.promised != NONE else None

@@ -75,7 +75,7 @@ class RobotOverlays:
         self._admission = Admission(me, self._robots, admits_flood, admits_unicast)
         self._actions: list[Action] = []
         emit = self._actions.append
-        self._requests = OverlayRequests(me, to_bus=self._to_bus, now=lambda: self._now)
+        self._requests = OverlayRequests(me, to_bus=self._to_bus, now=lambda: self.now)
         names = _sorted(self._robots)
 
         def graph() -> Mapping[str, Collection[str]]:
@@ -111,7 +111,7 @@ class RobotOverlays:
         )  # fmt: skip
         self._unicast.on_large = self._large.receive
         self._register = Register(
-            me, lambda: self._flood.incarnation, self._robots, emit=emit, changed=lambda: self._stops.changed(self._now)
+            me, lambda: self._flood.incarnation, self._robots, emit=emit, changed=lambda: self._stops.changed(self.now)
         )
         self._stops = Stops(me, self._register, self._flood, self._to_bus)
         self._carrier = Carrier(
@@ -122,7 +122,8 @@ class RobotOverlays:
         self._wanted = wanted
         self._membership = Membership(me, names, self._map.routes)
         self._survey = Survey(me, names, self._membership, self._map, self._flood.known)
-        self._now = 0.0
+        self.now = 0.0
+        """The time of the last call."""
         self._random = random
         self._version = 0
         self._deadline = 0.0
@@ -140,7 +141,7 @@ class RobotOverlays:
 
     def link_up(self, peer: str, now: float) -> bool:
         """Take a new link; False where this robot has no use for it and is to close it."""
-        self._now = now
+        self.now = now
         if self.linking is not None and not self.linking.link_up(peer, now):
             return False
         self._register.link_up(peer)
@@ -153,7 +154,7 @@ class RobotOverlays:
         """Begin in a swarm that has been there for long, with the links of all its robots, see `LinkStateMap.settle`.
         Robots tell who is there within `MEMBERS_PERIOD`, not all at once. Both tables may be the same for all robots:
         none of them changes one."""
-        self._now = now
+        self.now = now
         self._map.settle(links[self.me], known, now)
         self._membership.settle(links, now)
         self._version = self._map.version
@@ -161,7 +162,7 @@ class RobotOverlays:
 
     def link_down(self, peer: str, now: float) -> None:
         """Take the end of a link."""
-        self._now = now
+        self.now = now
         self._register.link_down(peer)
         self._flood.unlink(peer)
         # First the map, so that the next two find the other way, and others hear of it before what takes that way.
@@ -174,18 +175,18 @@ class RobotOverlays:
 
     def dial_failed(self, peer: str, reason: str, now: float) -> None:
         """Note that a robot that was called does not answer."""
-        self._now = now
+        self.now = now
         if self.linking is not None:
             self.linking.dial_failed(peer, reason, now)
 
     def tell_clashes(self, now: float) -> None:
         """Have the link state name the robots of which this one has seen two."""
-        self._now = now
+        self.now = now
         self._map.tell_twins(tuple(sorted(self.clashes.own(now))), now)
 
     def measured(self, peer: str, rtt: float, now: float) -> None:
         """The smoothed round-trip time of a link, s."""
-        self._now = now
+        self.now = now
         self._map.measured(peer, rtt, now)
 
     def admits(self, peer: str, overlay: int, key: str) -> bool:
@@ -198,7 +199,7 @@ class RobotOverlays:
     def receive(self, peer: str, overlay: int, key: str, data: bytes, priority: int, now: float) -> None:
         """Take a packet of a neighbour on an admitted channel. A damaged packet is dropped and counted: its sender
         may be far away, and innocent links must not break for it."""
-        self._now = now
+        self.now = now
         if len(data) > MAX_PAYLOAD and data[0] != (packets.TOPOLOGY if overlay == FLOOD else CARRY):
             # It came in fragments. Where a number of packets is kept, each of these would hold up to a megabyte.
             self._counters["bad_packets"] += 1
@@ -223,28 +224,28 @@ class RobotOverlays:
     def pushed_back(self, packet: Transmit) -> None:
         """The queue of a link has refused a packet. Unicast repeats end to end; a flood is offered again from here."""
         if packet.overlay == FLOOD:
-            self._flood.pushed_back(packet, self._now)
+            self._flood.pushed_back(packet, self.now)
             self._deadline = min(self._deadline, self._flood.next_deadline())
 
     # -- what this robot wants ---------------------------------------------------------------------------------
 
     def flood(self, key: str, payload: bytes, priority: int, now: float, *, latest: bool) -> None:
         """Carry a value of an own key to all robots, as a relay rule says."""
-        self._now = now
+        self.now = now
         if key == self._lsa_key:
             return  # nobody's business but the map's, whatever a rule with ** says
         self._flood.publish(key, payload, priority, now, latest=latest)
 
     def carry(self, key: str, payload: bytes, priority: int, to: Collection[str], now: float, *, latest: bool) -> None:
         """Carry a value to neighbours whom links of others lead to, as a relay rule says."""
-        self._now = now
+        self.now = now
         self._carrier.send(key, payload, priority, to, latest=latest)
 
     def send(
         self, to: str, key: str, payload: bytes, priority: int, now: float, *, latest: bool, avoid_link: bool = False
     ) -> None:
         """Carry a value to one robot, as a relay rule says; with `avoid_link` once, and not over the link with it."""
-        self._now = now
+        self.now = now
         if avoid_link:
             self._unicast.send_once(to, key, payload, priority)
         else:
@@ -252,29 +253,29 @@ class RobotOverlays:
 
     def request(self, request: Request, now: float) -> None:
         """Take a request of an app; the answer goes to the own bus."""
-        self._now = now
+        self.now = now
         self._requests.take(request)
 
     def stop(self, stop: Stop, now: float) -> None:
         """Somebody on this robot has published `swarm/stop`."""
-        self._now = now
+        self.now = now
         self._register.stop(stop.reason, now)
 
     def arm(self, now: float) -> None:
         """Somebody on this robot takes the stops back."""
-        self._now = now
+        self.now = now
         self._register.arm(now)
 
     def leave(self, now: float) -> None:
         """This robot's mesh stops."""
-        self._now = now
+        self.now = now
         self._map.leave(now)
 
     # -- time and outputs --------------------------------------------------------------------------------------
 
     def handle_timer(self, now: float) -> None:
         """Do everything that is due at `now`."""
-        self._now = now
+        self.now = now
         self._map.handle_timer(now)
         self._flood.handle_timer(now)
         self._unicast.handle_timer(now)
@@ -291,11 +292,6 @@ class RobotOverlays:
             if self._wanted(self._members_key):
                 self._to_bus(self._members_key, encode(self.members(now)), BULK)
         self._stops.handle_timer(now)
-
-    @property
-    def now(self) -> float:
-        """The time of the last call."""
-        return self._now
 
     def next_deadline(self) -> float:
         """Return the time at which `handle_timer` must be called, as of the last `actions`. It may turn out to be
@@ -357,14 +353,14 @@ class RobotOverlays:
     def _on_flood(self, origin: str, key: str, payload: bytes, priority: int, incarnation: int) -> None:
         _, service, topic = parse(key)
         if (service, topic) == ("mesh", "lsa"):
-            self._map.receive(origin, incarnation, payload, self._now)
+            self._map.receive(origin, incarnation, payload, self.now)
             return
         if (service, topic) == ("mesh", "stopped"):
             self._survey.heard(origin, incarnation, key, payload)
         self._to_bus(key, payload, priority)
 
     def _publish_links(self, payload: bytes) -> None:
-        self._flood.publish(self._lsa_key, payload, CONTROL, self._now, latest=True)
+        self._flood.publish(self._lsa_key, payload, CONTROL, self.now, latest=True)
 
     def _towards(self, robot: str) -> str | None:
         route = self._map.route(robot)
