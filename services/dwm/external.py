@@ -12,6 +12,7 @@ from swarm.errors import PayloadError
 from swarm.messages import ExternalReport, Pose
 from swarm.messages.codec import decode
 from swarm.messages.keys import key
+from swarm.process.runtime import refuse
 from swarm.process.service import Service
 
 SILENT_S = 2.0
@@ -32,8 +33,7 @@ def serve(service: Service, source: str) -> None:
         try:
             arrived.put_nowait(checked(decode(ExternalReport, payload, name)))
         except (PayloadError, queue.Full) as error:
-            service.counters["refused_payloads"] += 1
-            service.log.debug("%s: %s", name, error)
+            refuse(service, f"{name}: {error}")
 
     service.bus.subscribe(source, take)
     localizer = Localizer(service, clock.now())

@@ -6,13 +6,14 @@ it a runtime whose clock moves from one planned call to the next (`sim.virtual.r
 """
 
 import logging
+import math
 from collections import Counter
 from collections.abc import Callable
 from functools import partial
 from typing import Any, Protocol, TypeVar
 
 from swarm.bus.protocol import BusLike
-from swarm.errors import PayloadError, SwarmError
+from swarm.errors import SwarmError
 from swarm.messages.codec import decoded
 
 T = TypeVar("T")
@@ -103,12 +104,33 @@ class Runtime(Process, Schedule, Protocol):
         """Return a worker with a thread of that name."""
 
 
+class Timer:
+    """The next call of a core's timer: one at a time, for the earliest of the times that are asked for."""
+
+    def __init__(self, at: Callable[[float, Callable[[float], None], float], None], call: Callable[[], None]) -> None:
+        """`at` is that of a `Schedule`; `call()` may plan the next call."""
+        self._at = at
+        self._call = call
+        self._planned = math.inf
+
+    def plan(self, time: float | None) -> None:
+        """Call at `time`, or earlier where a call is planned already; None plans nothing."""
+        if time is not None and time < self._planned:
+            self._planned = time
+            self._at(time, self._due, time)
+
+    def _due(self, time: float) -> None:
+        if time == self._planned:  # else an earlier one came before
+            self._planned = math.inf
+            self._call()
+
+
 def listen(outlets: Outlets, key: str, kind: type[M], take: Callable[[M], None]) -> None:
     """Let `take(message)` be called for each message of type `kind` under a key. What is none is counted and logged."""
     outlets.bus.subscribe(key, decoded(kind, take, partial(refuse, outlets)))
 
 
-def refuse(outlets: Outlets, error: PayloadError) -> None:
-    """Count and log a sample that is not the message it should be."""
-    outlets.counters["refused_payloads"] += 1
-    outlets.log.debug("%s", error)
+def refuse(outlets: Outlets, reason: object, counter: str = "refused_payloads") -> None:
+    """Count and log a sample that is not what its key promises, or whose key is wrong (`refused_keys`)."""
+    outlets.counters[counter] += 1
+    outlets.log.debug("%s", reason)

@@ -1,6 +1,5 @@
 """The commands of a page to the swarm, where it was started with `--control`. Without that every command is refused."""
 
-import os
 import threading
 from collections.abc import Mapping
 from typing import Any
@@ -15,6 +14,7 @@ from swarm.frozen import frozen
 from swarm.messages import Arm, SetAppParameters, SetMode, SetVelocity, Stop
 from swarm.messages.codec import Value
 from swarm.messages.keys import STOP, is_name, key
+from swarm.onboard.buses.ask import new_ticket
 
 REASON = "the page of swarm view"
 DRIVE_S = 0.4
@@ -186,7 +186,7 @@ class Control:
 
     def _let(self, robot: str, app: str, values: dict[str, Value], seconds: float) -> None:
         """Ask a robot for these parameters, again and again until it has answered or `seconds` have passed."""
-        request = SetAppParameters(f"{os.getpid()}-{os.urandom(4).hex()}", values)
+        request = SetAppParameters(new_ticket(), values)
         self._ask(robot, app, request)  # first: what the way there does not take is not asked again
         self._asked[robot, app] = request, clock.now() + seconds
 

@@ -5,7 +5,6 @@ Handlers run one at a time, on a worker: an author's code may take its time. The
 two of them.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache, partial
@@ -31,7 +30,7 @@ from swarm.errors import FrameError, SwarmError
 from swarm.messages import AppProgress, AppState, Topology
 from swarm.messages.codec import Value
 from swarm.messages.keys import key
-from swarm.process.runtime import Runtime, listen
+from swarm.process.runtime import Runtime, Timer, listen, refuse
 
 REMIND = 0.5
 """Seconds between two looks for requests that have no answer yet."""
@@ -94,7 +93,7 @@ class EventHost:
         self._recorded = -1
         self._told: tuple[object, ...] = ()
         """Phase, robots waited for and reason that the observer was told last."""
-        self._timer = math.inf
+        self._timer = Timer(runtime.at, self._handle_timer)
         self._closed = self._over = self._hung = False
         self._edges: tuple[tuple[str, ...], ...] = ()
         self._sender = lru_cache(MOST_KEYS)(self._parse_key)
@@ -184,7 +183,7 @@ class EventHost:
 
     def _after(self, seconds: float, name: str) -> None:
         self._core.after(seconds, name, self._runtime.now)
-        self._plan()
+        self._timer.plan(self._core.next_deadline())
 
     def _on_latest(self, name: str, payload: bytes) -> None:
         """Take a neighbour's state: `swarm/<sender>/app/<app>/latest/<channel>`."""
@@ -198,8 +197,7 @@ class EventHost:
         try:
             return sender, Channel.parse(text)
         except FrameError as error:
-            self._runtime.counters["refused_keys"] += 1
-            self._runtime.log.debug("%s: %s", name, error)
+            refuse(self._runtime, f"{name}: {error}", "refused_keys")
             return None
 
     def _on_topology(self, in_force: Topology) -> None:
@@ -219,12 +217,10 @@ class EventHost:
             self._runtime.at(self._runtime.now + REMIND, self._remind)
             self._overlays.remind()
 
-    def _handle_timer(self, planned: float) -> None:
-        if planned != self._timer or self._closed:
-            return  # an earlier one came before
-        self._timer = math.inf
-        self._core.handle_timer(self._runtime.now)
-        self._perform()
+    def _handle_timer(self) -> None:
+        if not self._closed:
+            self._core.handle_timer(self._runtime.now)
+            self._perform()
 
     # What the core wants
 
@@ -242,13 +238,7 @@ class EventHost:
         core = self._core
         if self._recorded >= 0 and core.phase not in ("done", "fault") and (core.phase, core.missing) != self._told[:2]:
             self._tell_observer()
-        self._plan()
-
-    def _plan(self) -> None:
-        deadline = self._core.next_deadline()
-        if deadline is not None and deadline < self._timer:
-            self._timer = deadline
-            self._runtime.at(deadline, self._handle_timer, deadline)
+        self._timer.plan(core.next_deadline())
 
     def _call(self, call: HandlerCall) -> None:
         if not self._core.failure and not self._closed:
@@ -335,7 +325,7 @@ class EventHost:
         if self.channels is None:
             return
         for name, view in self._views.items():
-            latest = self.channels.latest(name)
+            latest = self.channels.drivers[name].latest
             if latest is not None and latest.k != view.k:
                 schema = type(view.app).spec.schema
                 view.take(latest.k, dict(zip(schema.names, schema.unpack(latest.value), strict=True)))

@@ -16,13 +16,13 @@ from services.apps.host.topology import RunPlace, TopologyWatch
 from services.apps.persistence.storage import Storage
 from services.apps.runner import Runner
 from swarm.core.epochs.actions import EpochRequest
-from swarm.core.lockstep.actions import Advanced, address_of
+from swarm.core.lockstep.actions import address_of
 from swarm.core.lockstep.frames import Channel
 from swarm.errors import FrameError
 from swarm.messages import Links, SetAppEpoch, Topology
 from swarm.messages.codec import Value
 from swarm.messages.keys import key
-from swarm.process.runtime import Runtime, listen
+from swarm.process.runtime import Runtime, listen, refuse
 
 MOST_KEYS = 1024
 """Keys of frames that are remembered, so that each is taken apart once."""
@@ -122,10 +122,6 @@ class LockstepHost:
         for driver in self.drivers.values():
             driver.start()
 
-    def latest(self, channel: str) -> Advanced | None:
-        """The newest iteration of a channel; None before the first one."""
-        return self.drivers[channel].latest
-
     def change(self, channel: str, changed: Callable[[], None], values: Mapping[str, Value]) -> None:
         """Other values for live parameters of a channel, from its next step on; then `changed()` is called."""
         self.drivers[channel].change(changed, values)
@@ -181,7 +177,7 @@ class LockstepHost:
         """Parse the key of a frame; None where the frame is for another robot, run or app."""
         address = address_of(name)
         if address is None:
-            self._refuse(name, "not the key of a frame")
+            refuse(self._runtime, f"{name}: not the key of a frame", "refused_keys")
             return None
         robot, _, text, to, around = address
         if to is not None and to != self.robot:
@@ -191,7 +187,7 @@ class LockstepHost:
         try:
             channel = Channel.parse(text)
         except FrameError as error:
-            self._refuse(name, str(error))
+            refuse(self._runtime, f"{name}: {error}", "refused_keys")
             return None
         driver = self._by_schema.get(channel.schema) if channel.run == self._run else None
         for each in self.drivers.values() if driver is None else (driver,):
@@ -202,10 +198,6 @@ class LockstepHost:
             return None
         return _Sender(driver, robot, channel, around)
 
-    def _refuse(self, name: str, reason: str) -> None:
-        self._runtime.counters["refused_keys"] += 1
-        self._runtime.log.debug("%s: %s", name, reason)
-
     def _on_links(self, links: Links) -> None:
         up = {link.peer: link.connection for link in links.links if link.state == "up"}
         # The median: after a cut the smoothed one is for seconds as long as the cut was.
@@ -214,7 +206,7 @@ class LockstepHost:
         self._connections.update(up)
         for driver in self.drivers.values():
             if rtts:
-                driver.take_rtt(max(rtts))
+                driver.run.rtt = max(rtts)
             if renewed:
                 driver.nudge()
 

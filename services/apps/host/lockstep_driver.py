@@ -22,12 +22,10 @@ from swarm.errors import SwarmError
 from swarm.messages import AppProgress, AppState, Measurement
 from swarm.messages.codec import Value, encode
 from swarm.messages.keys import key
-from swarm.process.runtime import Runtime
+from swarm.process.runtime import Runtime, Timer
 
 CLOSE_WITHIN = 2.0
 """Seconds that a running step has when the process is to end."""
-
-_NEVER = float("inf")
 
 
 class LockstepDriver:
@@ -85,7 +83,7 @@ class LockstepDriver:
         """Whether the observer was last told that the lockstep waits for others."""
         self._performing = False
         """Whether it is planned to do what the frames of this moment call for."""
-        self._timer = _NEVER
+        self._timer = Timer(runtime.at, self._handle_timer)
         topics = f"app/{app}/{part}" if part else f"app/{app}"
         self._counted = f"{part}_sync" if part else "sync"
         self._epoch_key = key(self.robot, topics, "epoch")
@@ -152,10 +150,6 @@ class LockstepDriver:
         """The bus or a link came up: ask now for what is missing."""
         self.run.nudge(self._runtime.now)
         self._perform()
-
-    def take_rtt(self, rtt: float) -> None:
-        """The usual round-trip time of the slowest link, s."""
-        self.run.rtt = rtt
 
     def change(self, changed: Callable[[], None], values: Mapping[str, Value]) -> None:
         """Other values for live parameters from the next step on; then `changed()` is called."""
@@ -280,18 +274,12 @@ class LockstepDriver:
                 self._ended(action.reason)
             elif type(action) is Finished:
                 self._ended("")
-        deadline = run.next_deadline(self._runtime.now)
-        if deadline is not None and deadline < self._timer:
-            self._timer = deadline
-            self._runtime.at(deadline, self._handle_timer, deadline)
+        self._timer.plan(run.next_deadline(self._runtime.now))
 
-    def _handle_timer(self, planned: float) -> None:
-        if planned != self._timer or self._closed:
-            return  # an earlier one came before
-        self._timer = _NEVER
+    def _handle_timer(self) -> None:
         now = self._runtime.now
         deadline = self.run.next_deadline(now)
-        if deadline is not None and deadline <= now:
+        if not self._closed and deadline is not None and deadline <= now:
             self.run.handle_timer(now)
         self._perform()
 

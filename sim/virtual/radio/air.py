@@ -3,6 +3,7 @@ them of Unix sockets, with the same delays from the same generators."""
 
 import random
 from collections import deque
+from collections.abc import Callable
 from typing import Any, Protocol
 
 from services.mesh.core.link.calls import UNKNOWN, Caller
@@ -11,10 +12,9 @@ from services.mesh.links.radio_model import AirModel, DelayLine
 from services.mesh.mesh import CLOSED, Mesh
 from sim.slots.connections import CHUNK, SOCKET
 from sim.virtual.events import EventQueue, Time
+from swarm.process.runtime import Timer
 
 UNREACHABLE = "unreachable"
-
-_NEVER = float("inf")
 
 
 Due = dict[float, list["ConnectionEnd"]]
@@ -82,11 +82,13 @@ class Station:
         self._mesh: Mesh
         self._ends: dict[Session, Any] = {}
         """The medium's ends of connections."""
-        self._timer = _NEVER
+        self.wake: Callable[[float], None]
+        """Calls the mesh at a time, s, or earlier: a call that is planned already stays."""
 
     def start(self, mesh: Mesh) -> None:
         """Let the robot be dialled."""
         self._mesh = mesh
+        self.wake = Timer(self.time.at, mesh.due).plan
         self._air.add(self)
 
     def end(self) -> None:
@@ -118,12 +120,6 @@ class Station:
         if (end := self._ends.get(session)) is not None:
             self._air.supervise(end, seconds)
 
-    def wake(self, deadline: float) -> None:
-        """Call the mesh then, or earlier: a call that is planned already stays."""
-        if deadline < self._timer:
-            self._timer = deadline
-            self.time.at(deadline, self._due, deadline)
-
     # -- what the air calls ------------------------------------------------------------------------------------
 
     @property
@@ -153,11 +149,6 @@ class Station:
     def received(self, arrivals: list[tuple[Session, bytes | str]]) -> None:
         """Take what has come at this moment; see `Mesh.received`."""
         self._mesh.received(arrivals)
-
-    def _due(self, planned: float) -> None:
-        if planned == self._timer:  # else an earlier one came before
-            self._timer = _NEVER
-            self._mesh.due()
 
 
 class Air:
