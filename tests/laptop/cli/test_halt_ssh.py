@@ -43,7 +43,7 @@ def test_every_robot_is_told_on_its_own_bus(robots: FakeRobots, run: Run, capsys
     assert lines[-1] == "stopped: 2 of 2 robots"
     asked = (homes[1] / "asked").read_text().replace(str(robots.folder), "")
     words = "/opt/swarm/current/bin/swarm estop it's burning --json --timeout 3.0\n"
-    assert asked == f"env SWARM_ROBOT=r1 SWARM_RUNTIME=/no-robot {words}"
+    assert asked == f"env SWARM_ROBOT=r1 SWARM_RUNTIME=/run/swarm {words}"
     assert not (homes[0] / "systemctl.log").exists()
     assert run("arm") == 0
     assert "/bin/swarm arm --json" in (homes[0] / "asked").read_text()
