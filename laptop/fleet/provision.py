@@ -99,7 +99,7 @@ class Provisioning:
             facts = await self.look()
             late = {step.name: step.judge(facts, self._wish) for step in (*steps.FIRST, *steps.THEN)}
             if wrong := [f"{name}: {verdict.text}" for name, verdict in late.items() if verdict.state != "ok"]:
-                raise HostError(f"not so after the reboot: {'; '.join(wrong)}")
+                raise HostError(f"wrong again after the reboot: {'; '.join(wrong)}")
         return True
 
     # -- packages --------------------------------------------------------------------------------------------------

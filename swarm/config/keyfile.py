@@ -33,8 +33,8 @@ def read_keys(path: Path) -> dict[int, bytes]:
             data = file.read(_MAX_SIZE + 1)
     except FileNotFoundError:
         raise LocalError(
-            f"{path}: there is no such file, and without a key no link comes up: make one by `swarm key new {path}` "
-            "and copy it to all robots (or accept that anyone in reach can join: [mesh] insecure = true)"
+            f"{path}: there is no such file, and without a key no link comes up. Make one by `swarm key new {path}` "
+            "and copy it to all robots. Only where anyone in reach may join: [mesh] insecure = true"
         ) from None
     except OSError as error:
         raise LocalError(f"{path}: the key cannot be read: {error.strerror}") from None

@@ -5,6 +5,7 @@ printed. Sentences are short, also those in tables, phrases that hide who does w
 text for those who do not see it, and pages to be read in one go are short.
 """
 
+import ast
 import functools
 import re
 from collections.abc import Iterator
@@ -86,6 +87,42 @@ def breaches(page: Path) -> list[str]:
 def test_sentences_are_short_and_plain(page: Path) -> None:
     found = breaches(page)
     assert not found, "\n".join([str(page.relative_to(ROOT)), *found])
+
+
+def wording(node: ast.expr) -> str:
+    """The text of a literal, with a word for each value that is put in; empty for any other expression."""
+    if isinstance(node, ast.Constant):
+        return node.value if isinstance(node.value, str) else ""
+    if isinstance(node, ast.JoinedStr):
+        return "".join(wording(part) or "value" for part in node.values)
+    return wording(node.left) + wording(node.right) if isinstance(node, ast.BinOp) else ""
+
+
+def texts(module: Path) -> Iterator[str]:
+    """The texts for people in a module's code: the help of its commands and options, and the words of its errors."""
+    for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Call):
+            yield from (wording(each.value) for each in node.keywords if each.arg in ("help", "description", "epilog"))
+        elif isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
+            yield from map(wording, node.exc.args)
+
+
+@pytest.mark.parametrize("package", ["swarm", "services", "sim", "laptop"])
+def test_help_and_errors_are_short_and_plain(package: str) -> None:
+    found = [
+        f"{module.relative_to(ROOT)}: {fault}"
+        for module in sorted((ROOT / package).rglob("*.py"))
+        for text in texts(module)
+        for sentence in sentences_of(" ".join(text.split()))
+        for fault in faults(sentence)
+    ]
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_pictures_of_a_page_have_a_text_in_their_place(page: Path) -> None:
+    shown = re.findall(r"!\[([^]]*)\]\(", page.read_text(encoding="utf-8"))
+    assert [text for text in shown if len(text.split()) < 3] == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))

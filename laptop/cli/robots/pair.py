@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print a line for each link. Return 0 where all are paired and trusted at both ends."""
     if args.check and args.again:
-        raise LocalError("--check changes nothing, --again does: one of them")
+        raise LocalError("--check changes nothing and --again does: give only one of the two")
     config, robots, ssh = everyone.chosen(args, addressed=False)
     began = time.monotonic()
     found, looks = everyone.gather(robots, lambda host: look(ssh, host), args.timeout)

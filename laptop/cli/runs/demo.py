@@ -35,9 +35,9 @@ def parser() -> argparse.ArgumentParser:
         prog="swarm demo",
         usage="swarm demo [-h] [OPTION ...]",
         allow_abbrev=False,
-        description="Start three simulated robots with the processes that run on a Pi, let them find a target by "
-        f"their UWB ranges in {ITERATIONS} iterations of the app {APP}, print a report, and draw {PLOT}. It "
-        "takes less than a minute.",
+        description="Start three simulated robots with the processes that run on a Pi, and let them find a target by "
+        f"their UWB ranges in {ITERATIONS} iterations of the app {APP}. The command prints a report and draws {PLOT}. "
+        "It takes less than a minute.",
         epilog="Every option of swarm sim is allowed as well, for example --json, --virtual or --robots N: see "
         "swarm sim --help.",
     )

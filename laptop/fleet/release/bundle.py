@@ -169,7 +169,7 @@ def download(
         index = index_of(shown, {digest: path.name for digest, path in files.items()})
         found = entries(index)
         if {(each.name, each.version) for each in found} != set(install) or len(found) != len(files):
-            raise LocalError("what was downloaded is not what the archive's index says: is something in between?")
+            raise LocalError("the download differs from what the archive's index says: does a proxy change it?")
         _replace(folder, index, list(files.values()))
         return len(found), sum(each.size for each in found)
 

@@ -153,7 +153,7 @@ async def check_name(ssh: Ssh, host: Host) -> None:
     found = (await ssh.check(host, OWN_NAME)).strip()
     if found not in ("", host.robot):
         raise HostError(
-            f"at {host.address} is {found} by its own word: mend `host` in swarm.toml, "
+            f"the robot at {host.address} says that it is {found}: correct `host` in swarm.toml, "
             f"or --rename makes it {host.robot}"
         )
 

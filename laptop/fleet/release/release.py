@@ -173,7 +173,7 @@ def _pip(*words: str) -> None:
         raise LocalError("a release is made with pip, which this Python lacks: python3 -m ensurepip, or python3-pip")
     errors = [line.removeprefix("ERROR: ") for line in done.stderr.splitlines() if line.startswith("ERROR")]
     said = "; ".join(errors[-2:]) or done.stderr.strip()[-300:]
-    raise LocalError(f"the robots' packages cannot be had ({said}); is the network there?")
+    raise LocalError(f"the robots' packages cannot be downloaded ({said}); is the network there?")
 
 
 def _cache() -> Path:

@@ -82,7 +82,7 @@ def chosen(args: argparse.Namespace, *, addressed: bool = True) -> tuple[Config,
 def named(args: argparse.Namespace) -> None:
     """Take the robots that were given as arguments (`args.which`) for those of `--robots`; raises `LocalError`."""
     if args.which and args.robots:
-        raise LocalError("--robots names robots, and so do the arguments: one of them")
+        raise LocalError("name the robots by --robots or as arguments, not by both")
     args.robots = args.which or args.robots
 
 

@@ -85,7 +85,7 @@ class Goto(DrivingApp):
     def _opposite(self, here: Point) -> Point:
         anchors = self.robot.anchors
         if not anchors:
-            raise AppError("waypoints: there are none, and no anchors between which a place could be opposite")
+            raise AppError("waypoints: none are given, and there are no anchors whose middle the robot could cross")
         xs, ys = [anchor.x for anchor in anchors], [anchor.y for anchor in anchors]
         return min(xs) + max(xs) - here[0], min(ys) + max(ys) - here[1]
 

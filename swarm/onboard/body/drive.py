@@ -101,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
 def one(args: argparse.Namespace) -> tuple[str, Path]:
     """Return the one robot that is meant and its runtime directory; raises `LocalError`."""
     if args.name and args.robots:
-        raise LocalError("--robots names a robot, and so does the argument: one of them")
+        raise LocalError("name the robot by --robots or as an argument, not by both")
     args.robots = [args.name] if args.name else args.robots
     found = buses.find(args)
     if len(found) != 1:

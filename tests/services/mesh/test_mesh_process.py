@@ -442,7 +442,7 @@ def test_robots_with_the_key_meet_and_nobody_else(build: Build, runtime: Path, k
 @pytest.mark.parametrize(
     ("bits", "problem"),
     [
-        (None, "there is no such file, and without a key no link comes up: make one by `swarm key new"),
+        (None, "there is no such file, and without a key no link comes up. Make one by `swarm key new"),
         (0o640, "chmod 600"),
     ],
 )

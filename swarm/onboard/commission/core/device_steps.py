@@ -122,7 +122,7 @@ def display(desk: Desk) -> Script:
     seen = yield from desk.question("read-display", question)
     desk.send(SetDisplay(""))
     if not seen:
-        raise StepError("the display answers and shows nothing", "seat of its cable; is it an SSD1306 of 128 x 64?")
+        raise StepError("the display answers and shows nothing", "check its cable; is it an SSD1306 of 128 x 64?")
 
 
 def radio(desk: Desk) -> Script:

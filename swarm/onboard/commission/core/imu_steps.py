@@ -102,7 +102,7 @@ def encoders(desk: Desk) -> Script:
             return left - before[0], right - before[1]
 
         if not (yield from desk.until(lambda moved=moved: max(map(abs, moved())) > ROLLED_M, ROLL_S)):  # type: ignore[misc]
-            raise StepError(f"no encoder counts when the {name} wheel turns", f"the plug of the {name} encoder")
+            raise StepError(f"no encoder counts when the {name} wheel turns", f"check the plug of the {name} encoder")
         own, other = moved()[side], moved()[1 - side]
         desk.figures[f"{name}_m"] = round(own, 3)
         if abs(other) > abs(own):

@@ -55,7 +55,7 @@ def motors(desk: Desk) -> Script:
         if own < -WRONG_M:
             raise StepError(f"the {name} motor is reversed: forward it turns backward", _wires(name))
         if own < MOVED_M:
-            raise StepError(f"the {name} motor does not turn its wheel", "its plug; is the wheel free?")
+            raise StepError(f"the {name} motor does not turn its wheel", "check its plug; is the wheel free?")
         yield from desk.wait(0.5)
 
 

@@ -97,7 +97,7 @@ def _measure(desk: Desk, place: tuple[float, float], errors: defaultdict[str, li
     if not found:
         raise StepError(
             f"no anchor is heard often enough at ({place[0]:g}, {place[1]:g}) m",
-            "in sight of the anchors? swarm dwm check",
+            "is the robot in sight of the anchors? Try swarm dwm check",
         )
     for name, distances in found.items():
         errors[name].append(median(distances) - math.dist((*place, 0.0), desk.subject.anchors[name]))

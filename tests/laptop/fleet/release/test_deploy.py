@@ -156,7 +156,9 @@ def test_a_host_that_is_another_robot_is_named(
     assert run("deploy", str(release), "--json") == 1
     found = outcomes(capsys)
     assert (found["r0"]["ok"], found["r1"]["ok"]) == (True, False)
-    assert found["r1"]["text"] == ("at r1 is r4 by its own word: mend `host` in swarm.toml, or --rename makes it r1")
+    assert found["r1"]["text"] == (
+        "the robot at r1 says that it is r4: correct `host` in swarm.toml, or --rename makes it r1"
+    )
     assert not (homes[1] / "installed").exists()
     assert run("deploy", str(release), "--rename") == 0
     assert (homes[1] / "installed").exists()

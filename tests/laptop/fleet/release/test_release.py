@@ -91,7 +91,7 @@ def test_equal_sources_and_packages_give_an_equal_release_and_the_second_one_nee
 
 
 def test_a_package_that_cannot_be_had_is_named_and_no_release_is_made(tmp_path: Path, lock: Path) -> None:
-    with pytest.raises(LocalError, match=r"the robots' packages cannot be had \(.*unheard_of.*\)"):
+    with pytest.raises(LocalError, match=r"the robots' packages cannot be downloaded \(.*unheard_of.*\)"):
         build(tmp_path / "dist", "aarch64", PYTHON, ["unheard_of"], lock=lock)
     assert not (tmp_path / "dist").exists()
     assert list((tmp_path / "cache/balboa-swarm/wheels").iterdir()) == []
