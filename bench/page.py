@@ -49,7 +49,7 @@ def _end(area: str) -> str:
 def _line(row: Row) -> str:
     name = row.name.replace("|", "\\|")
     goal = "" if row.goal is None else f"{row.goal:.3g}"
-    verdict = "told" if row.goal is None else "reached" if row.ok else "**missed**"
+    verdict = "shown" if row.goal is None else "reached" if row.ok else "**missed**"
     ratio = f"{row.ratio:.3g}" if math.isfinite(row.ratio) else ""
     value = f"{row.value:.4g}" if math.isfinite(row.value) else "not measured"
     return f"| {name} | {value} | {row.unit} | {row.limit:.4g} | {ratio} | {goal} | {verdict} |"

@@ -22,7 +22,7 @@ class Row:
     limit: float
     """The physical limit, the budget, or what a rival took in the same run; same unit."""
     goal: float | None
-    """The largest good ratio; None where the figure is told and not judged."""
+    """The largest good ratio; None where the figure is shown and not judged."""
 
     @property
     def ratio(self) -> float:
@@ -43,7 +43,7 @@ class Row:
 
     def text(self) -> str:
         """The row for people."""
-        verdict = "told" if self.goal is None else "ok" if self.ok else "MISSED"
+        verdict = "shown" if self.goal is None else "ok" if self.ok else "MISSED"
         goal = "-" if self.goal is None else f"{self.goal:.3g}"
         return (
             f"{self.name:<44} {self.value:>10.4g} {self.unit:<6} limit {self.limit:>8.4g}  "

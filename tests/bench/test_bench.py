@@ -28,7 +28,7 @@ def test_a_row_is_judged_by_its_ratio_to_the_limit():
 def test_what_is_only_told_is_never_missed():
     row = Row("maximum", 1.0, "s", 0.030, None)
     assert row.ok
-    assert row.text().endswith("told")
+    assert row.text().endswith("shown")
     assert json.loads(row.json())["goal"] is None
 
 
@@ -70,7 +70,7 @@ def test_a_table_that_is_written_takes_the_place_of_the_old_one_alone(monkeypatc
     assert rest.endswith("<!-- end of bench mesh -->\n\nMore.\n")
     assert "Measured by `./run bench mesh` on 2" in rest
     assert "| a \\| b | 0.033 | s | 0.03 | 1.1 | 1.15 | reached |" in rest
-    assert "| told | not measured | s | 0.03 |  |  | told |" in rest
+    assert "| told | not measured | s | 0.03 |  |  | shown |" in rest
     assert "| late | 2 | s | 1 | 2 | 1 | **missed** |" in rest
     assert len(capsys.readouterr().out.splitlines()) == len(rows)
 
