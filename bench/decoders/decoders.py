@@ -42,7 +42,7 @@ ELSEWHERE = {
     "services/apps/host/host.py": "makes a number of a hash of its own",
     "sim/rehearsal/examine.py": "states that it has packed itself",
     "services/apps/runner.py": "states of the size that the lockstep has checked",
-    "services/apps/persistence/slots.py": "its own file: tests/services/apps/test_files.py",
+    "services/apps/persistence/slots.py": "its own file: tests/services/apps/persistence/test_files.py",
     "services/balancer/bridge/link.py": "datagrams between the loop and its own second process",
     "services/balancer/core/devices/mailbox.py": "1 or 2 bytes: tests/services/balancer/core/slack/test_slack_tasks.py",
     "services/mesh/__main__.py": "makes a number of random bytes of its own",

@@ -1,6 +1,6 @@
 """What a restart makes of each file that the process before, or a power cut, has left damaged
-(docs/reference/robot/services.md has the table). The votes are in tests/services/apps/test_ballots.py, recordings in
-tests/recording, the installed release in tests/deploy/test_install_cut.py."""
+(docs/reference/robot/services.md has the table). The votes are in tests/services/apps/persistence/test_ballots.py,
+recordings in tests/swarm/recording, the installed release in tests/deploy/test_install_cut.py."""
 
 import logging
 import os

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TypeVar
 
 import pytest
+from localization_rig import exact, noisy
 from memory_swarm import TARGET, MemorySwarm, config_of
-from test_localization import exact, noisy
 
 from services.apps import loader
 from sim.rehearsal import EventRehearsal, rehearse

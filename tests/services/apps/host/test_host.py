@@ -1,82 +1,27 @@
 """The app host as processes on real buses: runs, kills, restarts, faults. Trajectories are compared bit for bit."""
 
 import ctypes
-import math
 import os
 import platform
-import random
 import signal
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import conftest
 import pytest
 from apps_rig import NAMES, Rig, config_text
 from conftest import wait_until
-from memory_swarm import PLACES, TARGET, MeasurementOf, MemorySwarm, config_of
+from host_rig import START, MakeRig, ask, consensus, make_rig
+from memory_swarm import config_of
 
 from services.apps import loader
 from services.apps.host.host import schema_of
 from services.apps.runner import Runner
 from swarm.config import load
 from swarm.core.lockstep.frames import Channel
-from swarm.messages import AppProgress, AppState, Links, LinkState, Measurement, Pose, Range, Ranges, Status
-from swarm.messages.codec import decode, encode
+from swarm.messages import AppProgress, AppState, Links, LinkState, Status
 from swarm.recording.run import Run
 
-START = "".join(f"[apps.consensus.robots.r{i}]\nvalue = {x}\n" for i, x in enumerate((0.5, 3.0, 5.0)))
-REPLAY = '[apps.localization]\nalgorithm = "thesis"\n[dwm]\nsource = "replay:somewhere"\n'
-LIVE = '[dwm]\nsource = "serial:/dev/null"\ntarget = "C933"\n'
-
-MakeRig = Callable[..., Rig]
-
-
-@pytest.fixture
-def make_rig(runtime: Path) -> Iterator[MakeRig]:
-    rigs: list[Rig] = []
-
-    def make(more: str = START, names: tuple[str, ...] = NAMES, own_bus: tuple[str, ...] = ()) -> Rig:
-        rigs.append(Rig(runtime, names, more, own_bus))
-        return rigs[-1]
-
-    yield make
-    for rig in rigs:
-        rig.__exit__()
-
-
-def undisturbed(
-    app: str,
-    last: int,
-    parameters: Any = None,
-    robots: Any = None,
-    measure: MeasurementOf | None = None,
-    count: int = 3,
-) -> dict[str, list[str]]:
-    """What the same run gives in memory, in the words of a recording."""
-    config = config_of(count, app=app, parameters=parameters, robots=robots, anchors=())
-    swarm = MemorySwarm(app, config, last, measure)
-    return {
-        name: [
-            ",".join(_words({**state, **{f"r {n}": v for n, v in result.items()}}))
-            for state, result in zip(swarm.states[name], swarm.results[name], strict=True)
-        ]
-        for name in config.names
-    }
-
-
-def _words(values: dict[str, Any]) -> Iterator[str]:
-    for value in values.values():
-        yield from map(repr, value if isinstance(value, tuple) else (value,))
-
-
-def consensus(last: int) -> dict[str, list[str]]:
-    return undisturbed("consensus", last, robots={f"r{i}": {"value": x} for i, x in enumerate((0.5, 3.0, 5.0))})
-
-
-def ask(rig: Rig, robot: str, topic: str, kind: type) -> Any:
-    return decode(kind, conftest.ask(rig.buses[robot], f"swarm/{robot}/app/{topic}"), topic)
+__all__ = ["make_rig"]
 
 
 def test_a_run_to_its_end_and_the_result_stays_to_be_read(make_rig: MakeRig) -> None:
@@ -371,91 +316,3 @@ def test_sigterm_is_heard_whichever_thread_it_hits(make_rig: MakeRig) -> None:
         pytest.skip("the number of tgkill(2) on this machine is not known here")
     assert ctypes.CDLL(None).syscall(number, process.pid, max(threads), signal.SIGTERM) == 0
     assert process.wait(60) == 0
-
-
-# Measurements
-
-
-def reading(name: str, k: int) -> Measurement:
-    numbers = random.Random(f"{name} {k}")
-    x, y = PLACES[int(name[1:])]
-    return Measurement(float(k), k, math.dist((x, y), TARGET) + numbers.gauss(0, 0.02), x + numbers.gauss(0, 0.02), y)
-
-
-def serve(rig: Rig) -> None:
-    """What the dwm service of each robot does in a replay."""
-    for name in rig.names:
-        rig.buses[name].serve(
-            f"swarm/{name}/dwm/measurement",
-            lambda _, parameters, name=name: encode(reading(name, int(parameters["sequence"]))),
-        )
-
-
-def test_a_replay_takes_row_k_at_step_k_through_kills(make_rig: MakeRig) -> None:
-    rig = make_rig(REPLAY)
-    serve(rig)
-    rig.gate = 20
-    rig.start_all("localization", "--iterations", "80")
-    rig.until_k(20)
-    rig.kill("r1")
-    rig.start("r1", "apps", "localization", "--iterations", "80")
-    rig.gate = 80
-    rig.until_phase("done")
-    expected = undisturbed("localization", 80, {"algorithm": "thesis"}, measure=reading)
-    for name in NAMES:
-        assert rig.values(name, "localization") == expected[name]
-
-
-def test_a_replay_waits_for_the_dwm_service_and_says_so(make_rig: MakeRig) -> None:
-    rig = make_rig(REPLAY, ("r0", "r1"))
-    rig.start_all("localization", "--iterations", "10")
-    rig.until_phase("waiting")
-    assert rig.progress["r0"].reason == "the dwm service gives no measurement"
-    assert rig.progress["r0"].k == 0
-    serve(rig)
-    rig.until_phase("done")
-
-
-def test_live_measurements_are_the_newest_range_to_the_target_and_the_own_place(make_rig: MakeRig) -> None:
-    rig = make_rig(LIVE, ("r0", "r1"))
-    rig.start_all("localization", "--iterations", "30")
-    rig.until_phase("waiting")
-
-    def ranges(name: str, distance: float, quality: int) -> Ranges:
-        other = Range("D001", 9.0, 9.0, 100, 0.0, 1)
-        return Ranges(0.0, 1, (other, Range("C933", distance, distance, quality, 0.1, 1)))
-
-    for name in rig.names:
-        x, y = PLACES[int(name[1:])]
-        publish = rig.buses[name].publish
-        publish(f"swarm/{name}/dwm/ranges", ranges(name, 7.0, 0))  # no quality: not used
-        publish(f"swarm/{name}/dwm/pose", Pose(0.0, 1, 8.0, 8.0, None, 0, "none"))
-        publish(f"swarm/{name}/dwm/ranges", b"\xc1 no message")
-        publish(f"swarm/{name}/dwm/pose", Pose(0.0, 2, x, y, None, 90, "average"))
-        publish(f"swarm/{name}/dwm/ranges", ranges(name, math.dist((x, y), TARGET), 80))
-    rig.until_phase("done")
-    rig.until_k(30)
-    for name in rig.names:
-        result = rig.state[name].result
-        assert result["ambiguous"] is True
-        candidates = ((result["x"], result["y"]), (result["other_x"], result["other_y"]))
-        assert min(math.dist(candidate, TARGET) for candidate in candidates) < 1e-6
-
-
-def test_sigterm_ends_an_app_that_waits_for_its_first_measurement(make_rig: MakeRig) -> None:
-    rig = make_rig(LIVE, ("r0", "r1"))
-    rig.start("r0", "apps", "localization")
-    rig.until(lambda: "r0" in rig.progress, "a start")
-    assert rig.stop("r0") == 0
-
-
-def test_sigterm_ends_an_app_that_hangs_in_a_step(make_rig: MakeRig) -> None:
-    rig = make_rig("", ("r0", "r1"))
-    app = rig.directory / "lazy.py"
-    app.write_text(
-        "import threading\nfrom swarm import SyncApp\n"
-        "class Lazy(SyncApp):\n    value: float\n    def step(self, neighbours):\n        threading.Event().wait()\n"
-    )
-    rig.start_all(str(app))
-    rig.until_phase("running", "r0")
-    assert rig.stop("r0") in (0, 3)

@@ -3,7 +3,7 @@
 import signal
 
 from apps_rig import NAMES, Rig
-from test_host import MakeRig, ask, consensus, make_rig
+from host_rig import MakeRig, ask, consensus, make_rig
 
 from swarm.messages import AppState
 

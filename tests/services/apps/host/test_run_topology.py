@@ -3,8 +3,8 @@
 import pytest
 from apps_rig import Rig
 from conftest import wait_until
+from host_rig import START, MakeRig, make_rig
 from memory_swarm import config_of
-from test_host import START, MakeRig, make_rig
 
 from services.apps.host import topology
 from services.apps.host.topology import CONFIGURED, SETTLED, TopologyWatch, lacking

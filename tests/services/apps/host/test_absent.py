@@ -4,7 +4,7 @@ import shutil
 import signal
 
 from apps_rig import NAMES, Rig
-from test_host import START, MakeRig, ask, make_rig
+from host_rig import START, MakeRig, ask, make_rig
 
 from swarm.messages import AppEpoch, AppState, SetAppEpoch
 
