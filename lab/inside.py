@@ -33,7 +33,7 @@ def furnish(machine: Machine) -> None:
 
 def command(words: str) -> str:
     """The shell command that runs the release's Python inside with these words."""
-    environment = "PYTHONPATH=/share:/share/tests:/share/tests/lab PYTHONUNBUFFERED=1"
+    environment = "PYTHONPATH=/share:/share/tests:/share/tests/lab/inside PYTHONUNBUFFERED=1"
     return f"cd /share && {environment} {PYTHON} {words}"
 
 

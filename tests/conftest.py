@@ -34,7 +34,7 @@ with contextlib.suppress(ImportError):  # a machine of the lab has none
 
 try:
     from fork_server import start
-except ImportError:  # nor this; its services have a fork server of their own (tests/lab/inside_fork_server.py)
+except ImportError:  # nor this; its services have a fork server of their own (tests/lab/inside/inside_fork_server.py)
     start = subprocess.Popen
 
 CONFIG = """\

@@ -38,7 +38,7 @@ KEY = 'key = "/share/swarm.key"'
 
 @dataclass(frozen=True)
 class Sizes:
-    """What the machine measures is decided in it (tests/lab/inside_pace.py)."""
+    """What the machine measures is decided in it (tests/lab/inside/inside_pace.py)."""
 
 
 FULL = SMOKE = Sizes()
@@ -53,7 +53,7 @@ def rows(sizes: Sizes = FULL) -> Iterator[Row]:
         new_key_file(machine.share / "swarm.key", int(time.time()))
         for name, made in (("line", config("line", KEY)), ("star", star("loop", KEY)), ("full", config("full", KEY))):
             (machine.share / f"{name}.toml").write_text(made)
-        run_tests(machine, "tests/lab/inside_pace.py")
+        run_tests(machine, "tests/lab/inside/inside_pace.py")
         lines = (machine.share / "pace").read_text().splitlines()
     for found in map(json.loads, lines):
         graph, links = SIMULATED[found["config"]]

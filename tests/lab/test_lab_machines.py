@@ -70,7 +70,7 @@ class Swarm:
                 (robot.share / f"go-on-{shape}").touch()
             said = "/share/said"
             (robot.share / "said").write_text("")
-            run = command(f"tests/lab/inside_robot_mesh.py {name} {','.join(texts)} {words}")
+            run = command(f"tests/lab/inside/inside_robot_mesh.py {name} {','.join(texts)} {words}")
             self._commands[name] = robot.spawn(f"({run}) >>{said} 2>&1; code=$?; echo ended >>{said}; exit $code")
 
     def until(self, name: str, shape: str, condition: Callable[[dict[str, Any]], object], what: str) -> dict[str, Any]:

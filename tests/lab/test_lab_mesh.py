@@ -1,4 +1,4 @@
-"""The mesh over real RFCOMM, six robots in one machine: tests/lab/inside_consensus.py and inside_overlays.py."""
+"""The mesh over real RFCOMM, six robots in one machine: tests/lab/inside/inside_consensus.py and inside_overlays.py."""
 
 import sys
 import time
@@ -55,27 +55,27 @@ def robots(lab_image: Image, tmp_path_factory: pytest.TempPathFactory) -> Iterat
 def test_six_robots_compute_what_the_simulation_computes(robots: Machine, shapes: str) -> None:
     for shape in shapes.split(" or "):
         simulate(shape, robots.share)
-    run_tests(robots, f"tests/lab/inside_consensus.py -k 'simulation and ({shapes})'")
+    run_tests(robots, f"tests/lab/inside/inside_consensus.py -k 'simulation and ({shapes})'")
 
 
 def test_a_hub_carries_the_graph_and_is_central_of_all(robots: Machine) -> None:
     simulate("loop", robots.share, star, "star")
     simulate("random", robots.share, auto, "auto")
-    run_tests(robots, "tests/lab/inside_consensus.py -k hub")
+    run_tests(robots, "tests/lab/inside/inside_consensus.py -k hub")
 
 
 def test_nothing_is_lost_or_doubled_by_faults_in_mid_run(robots: Machine) -> None:
     simulate("line", robots.share)
-    run_tests(robots, "tests/lab/inside_consensus.py -k faults")
+    run_tests(robots, "tests/lab/inside/inside_consensus.py -k faults")
 
 
 def test_a_silent_link_is_gone_around(robots: Machine) -> None:
     simulate("loop", robots.share, hasty, "around")
-    run_tests(robots, "tests/lab/inside_consensus.py -k around")
+    run_tests(robots, "tests/lab/inside/inside_consensus.py -k around")
 
 
 def test_all_that_the_mesh_does_it_does_over_rfcomm(robots: Machine) -> None:
     (robots.share / "overlays.toml").write_text(config("loop", 'key = "/share/swarm.key"', RULES))
     for name in ("swarm", "stranger"):
         (robots.share / f"{name}.toml").write_text(config("line", f'key = "/share/{name}.key"'))
-    run_tests(robots, " ".join(f"tests/lab/inside_{name}.py" for name in ("overlays", "stranger", "pybluez")))
+    run_tests(robots, " ".join(f"tests/lab/inside/inside_{name}.py" for name in ("overlays", "stranger", "pybluez")))

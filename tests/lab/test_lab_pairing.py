@@ -38,7 +38,7 @@ for i in $(seq 200); do timeout 10 bluetoothctl show | grep -q 'Powered: yes' &&
 """
 """Service records need bluetoothd's old door."""
 
-PEER = "tests/lab/inside_peer.py"
+PEER = "tests/lab/inside/inside_peer.py"
 ITERATIONS = 400
 
 CONFIG = """network = "lab"

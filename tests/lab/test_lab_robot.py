@@ -1,5 +1,5 @@
 """One whole robot: booted from the installed units on real systemd and a live /dev/i2c-1, its bus broken in every way
-that docs/reference/robot/i2c-bus.md knows. tests/lab/inside_robot.py has the checks.
+that docs/reference/robot/i2c-bus.md knows. tests/lab/inside/inside_robot.py has the checks.
 """
 
 import ast
@@ -22,8 +22,7 @@ from swarm.config.keyfile import new_key_file
 pytest_plugins = ("lab_fixtures",)
 pytestmark = [pytest.mark.lab, pytest.mark.timeout(1100)]
 
-HERE = Path(__file__).parent
-INSIDE = HERE / "inside_robot.py"
+INSIDE = Path(__file__).parent / "inside/inside_robot.py"
 
 PLACE = "[simulation.places]\nr0 = [1.0, 1.0, 0.0]\n"
 CONFIG = build.CONFIG.replace(build.NO_MODULE, "/run/lab/{robot}/dwm.tty") + ANCHORS + PLACE

@@ -1,6 +1,6 @@
 """The whole path of the thesis in one machine: the firmware in the AVR simulator behind /dev/i2c-1, a DWM1001 at its
-UART, the release's services on systemd, and six robots over the kernel's RFCOMM. tests/lab/inside_thesis.py has the
-checks."""
+UART, the release's services on systemd, and six robots over the kernel's RFCOMM. tests/lab/inside/inside_thesis.py has
+the checks."""
 
 import shutil
 import subprocess
@@ -63,7 +63,6 @@ r5 = [0.3, 1.0, 0.0]
 @pytest.fixture(scope="module")
 def firmware(request: pytest.FixtureRequest) -> list[Path]:
     """The firmware, the AVR simulator, and the library of it that Debian's robots lack."""
-    sys.path.append(str(Path(__file__).parents[1] / "firmware"))
     import firmware_build
 
     cache = request.config.cache
@@ -87,7 +86,7 @@ def test_a_robot_balances_while_it_localizes_and_two_messages_cross(
         try:
             # It lets adapters that are paired with nobody answer nobody, and udev starts it again for each adapter.
             robot.run("systemctl mask --runtime --now bluetooth")
-            run_tests(robot, "-x tests/lab/inside_thesis.py")
+            run_tests(robot, "-x tests/lab/inside/inside_thesis.py")
         except AssertionError:
             sys.stdout.write(robot.run("journalctl -b -u 'swarm-*' -u 'lab-*' --no-pager -n 80", code=None))
             raise

@@ -2,8 +2,8 @@
 
 Its own time-out is 20 s, and a controller keeps what it could not deliver until then, in the few buffers that all its
 connections share (8 on the robots'). A robot that goes off thus takes the buffers of each of its neighbours, which fall
-silent towards all others (tests/lab/inside_faults.py shows it with Linux's own Bluetooth). So whoever has called sets
-a time-out below that of the mesh. It is the central's to do: the other side's controller would refuse.
+silent towards all others (tests/lab/inside/inside_faults.py shows it with Linux's own Bluetooth). So whoever has called
+sets a time-out below that of the mesh. It is the central's to do: the other side's controller would refuse.
 
 The caller is to be the central (`services.mesh.core.routing.physical_links`), and is, unless the robot that it calls
 has just knocked: the kernel then uses the connection of the knock, whose central is the robot that knocked. So the

@@ -1,5 +1,5 @@
 """How long a silent Bluetooth connection is kept: bytes, what the mesh does after a dial, and what stands in its way.
-The effect is shown over a kernel's own Bluetooth: tests/lab/inside_faults.py."""
+The effect is shown over a kernel's own Bluetooth: tests/lab/inside/inside_faults.py."""
 
 import errno
 import functools
