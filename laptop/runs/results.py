@@ -69,8 +69,9 @@ class RunData:
 
     @property
     def messages(self) -> int | None:
-        """Messages between apps that all robots have sent, counted once for each neighbour; None of a recording that
-        does not tell it, as of real robots."""
+        """Number of messages that all robots have sent between apps, counted once for each neighbour.
+
+        None for recordings without this number, such as those of real robots."""
         return int(self._outcome["messages"]) if "messages" in self._outcome else None
 
     @property
@@ -104,7 +105,7 @@ class RunData:
 
     @cached_property
     def target(self) -> Array | None:
-        """Return the place of the simulated target, m: float of shape (iteration, robot, 2); None of real robots."""
+        """Return the place of the simulated target, m: float of shape (iteration, robot, 2); None for real robots."""
         moving = self._along("target", ("x", "y"))
         file = self.path / folder.CONFIG_FILE
         if moving is not None or self.truth is None or not file.is_file():
@@ -164,7 +165,7 @@ class RunData:
         return figure
 
     def save(self, path: str | Path) -> None:
-        """Keep the recording in a new folder, which `swarm.load`, `swarm plot`, `swarm replay` and the others take."""
+        """Write the recording to a new folder, which `swarm.load`, `swarm plot` and `swarm replay` read."""
         place = Path(path)
         if place.exists() and (not place.is_dir() or any(place.iterdir())):
             raise LocalError(f"{place}: it is there already; name a new folder")
@@ -250,8 +251,8 @@ def table_of(columns: Any) -> "pd.DataFrame":
 def load(path: str | Path, app: str = "") -> RunData:
     """Load a recorded run, of real robots (`swarm fetch`) or of a simulation (`swarm sim --record`, `RunData.save`).
 
-    `path` is its folder, or one recording (.mcap) of it; `app` says which one is looked at where robots ran several.
-    Raises `RecordingError`.
+    `path` is its folder, or one recording (.mcap) of it; `app` chooses one app if robots ran
+    several. Raises `RecordingError` if there is no recording or it cannot be read.
     """
     return RunData(Path(path), app)
 

@@ -59,13 +59,13 @@ def simulate(
     `app`: the class, the path of its file, or the name of a built-in app. The robots are r0, r1...; `topology` is line,
     loop, full, thesis-d, random:SEED, auto or a matrix file. `values` are first values of the state and parameters: for
     all robots, as a list with one for each, or by robot (`{"x": {"r2": 3.0}}`). `latency` of the links: s, one way.
-    `faults`: what happens at which time, s after the first iteration, as the command line has it: "cut r0-r1@1s,2s",
-    "kill r2.app@5s", "off r3@5s,10s", "press r0.A@2s", "push r1@5s,0.2"; robots and times may be drawn by the seed, as
-    in "off any@2s..8s,10s".
+    `faults` are written as on the command line, with times in s after the first iteration: "cut r0-r1@1s,2s",
+    "kill r2.app@5s", "off r3@5s,10s", "press r0.A@2s", "push r1@5s,0.2". The seed may draw robots and times, as in
+    "off any@2s..8s,10s".
 
-    It ends after `iterations` (100 where nothing is said), or after `seconds` of virtual time. `devices`: record poses,
-    tilt and links, too, as `swarm sim --record` does; that takes three times as long. `options` are all others of
-    `swarm sim`, with _ for -: `jitter=0.01`, `loss=0.05`, `algorithm="thesis"`, `until="converged"`, `absent="drop"`.
+    The run ends after `iterations` (100 if neither is given), or after `seconds` of virtual time. `devices`: record
+    poses, tilt and links, too, as `swarm sim --record` does; that takes three times as long. `options` are all other
+    options of `swarm sim`, with _ for -: `jitter=0.01`, `loss=0.05`, `algorithm="thesis"`, `absent="drop"`.
 
     The same arguments give the same run to the bit. Raises `AppError` for an app that cannot be run and, with `check`,
     for a run with problems (else they are `run.problems`); `ConfigError` for a wrong argument."""

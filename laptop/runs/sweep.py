@@ -47,7 +47,7 @@ class SweepTable:
         return [{**_values(self._points[run.point]), **_flat(run)} for run in self._found]
 
     def to_pandas(self) -> "pd.DataFrame":
-        """`runs` as a table. Needs pandas, of the extra `notebook`."""
+        """Return `runs` as a table. Needs pandas, of the extra `notebook`."""
         return table_of(self.runs)
 
     def plot(self, path: str | Path | None = None) -> "Figure":
@@ -83,10 +83,11 @@ def sweep(
     """Run an app in virtual time for each combination of the lists in `over` and each seed, as `swarm sweep` does.
 
     `over`: lists by the name of a parameter or first value (`gain`, or `r2.gain` of one robot), and `robots`,
-    `topology`, `algorithm`. `seeds`: so many from 1 on, or a list of them. A run has settled when all results stay
-    `within` of their last values. `jobs`: processes; more than one for an app by name or file only, and a script then
-    calls this where `__name__` is `"__main__"`. All else as of `swarm.simulate`; a run with problems is counted as
-    failed. Raises `AppError` or `ConfigError` for what no run can be made of."""
+    `topology`, `algorithm`. `seeds`: a number N for the seeds 1 to N, or a list of seeds. A run has settled when all
+    results stay `within` of their last values. `jobs`: number of processes. More than one needs an app by name or file,
+    and a script then calls `sweep` where `__name__` is `"__main__"`. The other arguments are those of
+    `swarm.simulate`. A run with problems counts as failed. Raises `AppError` or `ConfigError` for an app or an argument
+    with which no run is possible."""
     found = app_of(app)
     by_class = not isinstance(app, str | Path)
     if jobs > 1 and by_class:

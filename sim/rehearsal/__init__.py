@@ -30,11 +30,11 @@ def rehearse(
     parameters: Mapping[str, Value] | None = None,
     values: Mapping[str, Any] | None = None,
 ) -> SyncRehearsal | EventRehearsal:
-    """A swarm that runs `app` (a class, a file or a built-in name) at its start, to be driven step by step in a test.
+    """Return a swarm that runs `app` (a class, a file or a built-in name); a test drives it step by step.
 
     `parameters` hold for all robots. `values` are parameters and first values as `swarm.simulate` takes them: for all,
     as a list with one for each robot, or by robot, `{"r2": {"value": 3.0}}`. Shared floats that neither these nor the
-    class give a first value begin with the thesis' 0.5, 1, 2, 3, 4, 5. Raises `AppError`.
+    class give a first value begin with the thesis' 0.5, 1, 2, 3, 4, 5. Raises `AppError` for an app that cannot run.
     """
     found = loader.load(str(app)) if isinstance(app, str | Path) else loader.of_class(app)
     kind, _ = found.choose({name: value for name, value in (parameters or {}).items() if name == "algorithm"})

@@ -223,10 +223,10 @@ class BaseApp:
 class SyncApp(BaseApp):
     """Base of apps that step together with their neighbours, in lockstep.
 
-    `step` runs when the states of iteration k of all neighbours are there, and turns the own state k into k + 1. Keep
-    it a pure function: without clock, files and random numbers but `self.robot.random`. A run then gives the same bits
-    when links are cut and processes are killed. Private fields are saved for a restart, so they must have types that
-    msgpack can hold.
+    `step` runs when the states of iteration k of all neighbours are there, and turns this robot's state k into k + 1.
+    Keep it a pure function: without clock, files and random numbers but `self.robot.random`. A run then gives the same
+    bits when links are cut and processes are killed. Private fields are saved for a restart, so they must have types
+    that msgpack can hold.
     """
 
     diverges_above: float = parameter(1e30, low=0.0)

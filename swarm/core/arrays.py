@@ -36,13 +36,12 @@ class Float32:
 
 
 float32 = Annotated[float, Float32()]
-"""A float of half the width on the air. The own value is rounded, too: all robots then count with the same.
-"""
+"""A float that takes 4 bytes in a message. The robot's own value is rounded, too, so all robots use the same number."""
 
 
 class Array:
-    """The annotation of a field that is a numpy array of float64, or float32 on request, and has always the same
-    shape. Raises `AppError` for a shape that is none."""
+    """The annotation of a field that is a numpy array of float64, or float32 on request. Its shape never changes.
+    Raises `AppError` if a size is not a positive integer."""
 
     def __class_getitem__(cls, sizes: Any) -> Any:
         given = sizes if isinstance(sizes, tuple) else (sizes,)
