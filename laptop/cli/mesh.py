@@ -55,10 +55,9 @@ def places(graph: Graph) -> dict[str, Place]:
         return {name: (math.cos(angle), math.sin(angle)) for name, angle in zip(names, angles, strict=True)}
     import numpy as np
 
+    from services.dwm.anchors.autoposition import scaled  # needs numpy, too
+
     hops = [graph.distances(name) for name in names]
     far = 1 + max(distance for row in hops for distance in row.values())
-    squared = np.array([[row.get(name, far) for name in names] for row in hops], dtype=float) ** 2
-    centred = squared - squared.mean(axis=0) - squared.mean(axis=1)[:, None] + squared.mean()
-    values, vectors = np.linalg.eigh(-0.5 * centred)
-    plane = vectors[:, -2:] * np.sqrt(np.maximum(values[-2:], 0.0))
+    plane = scaled(np.array([[row.get(name, far) for name in names] for row in hops], dtype=float))
     return {name: (float(x), float(y)) for name, (x, y) in zip(names, plane, strict=True)}

@@ -75,7 +75,12 @@ def survey(file: int, limit: int | None = None) -> ExistingContent:
         elif length > mcap.LARGEST:
             raise RecordingError(f"at byte {at}: a record of {length} bytes: at most {mcap.LARGEST} are read")
         else:
-            _note(known, opcode, os.pread(file, length, inside), after - at)
+            content = os.pread(file, length, inside)
+            if opcode == mcap.METADATA:
+                known.add_metadata(after - at, mcap.read_metadata(content)[0])
+            else:
+                known.describe(opcode, content)
+                known.position += after - at
         at = after
     # A chunk at the end may lack indexes of channels; all of ours are written in one go, so it is whole if one is
     # there.
@@ -107,21 +112,6 @@ def _last_checkpoint(file: int, known: ExistingContent, at: int, size: int) -> E
         except RecordingError:
             continue
     return None
-
-
-def _note(known: ExistingContent, opcode: int, content: bytes, length: int) -> None:
-    if opcode == mcap.METADATA:
-        name, _ = mcap.read_metadata(content)
-        known.add_metadata(length, name)
-        return
-    if opcode == mcap.SCHEMA:
-        schema = mcap.read_schema(content)
-        known.schemas[schema.id] = schema
-    elif opcode == mcap.CHANNEL:
-        channel = mcap.read_channel(content)
-        known.channels[channel.id] = channel
-        known.counts.setdefault(channel.id, 0)
-    known.position += length
 
 
 def _complete(file: int, chunk: mcap.Chunk, at: int, counts: dict[int, int]) -> bool:

@@ -63,13 +63,14 @@ def _plain(name: str) -> str:
     return re.sub(r"[-_.]+", "_", name).lower()
 
 
-def pack(files: Mapping[str, bytes], modes: Mapping[str, int]) -> bytes:
-    """Pack files as a tar; only the owner can read those without a mode."""
+def pack(files: Mapping[str, bytes], modes: Mapping[str, int], time: int = 0) -> bytes:
+    """Pack files as a tar; only the owner can read those without a mode. `time` is that of their last change, s since
+    1970."""
     buffer = io.BytesIO()
     with tarfile.open(fileobj=buffer, mode="w") as archive:
         for name, data in files.items():
             entry = tarfile.TarInfo(name)
-            entry.size, entry.mode = len(data), modes.get(name, 0o600)
+            entry.size, entry.mode, entry.mtime = len(data), modes.get(name, 0o600), time
             archive.addfile(entry, io.BytesIO(data))
     return buffer.getvalue()
 

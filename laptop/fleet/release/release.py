@@ -22,7 +22,6 @@ import re
 import shutil
 import subprocess
 import sys
-import tarfile
 import tempfile
 import tomllib
 import zipfile
@@ -30,6 +29,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import swarm
+from laptop.fleet.release.install import pack
 from swarm.errors import LocalError
 from swarm.onboard.command_line import end_with
 from swarm.packages import HOME, PARTS
@@ -111,14 +111,9 @@ def _record_hash(data: bytes) -> str:
 
 
 def _archive(root: str, files: Mapping[str, bytes]) -> bytes:
-    buffer = io.BytesIO()
-    with tarfile.open(fileobj=buffer, mode="w", format=tarfile.USTAR_FORMAT) as archive:
-        for name in sorted(files):
-            entry = tarfile.TarInfo(f"{root}/{name}")
-            entry.size, entry.mtime = len(files[name]), _TAR_TIME
-            entry.mode = 0o755 if name in ("install", "uninstall") else 0o644
-            archive.addfile(entry, io.BytesIO(files[name]))
-    return gzip.compress(buffer.getvalue(), 9, mtime=0)
+    paths = {f"{root}/{name}": files[name] for name in sorted(files)}
+    modes = {f"{root}/{name}": 0o755 if name in ("install", "uninstall") else 0o644 for name in files}
+    return gzip.compress(pack(paths, modes, _TAR_TIME), 9, mtime=0)
 
 
 # -- packages --------------------------------------------------------------------------------------------------------

@@ -3,15 +3,12 @@
 from collections.abc import Mapping
 from typing import Any
 
-from swarm import EventApp
+from services.apps.builtin.show import ShowingApp
 from swarm.messages import Flooded, Sent
 from swarm.messages.codec import Value
 
-SHOWN_S = 3.0
-"""Seconds after the last message after which the LEDs go off, as in the thesis."""
 
-
-class FloodingDemo(EventApp):
+class FloodingDemo(ShowingApp):
     """Any button: yellow on every robot that has the message, green on all when the last one has it."""
 
     floods: int = 0
@@ -33,12 +30,12 @@ class FloodingDemo(EventApp):
         text = f"{self.robot.name} says {button} {self.floods}"
         ticket = self.robot.flood(text.encode(), priority="sync", announce=True).ticket
         self._began[ticket] = self.robot.now
-        self._show("sent", text, yellow=True)
+        self.show("sent", text, yellow=True)
 
     def on_message(self, message: Any) -> None:
         """It has come here."""
         self.heard += 1
-        self._show("heard", message.payload.decode(errors="replace"), yellow=True)
+        self.show("heard", message.payload.decode(errors="replace"), yellow=True)
 
     def on_answer(self, ticket: str, outcome: Flooded | Sent) -> None:
         """Show whether all robots have our text, and the time that it took."""
@@ -47,26 +44,16 @@ class FloodingDemo(EventApp):
         self.robot.record("took", took)
         if outcome.complete:
             self.complete += 1
-            self._show("complete", f"{len(outcome.robots)} reached, {1e3 * took:.0f} ms", green=True)
+            self.show("complete", f"{len(outcome.robots)} reached, {1e3 * took:.0f} ms", green=True)
         else:
             self._lost += 1
-            self._show("incomplete", f"{len(outcome.robots)} reached: {outcome.problem}", red=True)
+            self.show("incomplete", f"{len(outcome.robots)} reached: {outcome.problem}", red=True)
 
     def on_announced(self, origin: str, outcome: Flooded) -> None:
         """Show that all robots have the text of another one."""
         if outcome.complete:
             self.complete += 1
-            self._show("complete", f"all have {origin}'s", green=True)
-
-    def on_timer(self, name: str) -> None:
-        """Switch the LEDs off."""
-        self.robot.leds(red=False, yellow=False, green=False)
-
-    def _show(self, what: str, text: str, *, red: bool = False, yellow: bool = False, green: bool = False) -> None:
-        self.robot.record(what, text)
-        self.robot.display(what, text)
-        self.robot.leds(red=red, yellow=yellow, green=green)
-        self.robot.after(SHOWN_S, "dark")
+            self.show("complete", f"all have {origin}'s", green=True)
 
     def result(self) -> Mapping[str, Value]:
         """Floods sent, heard, known to be complete, and incomplete."""

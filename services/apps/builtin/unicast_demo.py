@@ -6,17 +6,15 @@ See docs/reference/apps/unicast_demo.md.
 from collections.abc import Mapping
 from typing import Any
 
-from swarm import EventApp
+from services.apps.builtin.show import ShowingApp
 from swarm.messages import Flooded, Sent
 from swarm.messages.codec import Value
 
 BUTTONS = ("a", "b", "c")
-SHOWN_S = 3.0
-"""Seconds after the last message after which the LEDs go off, as in the thesis."""
 TIMEOUT_S = 10.0
 
 
-class UnicastDemo(EventApp):
+class UnicastDemo(ShowingApp):
     """Buttons A, B and C send to the next robot of swarm.toml, the one after it, and the third.
 
     Yellow at the sender until the receiver's mesh has confirmed it, then green; green at the receiver; red where it was
@@ -37,18 +35,18 @@ class UnicastDemo(EventApp):
         """Send a text to the robot of this button."""
         to = self._target(button)
         if to == self.robot.name:
-            self._show("alone", f"no robot for {button.upper()}", red=True)
+            self.show("alone", f"no robot for {button.upper()}", red=True)
             return
         self.sent += 1
         text = f"{self.robot.name} to {to}: {self.sent}"
         ticket = self.robot.send(to, text.encode(), priority="sync", timeout=TIMEOUT_S).ticket
         self._under_way[ticket] = (to, self.robot.now)
-        self._show("sent", text, yellow=True)
+        self.show("sent", text, yellow=True)
 
     def on_message(self, message: Any) -> None:
         """It has arrived here."""
         self.received += 1
-        self._show("received", message.payload.decode(errors="replace"), green=True)
+        self.show("received", message.payload.decode(errors="replace"), green=True)
 
     def on_answer(self, ticket: str, outcome: Flooded | Sent) -> None:
         """Show whether the text was delivered, and the time that it took."""
@@ -58,23 +56,13 @@ class UnicastDemo(EventApp):
         self.robot.record("took", took)
         if outcome.delivered:
             self.delivered += 1
-            self._show("delivered", f"{to} has it, {1e3 * took:.0f} ms", green=True)
+            self.show("delivered", f"{to} has it, {1e3 * took:.0f} ms", green=True)
         else:
-            self._show("lost", f"{to}: {outcome.problem}", red=True)
-
-    def on_timer(self, name: str) -> None:
-        """Switch the LEDs off."""
-        self.robot.leds(red=False, yellow=False, green=False)
+            self.show("lost", f"{to}: {outcome.problem}", red=True)
 
     def _target(self, button: str) -> str:
         swarm = self.robot.swarm
         return swarm[(swarm.index(self.robot.name) + 1 + BUTTONS.index(button)) % len(swarm)]
-
-    def _show(self, what: str, text: str, *, red: bool = False, yellow: bool = False, green: bool = False) -> None:
-        self.robot.record(what, text)
-        self.robot.display(what, text)
-        self.robot.leds(red=red, yellow=yellow, green=green)
-        self.robot.after(SHOWN_S, "dark")
 
     def result(self) -> Mapping[str, Value]:
         """Messages sent, delivered, and received from others."""

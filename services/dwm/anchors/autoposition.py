@@ -48,7 +48,7 @@ def locate(distances: Mapping[Pair, float], heights: Mapping[str, float] | None 
     pairs = _flat(distances, names, heights or {})
     if len(names) < 3:
         raise LocalError(f"{len(names)} anchors: three are needed to lay out a plane")
-    start = _scaled(_filled(pairs, len(names)))
+    start = scaled(_filled(pairs, len(names)))
     found = _refined(start, pairs)
     _check_stiffness(found, pairs, names)
     places = _first_on_axes(found)
@@ -103,8 +103,9 @@ def _filled(pairs: Mapping[tuple[int, int], float], count: int) -> Array:
     return matrix
 
 
-def _scaled(matrix: Array) -> Array:
-    """Classical scaling to the plane."""
+def scaled(matrix: Array) -> Array:
+    """Return places in the plane, of shape (count, 2), whose distances are near those of the matrix: classical
+    scaling."""
     count = len(matrix)
     centre = np.eye(count) - 1.0 / count
     values, vectors = np.linalg.eigh(-0.5 * centre @ matrix**2 @ centre)

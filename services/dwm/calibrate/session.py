@@ -4,13 +4,10 @@ The person presses the robot's buttons (A: start and stop, B: next place, C: thi
 written at once: whatever happens to the session, what was measured is there.
 """
 
-import contextlib
 import os
 import queue
 import select
 import sys
-import termios
-import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TextIO
@@ -23,6 +20,7 @@ from swarm.files import atomic_write
 from swarm.messages import Buttons, Pose, Ranges
 from swarm.messages.codec import decoded
 from swarm.messages.keys import key
+from swarm.onboard.body import keyboard
 
 KEYS = {
     " ": GuideButton.START, "\n": GuideButton.START, "\r": GuideButton.START, "s": GuideButton.START,
@@ -88,7 +86,7 @@ class Presses:
         return [what for what, new, old in zip(meanings, counts, last, strict=True) for _ in range(new - old)]
 
 
-class Keyboard:
+class Keys:
     """Keys of a terminal as they are pressed; of a pipe, a line whenever the guide waits for one."""
 
     def __init__(self, stream: TextIO) -> None:
@@ -96,19 +94,6 @@ class Keyboard:
         self._is_terminal = stream.isatty()
         self._rest = b""
         self._ended = False
-
-    @contextlib.contextmanager
-    def raw(self) -> Iterator[None]:
-        """Single keys instead of lines, on a terminal."""
-        if not self._is_terminal:
-            yield
-            return
-        saved = termios.tcgetattr(self._stream)
-        tty.setcbreak(self._stream)
-        try:
-            yield
-        finally:
-            termios.tcsetattr(self._stream, termios.TCSADRAIN, saved)
 
     def pressed(self, wait: float, *, waiting: bool) -> GuideButton | None:
         """Return the key pressed within `wait` s. A pipe is only read while the guide is `waiting`; its end means
@@ -135,8 +120,8 @@ def hold(
     guide: Guide, hearing: Hearing, module: str, path: Path, say: Callable[[str], None], now: Callable[[], float]
 ) -> None:
     """Run the session until it is done; samples are appended to `path`. Raises `BusError` where nothing is heard."""
-    reports, presses, keyboard = Reports(), Presses(), Keyboard(sys.stdin)
-    with _new(path) as file, keyboard.raw():
+    reports, presses, keys = Reports(), Presses(), Keys(sys.stdin)
+    with _new(path) as file, keyboard.Keyboard(sys.stdin).raw():
         file.write(HEADER + "\n")
         say(HELP)
         heard_at, shown = now(), ""
@@ -144,7 +129,7 @@ def hold(
             if (prompt := f"{guide.prompt()}: {'measuring' if guide.measuring else 'start?'}") != shown:
                 say(prompt)
                 shown = prompt
-            pressed = keyboard.pressed(0.0 if guide.measuring else _POLL, waiting=not guide.measuring)
+            pressed = keys.pressed(0.0 if guide.measuring else _POLL, waiting=not guide.measuring)
             if pressed is not None:
                 guide.press(pressed)
             for message in _drained(hearing.messages, _POLL if guide.measuring else 0.0):

@@ -62,6 +62,16 @@ class ExistingContent:
         self.chunks += 1
         self.position = indexes[-1]
 
+    def describe(self, opcode: int, content: bytes | memoryview) -> None:
+        """Note the schema or the channel of a record; other records say nothing here."""
+        if opcode == mcap.SCHEMA:
+            schema = mcap.read_schema(content)
+            self.schemas[schema.id] = schema
+        elif opcode == mcap.CHANNEL:
+            channel = mcap.read_channel(content)
+            self.channels[channel.id] = channel
+            self.counts.setdefault(channel.id, 0)
+
     def add_metadata(self, length: int, name: str) -> None:
         """Note a metadata record of `length` bytes that begins at `position`."""
         self.metadata_indexes += mcap.metadata_index(self.position, length, name)
@@ -91,13 +101,8 @@ def recall(at: int, content: bytes, checkpoints: list[int]) -> ExistingContent:
     _, summary = mcap.read_checkpoint(at, content)
     known = ExistingContent(at + mcap.HEAD.size + len(content), checkpoints=[*checkpoints, at])
     for start, opcode, inside in mcap.whole_records(summary):
-        if opcode == mcap.SCHEMA:
-            schema = mcap.read_schema(inside)
-            known.schemas[schema.id] = schema
-        elif opcode == mcap.CHANNEL:
-            channel = mcap.read_channel(inside)
-            known.channels[channel.id] = channel
-        elif opcode == mcap.STATISTICS:
+        known.describe(opcode, inside)
+        if opcode == mcap.STATISTICS:
             known.counts, known.chunks, known.metadatas, known.start, known.end = mcap.read_statistics(inside)
         elif opcode == mcap.METADATA_INDEX:
             known.metadata_indexes += summary[start : start + mcap.HEAD.size + len(inside)]

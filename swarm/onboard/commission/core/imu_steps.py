@@ -97,13 +97,13 @@ def encoders(desk: Desk) -> Script:
         before = desk.robot.rolled()
         desk.prompt(f"roll-{name}", f"Turn the {name} wheel forward by hand, a whole turn.")
 
-        def moved(before: tuple[float, float] = before) -> tuple[float, float]:
-            left, right = desk.robot.rolled()
-            return left - before[0], right - before[1]
+        def moved(before: tuple[float, float] = before) -> bool:
+            return max(map(abs, desk.robot.rolled_since(before))) > ROLLED_M
 
-        if not (yield from desk.until(lambda moved=moved: max(map(abs, moved())) > ROLLED_M, ROLL_S)):  # type: ignore[misc]
+        if not (yield from desk.until(moved, ROLL_S)):
             raise StepError(f"no encoder counts when the {name} wheel turns", f"check the plug of the {name} encoder")
-        own, other = moved()[side], moved()[1 - side]
+        ways = desk.robot.rolled_since(before)
+        own, other = ways[side], ways[1 - side]
         desk.figures[f"{name}_m"] = round(own, 3)
         if abs(other) > abs(own):
             raise StepError("the encoders are swapped: each counts the other wheel", "swap the motors' plugs")

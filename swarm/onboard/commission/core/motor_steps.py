@@ -37,18 +37,14 @@ def motors(desk: Desk) -> Script:
         desk.say(f"the {name} wheel turns forward for a second, slowly")
         desk.send(TryMotors(DUTY * (side == 0), DUTY * (side == 1), TURN_S))
 
-        def rolled(before: tuple[float, float] = before, side: int = side) -> tuple[float, float]:
-            now = desk.robot.rolled()
-            return now[side] - before[side], now[1 - side] - before[1 - side]
-
-        def wrong(rolled: object = rolled) -> bool:
-            assert callable(rolled)
-            own, other = rolled()
-            return bool(own < -WRONG_M or abs(other) > WRONG_M)
+        def wrong(before: tuple[float, float] = before, side: int = side) -> bool:
+            ways = desk.robot.rolled_since(before)
+            return ways[side] < -WRONG_M or abs(ways[1 - side]) > WRONG_M
 
         if (yield from desk.until(wrong, TURN_S + 0.5)):
             desk.send(SetMode("rest"))
-        own, other = rolled()
+        ways = desk.robot.rolled_since(before)
+        own, other = ways[side], ways[1 - side]
         desk.figures[f"{name}_m_s"] = round(own / TURN_S, 3)
         if abs(other) > max(WRONG_M, abs(own)):
             raise StepError("the motors are swapped: each turns the other wheel", "swap the motors' plugs")
@@ -67,6 +63,7 @@ def stop(desk: Desk) -> Script:
     """Check that a stop ends the motors' motion at once, and holds until it is taken back."""
     yield from desk.confirm("lift-upright", "Wheels free, in your hand: they turn, then are stopped. A or Enter.")
     yield from _turning(desk, "turn")
+    yield from desk.wait(0.4)
     desk.send(Stop(desk.now, desk.subject.robot, "swarm commission"))
     begin = desk.now
     stopped = yield from desk.until(lambda: desk.robot.wheel_speed() < STILL and desk.robot.mode == "fault", STOP_S)
@@ -84,10 +81,8 @@ def stop(desk: Desk) -> Script:
 def watchdog(desk: Desk) -> Script:
     """The ATmega stops the motors by itself when their commands cease."""
     yield from desk.confirm("lift-upright", "Wheels free again: they turn, and must stop by themselves. A or Enter.")
-    desk.send(TryMotors(DUTY, DUTY, 3.0, "watchdog"))
     begin = desk.now
-    if not (yield from desk.until(lambda: STILL < desk.robot.wheel_speed() < math.inf, 1.0)):
-        raise StepError("the wheels did not turn", "try again; else the motors step has more to say")
+    yield from _turning(desk, "watchdog")
     stopped = yield from desk.until(lambda: desk.robot.wheel_speed() < STILL, WATCHDOG_S)
     desk.figures["stopped_s"] = round(desk.now - begin, 3)
     desk.send(SetMode("rest"))
@@ -99,7 +94,6 @@ def _turning(desk: Desk, kind: str) -> Script:
     desk.send(TryMotors(DUTY, DUTY, 3.0, kind))
     if not (yield from desk.until(lambda: STILL < desk.robot.wheel_speed() < math.inf, 1.0)):
         raise StepError("the wheels did not turn", "try again; else the motors step has more to say")
-    yield from desk.wait(0.4)
 
 
 def held(desk: Desk) -> Script:

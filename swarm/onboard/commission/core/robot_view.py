@@ -95,6 +95,11 @@ class RobotView:
         """Return how far the left and right wheel have rolled, m: sums since the balancer started."""
         return (self.odometry[-1].left, self.odometry[-1].right) if self.odometry else (0.0, 0.0)
 
+    def rolled_since(self, before: tuple[float, float]) -> tuple[float, float]:
+        """Return how far the left and right wheel have rolled since `rolled` was `before`, m."""
+        left, right = self.rolled()
+        return left - before[0], right - before[1]
+
     def wheel_speed(self) -> float:
         """Return the speed of the faster wheel over the last messages, m/s; infinity where there are too few."""
         if len(self.odometry) < 2:
