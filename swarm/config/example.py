@@ -1,8 +1,8 @@
 """The commented `swarm.toml` that `swarm config --example` prints. The tests load it and miss no entry in it."""
 
 EXAMPLE = """\
-# swarm.toml: one file for the whole swarm, the same on every robot, there in /etc/swarm. A laptop looks for
-# it in the working directory, ~/.config/swarm and /etc/swarm; the variable SWARM_CONFIG names another place.
+# swarm.toml describes the whole swarm. Every robot has the same file, in /etc/swarm. A laptop looks for it
+# in the working directory, ~/.config/swarm and /etc/swarm; the variable SWARM_CONFIG names another place.
 # Each robot knows which one it is by its host name or the variable SWARM_ROBOT.
 # Units are SI: m, rad, s, Hz. Check a changed file with: swarm config check swarm.toml
 
@@ -43,9 +43,9 @@ bluetooth = "B8:27:EB:00:00:15"
 # How the others reach a robot where that is not Bluetooth; a simulation fills in sim:SOCKET by itself.
 # link = "tcp:192.168.1.15:7447"
 
-# ---- Topology: who talks to whom. Exactly one of shape, edges or matrix; connected, links hold both ways, at
-# most seven Bluetooth links a robot. A link counts as Bluetooth when either end has no `link`. While the
-# swarm runs `swarm mesh topology set` changes it; another table here, on all robots, takes that back.
+# ---- Topology: which robots are neighbours. Exactly one of shape, edges or matrix; connected, links hold
+# both ways, at most seven Bluetooth links a robot. A link counts as Bluetooth when either end has no `link`.
+# `swarm mesh topology set` changes it while the swarm runs; another table here, on all robots, undoes that.
 
 [topology]
 shape = "thesis-d"         # line, loop, full, thesis-d (six robots) or random:SEED
@@ -62,7 +62,7 @@ shape = "thesis-d"         # line, loop, full, thesis-d (six robots) or random:S
 # ---- Mesh: the links between robots.
 
 [mesh]
-# key = "/etc/swarm/key"   # whoever has this key is a member: `swarm key new`, then copy it to all robots
+# key = "/etc/swarm/key"   # a robot with this key is a member: `swarm key new`, then copy it to all robots
 # insecure = true          # in place of a key: anyone in reach can join; `swarm sim` needs neither
 # listen = "0.0.0.0:7447"  # where tcp: neighbours may call; nothing listens on the network without it
 heartbeat = 0.5            # s between heartbeats
@@ -72,13 +72,13 @@ handshake = 8.0            # s that each half of a handshake may take; doubled a
 patience = 60.0            # s that none of these exceeds, however slow a link is
 metric = "hops"            # the shortest way is that of fewest links, or of least measured "time"
 links = "auto"             # which links carry the topology: "graph": its own; "star": the first robot here
-                           # calls all others and hands on what they say; "tree": several do so, for more
+                           # calls all others and forwards their messages; "tree": several do so, for more
                            # than eight; "auto": star or tree on Bluetooth, graph elsewhere
 rfcomm_channel = 1         # of Bluetooth, 1 to 30, the same on every robot (bluetoothd -C holds 8)
-rfcomm_encrypt = false     # true: Bluetooth encrypts the links; needs bluetoothd and unasked pairing
+rfcomm_encrypt = false     # true: Bluetooth encrypts the links; needs bluetoothd, pairing without questions
 
 # ---- Relay: which keys of its own a robot sends to others, where they appear under the same name.
-# What apps say to their neighbours (swarm/{self}/app/*/sync/..., latest/...) needs no rule here.
+# Messages of apps to their neighbours (swarm/{self}/app/*/sync/..., latest/...) need no rule here.
 # {self} is the robot's own name; {peer}, as a chunk, the name of the robot the key goes to.
 
 [[relay]]
@@ -159,7 +159,7 @@ acceleration = 0.5         # m/s^2, at most 1
 turn_acceleration = 6.0    # rad/s^2, at most 20
 battery_warning = 6.6      # V: a warning,
 battery_limit = 6.0        # V: and the robot lies down
-flip_left_motor = false    # true where its wires are the other way round
+flip_left_motor = false    # true if its wires are the other way round
 flip_right_motor = false
 
 [balancing.robots.r5]
