@@ -14,7 +14,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted([*(ROOT / "docs").rglob("*.md"), *ROOT.glob("*.md"), ROOT / "firmware" / "README.md"])
+PAGES = sorted(
+    [page for folder in ("docs", ".github", "firmware") for page in (ROOT / folder).rglob("*.md")]
+    + [*ROOT.glob("*.md")]
+)
 WIDTH = 120
 MOST_WORDS_OF_A_PAGE = 1200
 """Of a page that is read from its beginning to its end, code left out. Reference pages are looked into."""
