@@ -115,7 +115,7 @@ def test_a_class_that_is_a_channel_of_another_is_no_app_by_itself(tmp_path: Path
 
 
 def test_every_example_is_short_and_tested_here() -> None:
-    """But for roll_call.py, which needs meshes: tests/services/mesh/test_mesh_apps.py."""
+    """But for roll_call.py, which needs meshes: tests/services/mesh/processes/test_mesh_apps.py."""
     files = {path.name: path.read_text() for path in EXAMPLES.glob("*.py")}
     synchronous = {"consensus.py", "max_finder.py", "find_target.py", "roll_call.py"}
     assert set(files) == {*synchronous, "button_count.py", "follow_leds.py"}

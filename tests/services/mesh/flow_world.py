@@ -12,6 +12,8 @@ from services.mesh.core.link.clock import ClockSync
 from services.mesh.core.link.session import Session
 from services.mesh.links.radio_model import AirModel, DelayLine
 
+MIB = 1024 * 1024
+
 
 class Side:
     """One end: its session, the socket's queue before it, and what has come."""
@@ -100,3 +102,7 @@ class Link(TimedWorld):
     def _arrive(self, side: Side, data: bytes) -> None:
         side.session.receive(data, self.now)
         self.work(side)
+
+
+def arrived(side: Side, key: str) -> list[tuple[float, bytes]]:
+    return [(time, event.payload) for time, event in side.inbox if event.key == key]

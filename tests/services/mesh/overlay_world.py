@@ -317,3 +317,7 @@ def small_world(n: int, seed: int = 1) -> list[tuple[str, str]]:
 def thesis_d() -> Sequence[tuple[str, str]]:
     pairs = [(0, 1), (0, 3), (0, 4), (0, 5), (1, 2), (1, 5), (2, 3), (2, 5), (3, 4), (4, 5)]
     return [(f"r{a}", f"r{b}") for a, b in pairs]
+
+
+GRAPHS = {"line": line(6), "loop": ring(6), "thesis-d": thesis_d(), "full": full(6)}
+FLOOD_KEY = "swarm/{}/app/test/flood"

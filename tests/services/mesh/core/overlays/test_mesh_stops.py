@@ -1,0 +1,266 @@
+"""Stopping everybody while links and processes come and go: a stop reaches all, and only a re-arm takes it back."""
+
+import pytest
+from overlay_world import World, line, ring, thesis_d
+from stop_world import NOTICED, arm, stop, stopped
+
+from services.mesh.core.overlays.stop import (
+    CONFIRM_AFTER,
+    MAX_NAMED,
+    REPEAT_PERIOD,
+    SPACING,
+    STOP_PERIOD,
+    Halt,
+    Mark,
+    encode_halts,
+)
+from services.mesh.core.wire import packets
+from services.mesh.core.wire.frames import CONTROL, FLOOD
+from swarm.messages import Stop, Stopped
+from swarm.messages.codec import decode, encode
+from swarm.messages.keys import STOP
+
+
+def test_a_stop_reaches_all_at_the_speed_of_the_links() -> None:
+    world = World(line(6))
+    world.settle()
+    began = world.now
+    stop(world, "r0", "smoke")
+    world.run(0.151)
+    for place, name in enumerate(world.names[1:], 1):
+        (key, payload) = next(sample for sample in world.bots[name].inbox if sample[0] == STOP)
+        assert decode(Stop, payload, key).origin == "r0"
+        assert decode(Stop, payload, key).reason == "smoke"
+        assert world.bots[name].times[0] - began == pytest.approx(place * 0.03)
+        assert stopped(world, name).by == {"r0": "smoke"}
+
+
+def test_a_stop_costs_no_more_messages_than_a_flood() -> None:
+    """And each robot's word that it is stopped costs another one."""
+    world = World(thesis_d())
+    world.settle()
+    world.counting = lambda packet: packet.key.endswith("/halt")
+    stop(world, "r0")
+    world.run(0.5)
+    a_flood = 2 * len(thesis_d()) - (len(world.names) - 1)
+    assert world.messages[True] == a_flood
+    assert world.messages[False] == len(world.names) * a_flood
+    stop(world, "r0", "smoke")
+    world.run(0.5)
+    assert world.messages[False] == len(world.names) * a_flood, "nothing new to say"
+
+
+def test_a_stop_is_repeated_on_the_bus_until_it_is_taken_back() -> None:
+    world = World(line(3))
+    world.settle()
+    stop(world, "r0")
+    world.run(10.5 * STOP_PERIOD)
+    assert 10 <= len(world.got("r2", STOP)) <= 12
+    arm(world, "r1")
+    world.run(0.1)
+    world.clear()
+    world.run(10.0)
+    assert world.got("r2", STOP) == []
+    assert not stopped(world, "r0").stopped
+
+
+def test_no_late_duplicate_undoes_a_rearm_and_none_undoes_a_stop() -> None:
+    world = World(line(3))
+    world.settle()
+    heard: list[tuple[str, bytes]] = []
+
+    def listen(sender: str, peer: str, packet) -> None:  # type: ignore[no-untyped-def]
+        if packet.overlay == FLOOD and packet.key.endswith("/halt") and peer == "r2":
+            heard.append((packet.key, packet.payload))
+
+    world.watch = listen
+    stop(world, "r0")
+    world.run(1.0)
+    arm(world, "r0")
+    world.run(1.0)
+    old = list(heard)
+    assert len(old) == 2
+
+    def replay() -> None:
+        for key, payload in old * 3:
+            world.step("r2", lambda each: each.receive("r1", FLOOD, key, payload, CONTROL, world.now))  # noqa: B023
+
+    replay()
+    world.run(1.0)
+    assert not any(stopped(world, name).stopped for name in world.names)
+    stop(world, "r0", "again")
+    world.run(1.0)
+    replay()
+    world.run(1.0)
+    assert all(stopped(world, name).by == {"r0": "again"} for name in world.names)
+
+
+def test_a_rearm_takes_back_only_what_it_knew_of() -> None:
+    world = World(line(4))
+    world.settle()
+    world.cut("r1", "r2")
+    world.run(NOTICED)
+    stop(world, "r0", "left half")
+    stop(world, "r3", "right half")
+    world.run(NOTICED)
+    arm(world, "r1")
+    world.run(NOTICED)
+    assert not stopped(world, "r0").stopped
+    world.join("r1", "r2")
+    world.run(NOTICED)
+    assert all(stopped(world, name).by == {"r3": "right half"} for name in world.names)
+    arm(world, "r0")
+    world.run(NOTICED)
+    assert not any(stopped(world, name).stopped for name in world.names)
+
+
+def test_who_comes_into_a_stopped_swarm_is_stopped() -> None:
+    world = World(line(3), start=False)
+    world.start("r0")
+    world.start("r1")
+    world.run(1.0)
+    stop(world, "r0")
+    world.run(1.0)
+    world.kill("r0")  # the one who stopped it is gone
+    world.start("r2")
+    world.run(NOTICED)
+    assert stopped(world, "r2").by == {"r0": "smoke"}
+    world.start("r0")
+    world.run(NOTICED)
+    assert stopped(world, "r0").stopped
+    arm(world, "r0")
+    world.run(NOTICED)
+    assert not any(stopped(world, name).stopped for name in world.names)
+
+
+def test_a_stop_of_a_robot_that_forgot_its_earlier_ones_holds() -> None:
+    """Even with its clock gone back: what counts is greater than all that it hears of its own past."""
+    world = World(line(3))
+    world.settle()
+    for _ in range(5):
+        stop(world, "r0")
+        world.run(0.5)
+        arm(world, "r2")
+        world.run(0.5)
+    world.kill("r0")
+    world.clock_error["r0"] = -900.0
+    world.start("r0")
+    world.run(NOTICED)
+    stop(world, "r0", "now")
+    world.run(NOTICED)
+    assert all(stopped(world, name).by == {"r0": "now"} for name in world.names)
+
+
+def test_stops_in_a_loop_do_not_fill_the_links_and_the_last_one_counts() -> None:
+    world = World(line(2))
+    world.settle()
+    for n in range(100):
+        stop(world, "r0", f"{n}")
+        world.run(0.001)
+    assert world.messages[FLOOD] <= 3
+    world.run(SPACING + 0.1)
+    assert stopped(world, "r1").by == {"r0": "99"}
+
+
+def test_a_lost_stop_is_repeated() -> None:
+    world = World(line(2))
+    world.settle()
+    world.loss = 1.0
+    stop(world, "r0")
+    world.run(1.0)
+    assert not stopped(world, "r1").stopped
+    world.loss = 0.0
+    world.run(REPEAT_PERIOD)
+    assert stopped(world, "r1").stopped
+
+
+def told(world: World, name: str) -> dict[str, bool | None]:
+    """Who is stopped by its own word, as one robot has heard."""
+    return {each.robot: each.stopped for each in world.bots[name].overlays.graph(world.now).robots}
+
+
+def test_every_robot_learns_who_has_obeyed() -> None:
+    world = World(line(6))
+    world.settle()
+    assert told(world, "r2") == {"r2": False} | dict.fromkeys(["r0", "r1", "r3", "r4", "r5"])
+    stop(world, "r0")
+    world.run(2 * 0.15 + CONFIRM_AFTER + 0.001)
+    assert told(world, "r0") == dict.fromkeys(world.names, True)
+    last = [decode(Stopped, payload, "") for payload in world.got("r0", "swarm/r5/mesh/stopped")]
+    assert [each.by for each in last] == [{"r0": "smoke"}]
+    arm(world, "r3")
+    world.run(1.0)
+    for name in world.names:
+        assert told(world, name) == dict.fromkeys(world.names, False)
+
+
+def test_who_was_cut_off_is_not_taken_for_stopped() -> None:
+    world = World(line(3))
+    world.settle()
+    world.cut("r1", "r2")
+    world.run(NOTICED)
+    stop(world, "r0")
+    world.run(NOTICED)
+    assert told(world, "r0") == {"r0": True, "r1": True, "r2": None}
+    world.join("r1", "r2")
+    world.run(NOTICED)
+    assert told(world, "r0")["r2"]
+    # Nor is one that was started anew by the word of its earlier process.
+    world.kill("r1")
+    world.run(NOTICED)
+    world.kill("r0")
+    world.kill("r2")
+    world.start("r1")
+    world.start("r0")
+    world.run(NOTICED)
+    assert told(world, "r0") == {"r0": False, "r1": None, "r2": None}
+
+
+def test_stops_on_all_robots_at_once_make_one_confirmation_of_each() -> None:
+    world = World(ring(6))
+    world.settle()
+    world.counting = lambda packet: packet.key.endswith("/stopped")
+    for name in world.names:
+        stop(world, name)
+    world.run(1.0)
+    assert world.messages[True] <= 2 * 6 * (2 * 6 - 5)
+    assert told(world, "r4") == dict.fromkeys(world.names, True)
+
+
+def test_what_is_told_of_a_stop_is_bounded() -> None:
+    world = World(line(MAX_NAMED + 4))
+    world.settle()
+    for name in world.names:
+        stop(world, name, "x" * 500)
+    world.run(2.0)
+    shown = stopped(world, "r0")
+    assert shown.stopped
+    assert len(shown.by) == MAX_NAMED
+    assert len(encode(shown)) < packets.MAX_SPREAD
+
+
+def test_a_stop_counts_beside_robots_that_are_not_in_the_configuration() -> None:
+    world = World(line(2))
+    world.settle()
+    mark = Mark(2**60, 1)
+
+    def hear(halt: Halt) -> None:
+        (data,) = encode_halts(halt)
+        world.step("r0", lambda each: each.receive("r1", FLOOD, "swarm/r1/mesh/halt", data, CONTROL, world.now))
+
+    hear(Halt({"r1": (mark, "smoke"), "r9": (mark, "elsewhere")}, {}))
+    assert stopped(world, "r0").by == {"r1": "smoke"}
+    hear(Halt({}, {"r1": mark, "r9": mark}))
+    assert stopped(world, "r0").by == {"r1": "smoke"}, "a re-arm is taken as a whole or not at all"
+    assert world.bots["r0"].counters["bad_packets"] == 1
+    hear(Halt({}, {"r1": mark}))
+    assert not stopped(world, "r0").stopped
+
+
+def test_a_word_that_is_none_is_a_bad_packet() -> None:
+    world = World(line(2))
+    world.settle()
+    wrong = packets.encode_spread(packets.Spread(2**60, 1, b"no msgpack"))
+    world.step("r0", lambda each: each.receive("r1", FLOOD, "swarm/r1/mesh/stopped", wrong, CONTROL, world.now))
+    assert world.bots["r0"].counters["bad_packets"] == 1
+    assert world.bots["r0"].inbox == []

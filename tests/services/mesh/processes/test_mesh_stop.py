@@ -1,0 +1,155 @@
+"""`swarm estop` and `swarm arm`: what counts as obeyed, and both between real meshes from one robot and from a run
+directory."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+from conftest import stop, wait_until
+from mesh_rig import Build, Robot, build
+from test_mesh_overlay_process import LINE, wait_here
+
+from laptop.cli import main
+from swarm.messages import BalancerState, GraphRobot, Stop, read
+from swarm.onboard import halt
+from swarm.onboard.halt import Row
+from swarm.process.simulations import LOCK, claim
+
+__all__ = ["build"]
+
+Swarm = Callable[..., tuple[int, str]]
+
+STATE = BalancerState(0.0, "balancing", 0.0, 0.0, 0.0, 0.0, 0.0, None, 1, 0.0, 0.0, "")
+
+
+@pytest.fixture
+def swarm(capsys: pytest.CaptureFixture[str]) -> Swarm:
+    """The command; gives its exit code and what it printed."""
+
+    def run(*arguments: str) -> tuple[int, str]:
+        with pytest.raises(SystemExit) as ended:
+            main(arguments)
+        shown = capsys.readouterr()
+        return int(ended.value.code or 0), shown.out + shown.err
+
+    return run
+
+
+def at(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a robot: one bus, and no other."""
+    for name, value in (("ROBOT", robot.name), ("RUNTIME", str(robot.directory)), ("CONFIG", str(robot.config))):
+        monkeypatch.setenv(f"SWARM_{name}", value)
+
+
+# -- what counts ---------------------------------------------------------------------------------------------
+
+
+def known(state: str = "here", *, stopped: bool | None = None) -> GraphRobot:
+    return GraphRobot("r0", state, 0.0, None, None, {}, stopped)
+
+
+@pytest.mark.parametrize(
+    ("there", "entry", "mode", "stops", "arms", "state"),
+    [
+        (True, known("self", stopped=True), None, True, False, "here"),
+        (True, known("self", stopped=True), "fault", True, False, "here"),
+        (True, known("self", stopped=True), "balancing", False, False, "here"),
+        (True, known("self", stopped=True), "standing_up", False, False, "here"),
+        (True, known("self", stopped=False), "idle", False, True, "here"),
+        (None, known(stopped=True), None, True, False, "here"),
+        (None, known(stopped=None), None, False, True, "here"),
+        (True, None, None, False, False, "silent"),
+        (True, None, "fault", True, False, "silent"),
+        (True, None, "balancing", False, False, "silent"),
+        (False, None, None, False, False, "no bus"),
+        (None, known("gone", stopped=True), None, False, False, "gone"),
+        (True, known("left"), "idle", True, False, "silent"),
+    ],
+)
+def test_what_counts_as_obeyed(
+    there: bool | None, entry: GraphRobot | None, mode: str | None, stops: bool, arms: bool, state: str
+) -> None:
+    names = {} if there is None else {"r0": there}
+    modes = {} if mode is None else {"r0": mode}
+    for command, expected in ((True, stops), (False, arms)):
+        (row,) = halt.rows_of(names, {} if entry is None else {"r0": entry}, modes, stop=command)
+        assert (row.confirmed, row.state) == (expected, state)
+
+
+def test_the_table_says_who_has_not_obeyed_and_why() -> None:
+    rows = [
+        Row("r0", "here", True, "fault", True),
+        Row("r1", "here", True, "balancing", False),
+        Row("r2", "silent", None, None, False),
+        Row("r3", "gone", None, None, False),
+    ]
+    text = halt.table(rows, stop=True)
+    assert text[1].split() == ["r0", "here", "yes", "fault"]
+    assert text[2].endswith("its motors are on")
+    assert text[3].endswith("its mesh does not answer")
+    assert text[4].endswith("out of reach")
+    assert text[-1] == ("stopped: 1 of 4 robots; not confirmed: r1 r2; out of reach: r3 (told when they are back)")
+
+
+# -- between real meshes -------------------------------------------------------------------------------------
+
+
+def test_one_robots_bus_is_enough_to_stop_and_arm_all(
+    build: Build, swarm: Swarm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robots = build(edges=LINE)
+    stops: list[Stop] = []
+    robots["r3"].bus.subscribe("swarm/stop", lambda key, payload: stops.append(read(key, payload)))
+    robots.start()
+    wait_here(robots)
+    at(robots["r1"], monkeypatch)
+    code, text = swarm("estop", "smoke", "--timeout", "20")
+    assert code == 0, text
+    assert text.splitlines()[-1] == "stopped: 4 of 4 robots"
+    wait_until(lambda: stops)
+    assert (stops[0].origin, stops[0].reason) == ("r1", "smoke")
+    code, text = swarm("arm", "--json", "--timeout", "20")
+    shown = json.loads(text)
+    assert (code, shown["confirmed"], shown["stop"]) == (0, True, False)
+    assert [(each["robot"], each["stopped"]) for each in shown["robots"]] == [(f"r{n}", False) for n in range(4)]
+    # One whose motors are on has not obeyed, whatever its mesh says; one that is away is said to be.
+    robot = robots["r3"]
+    assert robot.mesh is not None
+    assert stop(robot.mesh) == 0
+    ended = False
+
+    def balance(key: str, payload: bytes) -> None:
+        robots["r1"].bus.publish("swarm/r1/balancer/state", STATE if not ended else replace(STATE, mode="fault"))
+
+    robots["r1"].bus.subscribe("swarm/r1/mesh/stopped", balance)
+    code, text = swarm("estop", "--timeout", "4")
+    assert code == 1
+    assert "its motors are on" in text
+    assert "out of reach: r3" in text
+    ended = True
+    code, text = swarm("estop", "--timeout", "20")
+    assert code == 0, text
+
+
+def test_a_run_directory_reaches_robots_whose_meshes_are_dead(build: Build, swarm: Swarm) -> None:
+    robots = build(edges=LINE[:2])
+    heard: list[str] = []
+    robots["r2"].bus.subscribe("swarm/stop", lambda key, payload: heard.append(read(key, payload).reason))
+    robots["r0"].start()
+    robots["r1"].start()
+    (robots.runtime / LOCK).touch()
+    with claim(robots.runtime):
+        code, text = swarm("estop", "--run-dir", str(robots.runtime), "--timeout", "2", "--json")
+        assert code == 1, text
+        (row,) = (each for each in json.loads(text)["robots"] if each["robot"] == "r2")
+        assert (row["state"], row["confirmed"]) == ("silent", False)
+        assert set(heard) == {"swarm estop"}
+        robots["r2"].start()
+        code, text = swarm("estop", "again", "--run-dir", str(robots.runtime), "--timeout", "20")
+        assert code == 0, text
+        code, text = swarm("arm", "--run-dir", str(robots.runtime), "--robots", "r2", "--timeout", "20")
+        assert code == 0, text
+    code, text = swarm("estop", "--run-dir", str(robots.runtime))
+    assert code == 2
+    assert "no simulation is running" in text
