@@ -5,6 +5,8 @@ is named). Then consensus of `swarm sim --virtual --radio slots`: mesh and apps 
 against the best that one link for each edge gave in a model of our messages. Beside it the original's pattern without
 its sleeps on the same radio, and the least that one piconet allows: no loss, no time in hosts, polls without a pause.
 `links = auto` is a hub that calls all others.
+Where the hub has a weak link, stands in a poor place or does not hear a robot, `links = auto` measures and chooses
+another hub; `links = star` keeps the first robot.
 How long a bridge stays is not known, so that is swept: graphs of several piconets depend on it, one piconet does not.
 """
 
@@ -16,7 +18,7 @@ from dataclasses import dataclass
 from bench.apps.apps import RECORDINGS
 from bench.radio import fit as radio_fit
 from bench.radio.patterns import Bundled, Original
-from bench.radio.swarm import SIZE, fail_over, long_pace, pace, start, transfer
+from bench.radio.swarm import SIZE, Trouble, fail_over, long_pace, pace, start, transfer, troubled
 from bench.rows import Row
 from sim.slots.parameters import THESIS, Parameters
 from swarm.core.graph import Graph
@@ -34,12 +36,23 @@ START = 4.0
 START_GRAPH = 14.0
 """The same on the full graph with a link for each edge."""
 
+TROUBLED = 220.0
+"""s of a run whose hub is in trouble."""
+
 EIGHT = 0.11
 """s an iteration at most of eight robots on the full graph."""
 
 FAIL_OVER, ABSENT, BESIDE = 10.0, 1.05, 2.0
 """s without an iteration at most when the hub is lost; the ratios of an iteration with an absent robot, and beside a
 large message."""
+
+TROUBLES = {
+    "weak link r0-r3": Trouble({frozenset(("r0", "r3")): 0.6}),
+    "r0 in a poor place": Trouble({frozenset(("r0", f"r{place}")): 0.5 for place in range(1, 6)}),
+    "r0 does not hear r5": Trouble({}, [("r0", "r5")]),
+    "r3 in a poor place": Trouble({frozenset(("r3", f"r{place}")): 0.6 for place in (0, 1, 2, 4, 5)}),
+}
+"""What is wrong around a hub. A poor place of another robot no hub can mend."""
 
 RATE = 176_000.0 / 2
 """bytes/s of a saturated link, shared by the two hops of one piconet."""
@@ -69,10 +82,12 @@ class Sizes:
     """Of runs beside an absent robot, which is called each 100 to 150 s."""
     size: int = SIZE
     """Bytes of the large message."""
+    trouble: tuple[str, ...] = ("line 6", "loop 6", "thesis-d 6", "full 6")
+    """Graphs on which the hub is in trouble."""
 
 
 FULL = Sizes()
-SMOKE = Sizes(("line 3", "loop 6"), 20, 10, 1, (0.2,), 5, 2, 1, 20.0, 20_000)
+SMOKE = Sizes(("line 3", "loop 6"), 20, 10, 1, (0.2,), 5, 2, 1, 20.0, 20_000, ())
 
 
 def rows(sizes: Sizes = FULL) -> Iterator[Row]:
@@ -95,10 +110,20 @@ def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     yield Row(f"hub lost, until the others iterate, longest of {sizes.losses}", lost, "s", FAIL_OVER, 1.0)
     away, without = long_pace("full 6", sizes.seconds, 0, absent="r5"), long_pace("full 5", sizes.seconds, 0)
     yield Row("iteration with one of six absent, beside five", 1e3 * away, "ms", 1e3 * without, ABSENT)
+    for name in sizes.trouble:
+        yield from _troubles(name)
     for name in sizes.graphs[-2:]:
         quiet, busy, took = transfer(name, 90.0, 0, sizes.size)
         yield Row(f"iteration beside a large message, {name}, beside quiet", 1e3 * busy, "ms", 1e3 * quiet, BESIDE)
         yield Row(f"large message over two hops, {name}", took, "s", sizes.size / RATE, None)
+
+
+def _troubles(name: str) -> Iterator[Row]:
+    """Rows of one graph with a hub in trouble: links of the graph, the first hub, and the one that was measured."""
+    for text, trouble in TROUBLES.items():
+        graph, star, auto = (troubled(name, TROUBLED, 0, trouble, links=links) for links in ("graph", "star", "auto"))
+        yield Row(f"{text}, links = graph, {name}, beside star", 1e3 * graph[0], "ms", 1e3 * star[0], None)
+        yield Row(f"{text}, links = auto ({auto[1]}), {name}, beside star", 1e3 * auto[0], "ms", 1e3 * star[0], 1.2)
 
 
 def _iterations(name: str, sizes: Sizes) -> Iterator[Row]:

@@ -1,13 +1,17 @@
 """Consensus of whole swarms over the slot radio, by the services' own cores in virtual time."""
 
 import math
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from typing import NamedTuple, cast
 
 from bench.rows import number
 from services.apps.host.observer import Source, StepRecord
 from sim.scenario.options import parse
 from sim.scenario.scenario import build
 from sim.virtual.bus import VirtualBus
+from sim.virtual.radio.mesh import VirtualMesh
+from sim.virtual.radio.slot_air import SlotAir
 from sim.virtual.run import PLACE, VirtualRun, simulate
 from swarm.app.overlays import Overlays
 
@@ -15,6 +19,9 @@ DROP = ("--absent", "drop", "--drop-after", "3")
 
 SETTLED = 10.0
 """s from the first iteration until a run counts as quiet: all links are up, clocks are joined."""
+
+CHOSEN = 140.0
+"""s after which a trial of another hub has ended."""
 
 SIZE = 960_000
 """Bytes of a large message: the bus takes 983 040, with the request around them."""
@@ -48,6 +55,7 @@ class Watched:
     """A run of so many virtual seconds from its first iteration on, and when r1 had its iterations."""
 
     def __init__(self, graph: str, seconds: float, seed: int, *more: str) -> None:
+        """`graph`: shape and number of robots, such as `loop 6`."""
         shape, robots = graph.split()
         options = parse(["consensus", "--virtual", "--radio", "slots", "--robots", robots, "--topology", shape,
                          "--seconds", str(seconds), "--seed", str(seed), *more])  # fmt: skip
@@ -80,6 +88,29 @@ def long_pace(graph: str, seconds: float, seed: int, *, absent: str = "") -> flo
     watched = Watched(graph, seconds, seed, "--links", "auto", *away)
     watched.run.go()
     return watched.pace(watched.moments[0] + SETTLED)
+
+
+class Trouble(NamedTuple):
+    """What is wrong around the hub."""
+
+    losses: Mapping[frozenset[str], float]
+    """Probabilities of pairs of robots that a packet is lost."""
+    unheard: Sequence[tuple[str, str]] = ()
+    """Pairs of robots that do not hear each other."""
+
+
+def troubled(graph: str, seconds: float, seed: int, trouble: Trouble, *, links: str) -> tuple[float, str]:
+    """Return s an iteration over the last part of a run, from `CHOSEN` s on, and which robot is the hub then."""
+    watched = Watched(graph, seconds, seed, "--links", links)
+    world = watched.run.world
+    air = cast(SlotAir, world.air)
+    air.radio.losses.update(trouble.losses)
+    for a, b in trouble.unheard:
+        air.cut(a, b, math.inf)
+    watched.run.go()
+    mesh = cast(VirtualMesh, world.robots["r1"].mesh)
+    topology = mesh.look(lambda overlays, now: overlays.topology(now))
+    return watched.pace(CHOSEN), topology.hub.robot if topology.hub is not None else "r0"
 
 
 def transfer(graph: str, seconds: float, seed: int, size: int) -> tuple[float, float, float]:

@@ -81,6 +81,7 @@ def main() -> None:
         this.ready()
         while not this.stopping.wait(_LOOK_S):
             view_sender.step()
+            network.follow(local.dials)
             network.roles.look()
             if sockets.turned():
                 this.watchdog()

@@ -14,11 +14,11 @@ from services.mesh.core.actions import Close, Dial, LinksChanged, LogLine, Super
 from services.mesh.core.link import Received
 from services.mesh.core.link.calls import UNKNOWN, Caller, Local, can_link, dials
 from services.mesh.core.link.clock import ClockState
-from services.mesh.core.link.session import Session
+from services.mesh.core.link.session import SUSPECT, UP, Session
 from services.mesh.core.node import MeshNode
 from services.mesh.core.overlays.robot_overlays import RobotOverlays
 from services.mesh.core.relay import KeyRelay
-from services.mesh.core.routing.physical_links import CENTRAL, PERIPHERAL, is_bluetooth, links_of
+from services.mesh.core.routing.physical_links import CENTRAL, PERIPHERAL, SLOTS, is_bluetooth, is_measured, links_of
 from services.mesh.core.routing.topology import Ground
 from services.mesh.core.routing.wanted_links import InitialLinks
 from services.mesh.core.wire.frames import BULK
@@ -62,14 +62,14 @@ def dials_of(
 
 def ground_of(config: Config) -> Ground:
     """Return what all topologies of a configuration have in common."""
-    return Ground(config.names, config.edges, auto=config.auto, links=links_of(config))
+    return Ground(config.names, config.edges, auto=config.auto, links=links_of(config), measured=is_measured(config))
 
 
 def local_of(
     config: Config,
     robot: str,
     robots: frozenset[str],
-    dials: Mapping[str, bool],
+    dials: dict[str, bool],
     incarnation: int,
     *,
     insecure: bool,
@@ -120,6 +120,7 @@ class Mesh:
         robot = self.robot = local.robot
         self._dials = local.dials
         self._role_of = role_of
+        self._simulated_radio = (config.robot(robot).link or "").startswith(SLOTS)
         self.running = True
         """False after its end: it does nothing any more."""
         counters = surroundings.counters
@@ -306,7 +307,10 @@ class Mesh:
         return question(self._node, self._surroundings.now)
 
     def _with_role(self, link: LinkState) -> LinkState:
-        role, wanted = self._role_of(link.peer), CENTRAL if self._dials.get(link.peer) else PERIPHERAL
+        wanted = CENTRAL if self._dials.get(link.peer) else PERIPHERAL
+        role = self._role_of(link.peer)
+        if self._simulated_radio and link.state in (UP, SUSPECT):
+            role = wanted  # it switches roles as asked
         return replace(link, role=role, wanted_role=wanted) if role else link
 
     def _links_changed(self) -> None:

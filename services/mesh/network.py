@@ -1,7 +1,7 @@
 """The transports of one robot: where it listens, and how it reaches the neighbours that it dials."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
@@ -60,9 +60,10 @@ class Network:
         if needed and own is not None:
             required.add(type(own))
         self._open_bluetooth = open_bluetooth
+        self._calls_all = not callers
         settings = config.mesh
         self._radio = rfcomm.Radio(
-            me.bluetooth or ANY_ADAPTER, settings.rfcomm_channel, settings.rfcomm_encrypt, calls_all=not callers
+            me.bluetooth or ANY_ADAPTER, settings.rfcomm_channel, settings.rfcomm_encrypt, calls_all=self._calls_all
         )
         self._paging = Paging(self._radio.adapter, open_adapter=open_adapter)
         by_radio = {
@@ -77,14 +78,14 @@ class Network:
         self._me = local.robot
         try:
             if isinstance(own, link_address.Slots):
-                self.listeners.append(slots.SlotsListener(own.path, directory))
+                self.listeners.append(slots.SlotsListener(own.path, directory, local.robot))
             if link_address.Rfcomm in required:
                 _check_bluetooth(open_bluetooth)
             if isinstance(own, link_address.Sim) and self._air is not None:
                 self.listeners.append(sim.SimListener(own.path, self._air))
             if isinstance(own, link_address.Rfcomm):
                 known = {robot.bluetooth: robot.name for robot in config.robots if robot.bluetooth is not None}
-                listener = rfcomm.RfcommListener(self._radio, known, open_socket=open_bluetooth)
+                listener = rfcomm.RfcommListener(self._radio, known, open_socket=open_bluetooth, supervise=supervise)
                 self.listeners.append(listener)
                 self._record = _advertise(listener)
             if listen is not None:
@@ -113,6 +114,15 @@ class Network:
             return slots.dial(address.path, self._me, peer)
         assert self._air is not None
         return sim.dial(address.path, self._air, peer)
+
+    def follow(self, dials: Mapping[str, bool]) -> None:
+        """Take whom this robot calls now: another hub may have been chosen."""
+        calls_all = all(dials.values())
+        if calls_all != self._calls_all:
+            self._calls_all = calls_all
+            for listener in self.listeners:
+                if isinstance(listener, rfcomm.RfcommListener):
+                    listener.set_calls_all(calls_all)
 
     def close(self) -> None:
         if self._record is not None:

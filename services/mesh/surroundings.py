@@ -28,7 +28,7 @@ class Transport(Protocol):
         """Send what the session still has, as far as that needs no waiting, then close its connection."""
 
     def supervise(self, session: Session, seconds: float) -> None:
-        """Let go of a connection that we made when it has been silent for somewhat less than this."""
+        """Be the central of a connection, and let go of it when it has been silent for somewhat less than this."""
 
     def wake(self, deadline: float) -> None:
         """Call `Mesh.due` at this time in place of the one told before. `Mesh.due` may come earlier, never later."""

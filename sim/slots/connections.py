@@ -99,7 +99,8 @@ class Connections:
                 self.radio.drop(end.link)
 
     def supervise(self, end: End, seconds: float) -> None:
-        """Have the radio give the connection up after somewhat less silence."""
+        """Have the robot of an end be the central, and the radio give the connection up after somewhat less silence."""
+        self.radio.be_central(end.robot, end.link)
         self.radio.supervise(end.link, SUPERVISION_SHARE * seconds)
 
     def _passes(self, a: str, b: str) -> bool:

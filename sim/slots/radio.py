@@ -142,6 +142,8 @@ class SlotRadio:
         self.devices = {name: Device(name) for name in names}
         self.passes: Callable[[str, str], bool] = lambda a, b: True
         """Whether two robots hear each other."""
+        self.losses: dict[frozenset[str], float] = {}
+        """Probabilities, as `Parameters.loss`, between pairs of robots that differ from it."""
 
     def switch_off(self, name: str) -> None:
         """Let a device fall silent without a word: the others lose its links by supervision. From now on its name is
@@ -177,6 +179,11 @@ class SlotRadio:
         link.supervision = seconds
         link.watch += 1
         self._watch(link, link.watch)
+
+    def be_central(self, name: str, link: RadioLink) -> None:
+        """Make a device the central of a link of its own, where it is not yet and has room."""
+        if link.up and link.peripheral.device.name == name and self.has_room(name):
+            self.switch_roles(link)
 
     def switch_roles(self, link: RadioLink) -> None:
         """Make the peripheral the central of a link; what its ends hold stays. It must have room."""
@@ -335,9 +342,11 @@ class SlotRadio:
             return now
         return link.polled + (p.poll_busy if now - link.used < p.busy_for else p.poll_idle) * SLOT
 
-    def _lost(self, size: int) -> bool:
-        p = self.parameters
-        return self.random.random() < (p.loss if size else p.loss / 3.0)
+    def _lost(self, link: RadioLink, size: int) -> bool:
+        loss = self.parameters.loss
+        if self.losses:
+            loss = self.losses.get(frozenset((link.central.device.name, link.peripheral.device.name)), loss)
+        return self.random.random() < (loss if size else loss / 3.0)
 
     def _exchange(self, link: RadioLink) -> float:
         """Exchange a packet down and one up; return when that is over."""
@@ -348,7 +357,7 @@ class SlotRadio:
         central.polled.add(link)
         size, slots = down.packet()
         hears = peripheral.is_in(central.name, now) and self.passes(central.name, peripheral.name)
-        if not hears or self._lost(size):
+        if not hears or self._lost(link, size):
             link.misses += 1
             return now + (slots + 1) * SLOT
         up.heard = now
@@ -357,7 +366,7 @@ class SlotRadio:
         peripheral.busy = end
         if size:
             self._got(link, down, up, size, now + slots * SLOT)
-        if self._lost(back):
+        if self._lost(link, back):
             link.misses += 1
             return end  # neither data nor the acknowledgement in it has reached the central
         link.misses = 0

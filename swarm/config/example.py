@@ -73,7 +73,8 @@ patience = 60.0            # s that none of these exceeds, however slow a link i
 metric = "hops"            # the shortest way is that of fewest links, or of least measured "time"
 links = "auto"             # which links carry the topology: "graph": its own; "star": the first robot here
                            # calls all others and forwards their messages; "tree": several do so, for more
-                           # than eight; "auto": star or tree on Bluetooth, graph elsewhere
+                           # than eight; "auto": star or tree on Bluetooth, graph elsewhere, and the hub
+                           # of a star by measured round trips
 rfcomm_channel = 1         # of Bluetooth, 1 to 30, the same on every robot (bluetoothd -C holds 8)
 rfcomm_encrypt = false     # true: Bluetooth encrypts the links; needs bluetoothd, pairing without questions
 

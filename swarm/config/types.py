@@ -109,7 +109,8 @@ class MeshConfig:
     """What the length of a route is measured in: hops, or time (as measured)."""
     links: str = AUTO_LINKS
     """The links that carry the topology: graph (its own), star (the first robot of the file calls all others), tree
-    (the same with several hubs) or auto (star or tree on Bluetooth, graph elsewhere)."""
+    (the same with several hubs) or auto (star or tree on Bluetooth, graph elsewhere; measured round trips choose the
+    hub of a star)."""
     rfcomm_channel: int = 1
     """RFCOMM channel at which the mesh of every robot listens, 1 to 30 (bluetoothd -C uses channel 8)."""
     rfcomm_encrypt: bool = False

@@ -64,6 +64,7 @@ from swarm.messages.mesh import (
     HoldLink,
     Links,
     LinkState,
+    MeasuredHub,
     Member,
     MemberChange,
     Members,

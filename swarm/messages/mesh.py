@@ -260,6 +260,22 @@ class TopologySet:
 
 
 @frozen
+class MeasuredHub:
+    """The robot that calls all others, where measured round trips decide which one that is (`links = auto`)."""
+
+    robot: str
+    round_trip: float | None
+    """Mean round trip between the hub and the robots in its reach over the last 30 s, s; None: this robot is not the
+    hub, or has measured nothing yet."""
+    before: str
+    """The hub before it; empty if there was none."""
+    round_trip_before: float | None
+    """The mean round trip of that one, s; None: not measured."""
+    trial: bool
+    """Whether the hub is on trial."""
+
+
+@frozen
 class Topology:
     """The topology in force on a robot, on `swarm/<robot>/mesh/topology`: on change, and as answer to queries."""
 
@@ -267,9 +283,9 @@ class Topology:
     version: int
     """The number of topologies that were set so far; 0: that of the configuration."""
     step: int
-    """Counts the changes of the automatic rule within a version."""
+    """Counts the changes of the automatic rule and of the hub within a version."""
     issuer: str
-    """The robot at which it was set; empty for the configuration's own."""
+    """The robot at which it was set or changed; empty for the configuration's own."""
     auto: bool
     """Whether the automatic rule changes it."""
     since: float
@@ -287,6 +303,8 @@ class Topology:
     """Robots out of reach that this robot has called, and why each call failed."""
     links: tuple[tuple[str, ...], ...] = ()
     """Links that carry the topology, where these are not its own."""
+    hub: MeasuredHub | None = None
+    """None where the hub is not chosen by measurement."""
 
 
 TOPICS = with_telemetry(

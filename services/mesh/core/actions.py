@@ -61,8 +61,8 @@ class Close:
 
 @frozen
 class Supervise:
-    """The connection of a session that we made is given up after so much silence, s: its transport need not keep what
-    it could not deliver for longer."""
+    """The connection of a session whose central we are to be is given up after so much silence, s: its transport need
+    not keep what it could not deliver for longer. If this robot is not the central yet, it becomes the central."""
 
     session: Session
     seconds: float

@@ -104,7 +104,7 @@ class Connections:
         page = self._calling.called(peer, now)
         if (link := self.links.get(peer)) is not None:
             # A neighbour that others reach is no absent one: what waits for this link waits for each call.
-            absent = self._local.pages and not self._linking.is_reachable(peer)
+            absent = self._local.pages and (self._linking.carried or not self._linking.is_reachable(peer))
             link.failed(reason, now, page if absent else 0.0)
             self._actions.add(LinksChanged())
         self._overlays.dial_failed(peer, reason, now)
@@ -161,11 +161,14 @@ class Connections:
                 continue
             if (rtt := session.pulse.rtt) is not None:
                 self._overlays.measured(peer, rtt, now)
-            if session.dialled is not None:
-                self._supervise(session)
+            self._supervise(peer, session)
 
-    def _supervise(self, session: Session) -> None:
-        """Have the transport of a link that we made know how long silence may last, where that has changed by much."""
+    def _supervise(self, peer: str, session: Session) -> None:
+        """Have the transport of a link that is ours to call know how long silence may last, where that has changed by
+        much. The other robot may have called: then another hub has been chosen since."""
+        if not self._local.dials.get(peer):
+            session.supervised = 0.0
+            return
         seconds = session.dead_after
         if not seconds / SUPERVISED <= session.supervised <= seconds * SUPERVISED:
             session.supervised = seconds
@@ -294,8 +297,7 @@ class Connections:
                 link.session = session
                 link.unanswered = 0
                 link.since = now
-                if session.dialled is not None:
-                    self._supervise(session)
+                self._supervise(name, session)
                 link.attempt = False
                 link.connection += 1
                 if link.dialler is not None:

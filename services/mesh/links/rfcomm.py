@@ -10,6 +10,7 @@ import errno
 import socket
 import struct
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from services.mesh.core.link.calls import UNKNOWN, Caller
@@ -135,8 +136,17 @@ def dial(radio: Radio, address: str, *, paging: Paging | None = None, open_socke
 class RfcommListener(stream.StreamListener):
     """A listener for `rfcomm:` neighbours of this robot."""
 
-    def __init__(self, radio: Radio, robots: Mapping[str, str], *, open_socket: Open = open_socket) -> None:
-        """`robots` has the name of the robot of each known Bluetooth address."""
+    def __init__(
+        self,
+        radio: Radio,
+        robots: Mapping[str, str],
+        *,
+        open_socket: Open = open_socket,
+        supervise: Callable[[str, str, float], None] = lambda own, peer, seconds: None,
+    ) -> None:
+        """`robots` has the name of the robot of each known Bluetooth address. `supervise(own, peer, seconds)` limits
+        the silence of a connection, as `services.mesh.links.supervision.try_limit`."""
+        self._supervise = supervise
         self._robots = {address.upper(): name for address, name in robots.items()}
         self._adapter = radio.adapter
         sock = None
@@ -155,9 +165,15 @@ class RfcommListener(stream.StreamListener):
             ) from None
         super().__init__(sock)
 
+    def set_calls_all(self, calls_all: bool) -> None:
+        """Take another value of `Radio.calls_all`, for callers from now on. Any thread may call this."""
+        self._sock.setsockopt(SOL_RFCOMM, RFCOMM_LM, RFCOMM_LM_MASTER if calls_all else 0)
+
     def _adopt(self, sock: socket.socket, address: Any) -> Pipe:
         who = str(address[0]).upper()
-        return RfcommPipe(sock, self._adapter, who, Caller(who, robot=self._robots.get(who, "")))
+        pipe = RfcommPipe(sock, self._adapter, who, Caller(who, robot=self._robots.get(who, "")))
+        pipe.limit = partial(self._supervise, self._adapter, who)
+        return pipe
 
 
 def _prepare(sock: socket.socket, radio: Radio) -> None:

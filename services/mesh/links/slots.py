@@ -50,7 +50,7 @@ class Answer:
 
 @frozen
 class Supervise:
-    """A robot wants the radio to give a link up after somewhat less silence than this."""
+    """A robot wants to be the central of a link, and the radio to give it up after somewhat less silence than this."""
 
     robot: str
     peer: str
@@ -116,8 +116,9 @@ def _pipe(sock: socket.socket, caller: Caller = UNKNOWN) -> Pipe:
 class SlotsListener(StreamListener):
     """A listener for robots that call this one over the simulated radio."""
 
-    def __init__(self, path: Path, directory: Path) -> None:
-        """`path`: the robot's address; `directory`: its runtime directory."""
+    def __init__(self, path: Path, directory: Path, me: str) -> None:
+        """`path`: the address of the robot `me`; `directory`: its runtime directory."""
+        self._me = me
         self._lock = only_mesh(directory)
         self._path = path
         sock = bound(path, socket.SOCK_SEQPACKET)
@@ -139,7 +140,9 @@ class SlotsListener(StreamListener):
                 self._radio.close()
             self._radio = sock
             raise ConnectionError("the radio itself, which asks whether this robot is there")
-        return _pipe(sock, Caller(caller, robot=caller))
+        pipe = _pipe(sock, Caller(caller, robot=caller))
+        pipe.limit = partial(_supervise, self._path.parent.parent / RADIO_SOCKET, self._me, caller)
+        return pipe
 
 
 def call_from(number: int, caller: str) -> bytes:

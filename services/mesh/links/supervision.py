@@ -7,7 +7,8 @@ sets a time-out below that of the mesh. It is the central's to do: the other sid
 
 The caller is to be the central (`services.mesh.core.routing.physical_links`), and is, unless the robot that it calls
 has just knocked: the kernel then uses the connection of the knock, whose central is the robot that knocked. So the
-caller looks, and asks for a switch of roles where it is not.
+caller looks, and asks for a switch of roles where it is not. A new hub does the same with links that it was called
+on.
 """
 
 import contextlib

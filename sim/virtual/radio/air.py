@@ -116,7 +116,7 @@ class Station:
             self._air.close(end)
 
     def supervise(self, session: Session, seconds: float) -> None:
-        """Let go of a connection when it has been silent for that long."""
+        """Be the central of a connection, and let go of it when it has been silent for that long."""
         if (end := self._ends.get(session)) is not None:
             self._air.supervise(end, seconds)
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from swarm.core.graph import Graph
-from swarm.messages import Clock, GraphRobot, Links, LinkState, Topology
+from swarm.messages import Clock, GraphRobot, Links, LinkState, MeasuredHub, Topology
 from swarm.onboard.buses.ask import AWAY
 
 UP = ("up", "suspect")
@@ -65,6 +65,14 @@ class CollectedMesh:
         for hub, robot in self.topology.links if self.topology is not None else ():
             hubs.setdefault(hub, []).append(robot)
         return hubs
+
+    @cached_property
+    def measured_hub(self) -> MeasuredHub | None:
+        """Return the hub that measured round trips have chosen, as it tells of itself if it was asked; None where
+        nothing is measured."""
+        hub = self.topology.hub if self.topology is not None else None
+        own = self.views.get(hub.robot) if hub is not None else None
+        return own.topology.hub if own is not None and own.topology is not None else hub
 
     @cached_property
     def replaced(self) -> dict[tuple[str, str], tuple[str, tuple[str, ...]]]:

@@ -108,6 +108,7 @@ def as_json(mesh: CollectedMesh) -> dict[str, object]:
         "robots": robots,
         "edges": edges,
         "carried": [list(ends) for ends in mesh.carried],
+        "hub": None if mesh.measured_hub is None else asdict(mesh.measured_hub),
         "clashes": mesh.clashes,
         "parts": [list(part) for part in mesh.graph.components()],
     }

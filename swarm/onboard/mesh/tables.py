@@ -3,7 +3,7 @@
 import statistics
 from collections.abc import Sequence
 
-from swarm.messages import LinkState
+from swarm.messages import LinkState, MeasuredHub
 from swarm.onboard.buses.ask import AWAY
 from swarm.onboard.mesh.collected import CollectedMesh
 from swarm.process.terminal import columns
@@ -151,10 +151,23 @@ def _hubs(mesh: CollectedMesh) -> list[str]:
     """Name the neighbours where hubs carry the topology, whom the hubs call, and what stands in for links of hubs."""
     calls = ", ".join(f"{hub} calls {' '.join(robots)}" for hub, robots in mesh.hubs.items())
     lines = [f"neighbours {pairs(mesh.carried)}, over hubs: {calls}"]
+    if mesh.measured_hub is not None:
+        lines.append(_choice(mesh.measured_hub))
     for (hub, robot), (reason, others) in mesh.replaced.items():
         instead = f"{robot} has a link with {' '.join(others)}" if others else f"nothing leads to {robot}"
         lines.append(f"no link {pairs([(hub, robot)])} ({reason}): {instead} instead")
     return lines
+
+
+def _choice(hub: MeasuredHub) -> str:
+    """Say which hub was chosen, and by which round trips."""
+    trial = " (on trial)" if hub.trial else ""
+    before = f"before it {hub.before}, {_mean(hub.round_trip_before)}" if hub.before else "no other was tried"
+    return f"hub by measurement: {hub.robot}{trial}, mean round trip {_mean(hub.round_trip)}; {before}"
+
+
+def _mean(seconds: float | None) -> str:
+    return "not known" if seconds is None else f"{ms(seconds)} ms"
 
 
 def pairs(edges: Sequence[Sequence[str]]) -> str:

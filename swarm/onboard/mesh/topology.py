@@ -101,7 +101,7 @@ def table(answers: Answers[Topology]) -> list[str]:
 
 
 def _version(topology: Topology) -> str:
-    return f"{topology.version}.{topology.step}" if topology.auto else str(topology.version)
+    return f"{topology.version}.{topology.step}" if topology.auto or topology.step else str(topology.version)
 
 
 def _wish(words: list[str]) -> tuple[str, tuple[tuple[str, ...], ...]]:

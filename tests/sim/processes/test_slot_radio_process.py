@@ -53,7 +53,7 @@ class Swarm:
         return self.run_dir / name / "mesh.sock"
 
     def start_mesh(self, name: str) -> None:
-        self.listeners[name] = SlotsListener(self.address(name), self.run_dir / name)
+        self.listeners[name] = SlotsListener(self.address(name), self.run_dir / name, name)
         self.run(lambda: name in self.server._meshes)
         assert self.accepted(name) is None  # the radio itself
 
@@ -355,7 +355,7 @@ def test_a_cut_says_where_the_radio_has_ended(swarm: Swarm) -> None:
 
 def test_a_second_mesh_of_a_robot_is_refused(swarm: Swarm) -> None:
     with pytest.raises(LocalError, match="another mesh of this robot"):
-        SlotsListener(swarm.address("r0"), swarm.run_dir / "r0")
+        SlotsListener(swarm.address("r0"), swarm.run_dir / "r0", "r0")
 
 
 @settings(max_examples=25, deadline=None)

@@ -177,6 +177,30 @@ def test_who_is_called_by_all_and_has_all_roles_switched_is_no_bridge_any_more()
     assert len(swarm.heard) == 6
 
 
+def test_who_asks_to_be_central_is_so_while_its_piconet_has_room():
+    calls = [*((f"p{number}", "hub") for number in range(MAX_PERIPHERALS)), ("late", "hub")]
+    swarm = Swarm(calls, Parameters())
+    for caller, called in calls:
+        swarm.radio.be_central("hub", swarm.links[caller, called])
+        swarm.radio.be_central("hub", swarm.links[caller, called])
+    assert len(swarm.radio.devices["hub"].central_of) == MAX_PERIPHERALS
+    assert swarm.radio.devices["hub"].roles == ["late", "hub"]
+
+
+def test_pairs_in_a_poor_place_lose_more_packets_than_others():
+    def sent_in(losses):
+        swarm = Swarm([("a", "b"), ("a", "c")], Parameters(loss=0.0))
+        swarm.radio.losses.update(losses)
+        for number in range(100):
+            swarm.send(("a", "b"), "a", 100, number)
+            swarm.send(("a", "c"), "a", 100, number)
+        swarm.run(60.0)
+        return {way: max(at for at, link, _, _ in swarm.heard if link == way) for way in swarm.links}
+
+    good, bad = sent_in({}), sent_in({frozenset("ab"): 0.7})
+    assert bad["a", "b"] > 1.5 * good["a", "b"]
+
+
 def test_a_device_that_falls_silent_is_lost_by_supervision_and_its_name_is_free():
     swarm = Swarm([("a", "b"), ("c", "b"), ("b", "d")], replace(EXACT, supervision=2.0))
     swarm.run(1.0)

@@ -315,8 +315,9 @@ class Local:
     """u64, drawn anew at each start."""
     insecure: bool
     """True = no link of ours is authenticated, and `keys` is empty."""
-    dials: Mapping[str, bool]
-    """The robots it may be linked with, and whether it dials them (the other end does otherwise)."""
+    dials: dict[str, bool]
+    """The robots it may be linked with, and whether it dials them (the other end does otherwise). A change of the hub
+    changes it in place."""
     robots: frozenset[str]
     """All robots of the swarm."""
     heartbeat: float = 0.5

@@ -76,6 +76,8 @@ class Link:
     def keep(self, random: Callable[[], float] | None) -> None:
         """The link is to last; `random` where we are the one who dials."""
         self.lasting = True
+        if random is None:
+            self.dialler = None
         if self.dialler is None and random is not None:
             self.dialler = Dialler(random)
             if self.attempt or self.session is not None:

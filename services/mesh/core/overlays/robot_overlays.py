@@ -337,7 +337,7 @@ class RobotOverlays:
         return Topology(
             now, value.version, value.step, value.issuer, value.auto, since, value.edges,
             tuple(sorted(linking.neighbours)), linking.up, linking.kept, dict(linking.missing),
-            linking.physical if linking.carried else (),
+            linking.physical if linking.carried else (), linking.hub(),
         )  # fmt: skip
 
     def topology_file(self) -> bytes:

@@ -16,11 +16,14 @@ several first choices are tried, and calls of each are turned one by one as long
 robots find the same, from their configuration.
 """
 
-from collections.abc import Collection, Sequence, Set
+from collections.abc import Collection, MutableMapping, Sequence, Set
 from itertools import combinations
 
 from swarm.config.types import AUTO_LINKS, GRAPH, MAX_RFCOMM_LINKS, TREE, Config
 from swarm.core.graph import Edge
+
+SLOTS = "slots:"
+"""The beginning of the link of a robot on a simulated Bluetooth radio."""
 
 _NEVER = float("inf")
 
@@ -40,7 +43,14 @@ def links_of(config: Config, *, bluetooth: bool = False) -> str:
 
 def is_bluetooth(config: Config) -> bool:
     """Return whether all links are of Bluetooth, of real radios or of a simulated one."""
-    return all(each.link.startswith("slots:") if each.link else each.bluetooth for each in config.robots)
+    return all(each.link.startswith(SLOTS) if each.link else each.bluetooth for each in config.robots)
+
+
+def is_measured(config: Config) -> bool:
+    """Return whether round trips decide which robot is the hub: where the configuration leaves the links to the mesh,
+    and one hub calls all robots."""
+    auto = config.mesh.links == AUTO_LINKS and links_of(config) != GRAPH
+    return auto and len(config.robots) <= MAX_RFCOMM_LINKS + 1
 
 
 def calls_of(config: Config) -> Collection[tuple[str, str]]:
@@ -64,6 +74,16 @@ def calls(names: Sequence[str]) -> Collection[Edge]:
     return frozenset(combinations(names, 2))
 
 
+def follow(dials: MutableMapping[str, bool], order: Sequence[str], me: str) -> set[str]:
+    """Let `dials` say whom this robot calls in this order of hubs, and return the robots for which it has said
+    otherwise before."""
+    place = {name: number for number, name in enumerate(order)}
+    turned = {peer for peer, calls in dials.items() if calls != (place[me] < place[peer])}
+    for peer in turned:
+        dials[peer] = not dials[peer]
+    return turned
+
+
 def _hub(place: int) -> int:
     """The place of the hub that has a link with the robot at this place. All hubs but the first have one of their own
     besides, so they call six."""
@@ -77,7 +97,8 @@ BRIDGE = 10.0
 """Seconds besides, while an earlier one is in reach: that one is about to call. Then it does not hear the lost one."""
 
 UNSEEN = 20.0
-"""Seconds besides, for one that was never there: hubs call one robot after the other, and robots are switched on so."""
+"""Seconds besides, for one that was never there: the first hub calls one robot after the other, and robots are switched
+on so."""
 
 FLEETING = 5.0
 """Seconds in reach after which a robot is no longer lost: the map of who has just lost a hub holds old news for a
@@ -88,9 +109,9 @@ class Succession:
     """The times at which a robot calls others than those of which it is the hub."""
 
     def __init__(self, names: Sequence[str], me: str) -> None:
-        """`names`: all robots in the order of the configuration."""
-        self._earlier = names[: names.index(me)]
-        self._pause = PAUSE * len(self._earlier)
+        """`names`: all robots in the order of hubs."""
+        self._me = me
+        self.reorder(names)
         self._lost: dict[str, float] = {}
         """Robots out of reach, and since when; the time for one that was never there is `UNSEEN` later."""
         self._back: dict[str, float] = {}
@@ -98,6 +119,11 @@ class Succession:
         self._seen: set[str] = set()
         """Robots that were in reach at any time."""
         self._next = _NEVER
+
+    def reorder(self, names: Sequence[str]) -> None:
+        """Take another order of hubs."""
+        self._earlier = names[: names.index(self._me)]
+        self._pause = PAUSE * len(self._earlier)
 
     def due(self, far: Collection[str], reachable: Set[str], now: float) -> list[str]:
         """Return the robots to call now, of those out of reach that this one may call."""
@@ -109,8 +135,10 @@ class Succession:
         self._back = {name: self._back.get(name, now) for name in self._lost.keys() - set(far)}
         for name in [name for name, since in self._back.items() if now >= since + FLEETING]:
             del self._lost[name]
-        pause = self._pause + (0.0 if reachable.isdisjoint(self._earlier) else BRIDGE)
-        calls_from = {name: self._lost[name] + pause for name in far}
+        bridge = 0.0 if reachable.isdisjoint(self._earlier) else BRIDGE
+        # `UNSEEN` was for the first hub alone.
+        unseen = 0.0 if reachable.isdisjoint(self._earlier[1:]) else BRIDGE
+        calls_from = {name: self._lost[name] + self._pause + (bridge if name in self._seen else unseen) for name in far}
         self._next = min((at for at in calls_from.values() if now < at), default=_NEVER)
         return [name for name, at in calls_from.items() if now >= at]
 

@@ -43,10 +43,26 @@ _SMALL = 256
 
 _HEAD = struct.Struct("<BBIII")
 _INDEX = struct.Struct("<H")
-_AUTO = 1
+_CHOICE = struct.Struct("<HHH")
+_AUTO, _CHOSEN, _TRIAL = 1, 2, 4
+MAX_ROUND_TRIP = 65535
+"""ms that a choice of the hub tells at most."""
 _MAGIC = b"BSTOPO1\n"
 _CHECK = struct.Struct("<I")
 _MAX_SHOWN = 8
+
+
+class Hub(NamedTuple):
+    """The choice of the robot that calls all others (`routing.hub_choice`). Robots are given by their places in the
+    configuration."""
+
+    place: int = 0
+    before: int = 0
+    """The hub before this one."""
+    round_trip: int = 0
+    """Mean round trip between that hub and the robots in its reach, ms; 0: not measured."""
+    trial: bool = False
+    """Whether the hub is on trial. Otherwise it stays, or has been handed back."""
 
 
 class TopologyVersion(NamedTuple):
@@ -55,12 +71,13 @@ class TopologyVersion(NamedTuple):
     version: int
     """Counts an operator's sets, u32; 0 = as configured."""
     step: int
-    """Counts the changes of the automatic rule within a version, u32."""
+    """Counts the changes of the automatic rule and of the hub within a version, u32."""
     issuer: str
     """The robot it was set on; empty for version 0, step 0."""
     auto: bool
     """Whether the automatic rule may change it."""
     edges: tuple[Edge, ...]
+    hub: Hub = Hub()
 
     def neighbours(self, name: str) -> frozenset[str]:
         """Return the neighbours of a robot."""
@@ -75,12 +92,16 @@ def ends(edges: Collection[Edge], name: str) -> frozenset[str]:
 class Ground:
     """The common part of all topologies of one configuration: the robots, and the first links."""
 
-    def __init__(self, names: Sequence[str], edges: Collection[Edge], *, auto: bool, links: str = GRAPH) -> None:
-        """`links`: which links carry a topology, see `routing.physical_links`."""
+    def __init__(
+        self, names: Sequence[str], edges: Collection[Edge], *, auto: bool, links: str = GRAPH, measured: bool = False
+    ) -> None:
+        """`links`: which links carry a topology, see `routing.physical_links`; `measured`: whether round trips decide
+        which robot is the hub."""
         self.names = tuple(names)
         self._links = links
         self.carried = links != GRAPH
         """Whether these are others than the topology's own."""
+        self.measured = measured
         self.first = TopologyVersion(0, 0, "", auto, Graph(names, tuple(edges)).edges)
         """The configuration's own."""
         self.place = {name: index for index, name in enumerate(self.names)}
@@ -98,7 +119,12 @@ class Ground:
 
     def physical(self, value: TopologyVersion) -> tuple[Edge, ...]:
         """The links that carry a value."""
-        return physical(self.names, value.edges, self._links)
+        return physical(self.order(value), value.edges, self._links)
+
+    def order(self, value: TopologyVersion) -> tuple[str, ...]:
+        """The robots in the order of hubs: the chosen one, then the others as in the configuration."""
+        hub = value.hub.place
+        return (self.names[hub], *self.names[:hub], *self.names[hub + 1 :])
 
     def edges_of(self, shape: str, edges: Collection[Sequence[str]]) -> tuple[Edge, ...]:
         """The links that an operator asks for by a shape, or one by one; `LocalError` says what is wrong with them."""
@@ -121,20 +147,23 @@ class Ground:
         return 0 if value == self.first else zlib.crc32(self.encode(value)) or 1
 
     def encode(self, value: TopologyVersion) -> bytes:
-        """Encode a TOPOLOGY packet: head, issuer, then for each robot its neighbours that come later in the
-        configuration."""
+        """Encode a TOPOLOGY packet: head, issuer, the choice of the hub if there is one, then for each robot its
+        neighbours that come later in the configuration."""
         if self._packet[0] is not value:
             self._packet = (value, self._encode(value))
         return self._packet[1]
 
     def _encode(self, value: TopologyVersion) -> bytes:
         issuer = value.issuer.encode()
-        head = _HEAD.pack(TOPOLOGY, value.auto * _AUTO, self.base, value.version, value.step)
+        hub = value.hub
+        chosen = b"" if hub == Hub() else _CHOICE.pack(hub.place, hub.before, hub.round_trip)
+        flags = value.auto * _AUTO | bool(chosen) * _CHOSEN | hub.trial * _TRIAL
+        head = _HEAD.pack(TOPOLOGY, flags, self.base, value.version, value.step)
         later: list[list[int]] = [[] for _ in self.names]
         for a, b in value.edges:
             later[self.place[a]].append(self.place[b])
         rows = b"".join(bytes((len(row),)) + b"".join(map(_INDEX.pack, sorted(row))) for row in later)
-        return head + bytes((len(issuer),)) + issuer + rows
+        return head + bytes((len(issuer),)) + issuer + chosen + rows
 
     def decode(self, data: bytes) -> TopologyVersion | None:
         """The value in a TOPOLOGY packet; None where it belongs to another configuration. Raises `FrameError`."""
@@ -143,15 +172,20 @@ class Ground:
         if len(data) <= _HEAD.size:
             raise FrameError(f"TOPOLOGY of {len(data)} bytes: it has more than {_HEAD.size}")
         kind, flags, base, version, step = _HEAD.unpack_from(data)
-        if kind != TOPOLOGY or flags & ~_AUTO:
-            raise FrameError(f"TOPOLOGY kind {kind}, flags {flags:#x}: kind {TOPOLOGY} and bit 0 are known")
-        if base != self.base:
+        if kind != TOPOLOGY or flags & ~(_AUTO | _CHOSEN | _TRIAL):
+            raise FrameError(f"TOPOLOGY kind {kind}, flags {flags:#x}: kind {TOPOLOGY} and bits 0 to 2 are known")
+        if flags & _TRIAL and not flags & _CHOSEN:
+            raise FrameError("TOPOLOGY: a trial of no hub")
+        if base != self.base or (flags & _CHOSEN and not self.measured):
             return None
         at = _HEAD.size + 1
         end = at + data[at - 1]
         issuer = data[at:end].decode("ascii", "replace")
-        value = TopologyVersion(version, step, issuer, bool(flags & _AUTO), self._edges(data, end))
-        if value != self.first and (issuer not in self.place or not (version or value.auto)):
+        hub = Hub()
+        if flags & _CHOSEN:
+            hub, end = self._hub(data, end, trial=bool(flags & _TRIAL)), end + _CHOICE.size
+        value = TopologyVersion(version, step, issuer, bool(flags & _AUTO), self._edges(data, end), hub)
+        if value != self.first and (issuer not in self.place or not (version or value.auto or flags & _CHOSEN)):
             raise FrameError(f"TOPOLOGY {version}.{step} issued by {issuer[:16]!r}")
         return value
 
@@ -166,6 +200,15 @@ class Ground:
         if not body.startswith(_MAGIC) or _CHECK.pack(zlib.crc32(body)) != data[-_CHECK.size :]:
             raise FrameError("the file is damaged")
         return self.decode(body[len(_MAGIC) :])
+
+    def _hub(self, data: bytes, at: int, *, trial: bool) -> Hub:
+        if len(data) < at + _CHOICE.size:
+            raise FrameError(f"TOPOLOGY of {len(data)} bytes ends too early")
+        place, before, round_trip = _CHOICE.unpack_from(data, at)
+        hub = Hub(place, before, round_trip, trial)
+        if hub == Hub() or not max(hub.place, hub.before) < len(self.names):
+            raise FrameError(f"TOPOLOGY: hub {hub.place} after {hub.before}")
+        return hub
 
     def _edges(self, data: bytes, at: int) -> tuple[Edge, ...]:
         names, edges = self.names, []

@@ -23,14 +23,15 @@ as an unwanted one. Who cannot be reached is looked for (`link.calls`) once the 
 """
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import NamedTuple
 
 from services.mesh.core.actions import Connect, Disconnect, LinkAction, LogLine, Neighbours, Transmit, Write
 from services.mesh.core.link.calls import EAGER, Search
 from services.mesh.core.routing.automatic_topology import AutomaticRule
+from services.mesh.core.routing.hub_choice import HubChoice, Reached
 from services.mesh.core.routing.link_state import LinkStateMap
-from services.mesh.core.routing.physical_links import Succession
+from services.mesh.core.routing.physical_links import Succession, follow
 from services.mesh.core.routing.spare_links import SpareLinks
 from services.mesh.core.routing.topology import (
     AUTO,
@@ -38,12 +39,14 @@ from services.mesh.core.routing.topology import (
     MAX_STEP,
     MAX_VERSION,
     Ground,
+    Hub,
     TopologyVersion,
     ends,
 )
 from services.mesh.core.wire import frames
 from swarm.core.graph import Edge
 from swarm.errors import LocalError
+from swarm.messages import MeasuredHub
 from swarm.messages.keys import key as key_of
 
 PATIENCE = 30.0
@@ -73,8 +76,9 @@ class InitialLinks(NamedTuple):
     """The links that a robot knows before it has any."""
 
     ground: Ground
-    dials: Mapping[str, bool]
-    """All robots that this one could be linked with, and whether it dials them."""
+    dials: dict[str, bool]
+    """All robots that this one could be linked with, and whether it dials them. A change of the hub changes it in
+    place."""
     saved: TopologyVersion | None = None
     """The value that was kept when it was running last."""
     pages: bool = False
@@ -122,8 +126,11 @@ class Linking:
         """Robots that this one is to have links with."""
         self.adopted: float | None = None
         """The time at which the value came into force here; None before the first timer."""
-        self._succession = Succession(start.ground.names, me)
+        order = start.ground.order(self.value)
+        self._succession = Succession(order, me)
+        self._choice = HubChoice(start.ground.place[me])
         if self.carried:
+            follow(self._dials, order, me)
             act(Neighbours(self.neighbours))
         for peer in sorted(self.wanted):
             act(Connect(peer))
@@ -141,7 +148,7 @@ class Linking:
             links = self.value.edges if shape == AUTO else self._ground.edges_of(shape, edges)
         except LocalError as error:
             return str(error)
-        self._adopt(TopologyVersion(version + 1, 0, self._me, shape == AUTO, links), None, now)
+        self._adopt(TopologyVersion(version + 1, 0, self._me, shape == AUTO, links, self.value.hub), None, now)
         return ""
 
     def has_room(self, peer: str) -> bool:
@@ -221,11 +228,14 @@ class Linking:
         if self.adopted is None:
             self.adopted = now
             self._down = dict.fromkeys(self.wanted, now)
+            self._choice.begin(now)
             self._announce(now)
         if now >= min(self._look_at, self._check_at):
             self._look(now)
         if now >= self._plan_at:
             self._plan(now)
+        if self._ground.measured and now >= self._choice.next_deadline():
+            self._choose(now)
         if now >= self._repeat_at:
             self._repeat_at = _NEVER
             for peer in self._links:
@@ -237,7 +247,10 @@ class Linking:
 
     def next_deadline(self) -> float:
         """Return the time at which `handle_timer` must be called."""
-        return min(self._look_at, self._check_at, self._plan_at, self._repeat_at, self._search.next_deadline())
+        choose_at = self._choice.next_deadline() if self._ground.measured else _NEVER
+        return min(
+            self._look_at, self._check_at, self._plan_at, self._repeat_at, self._search.next_deadline(), choose_at
+        )
 
     # -- outputs -----------------------------------------------------------------------------------------------
 
@@ -261,6 +274,14 @@ class Linking:
         """The links that carry the topology."""
         return self._ground.physical(self.value)
 
+    def hub(self) -> MeasuredHub | None:
+        """Return the hub for the key `mesh/topology`; None where it is not chosen by measurement."""
+        if not self._ground.measured:
+            return None
+        names, hub = self._ground.names, self.value.hub
+        before = names[hub.before] if hub.before != hub.place else ""
+        return MeasuredHub(names[hub.place], self._choice.mean, before, hub.round_trip * 1e-3 or None, hub.trial)
+
     @property
     def up(self) -> tuple[str, ...]:
         """Neighbours of the topology whose links are up, or whom other links lead to."""
@@ -279,12 +300,14 @@ class Linking:
     # -- the value ---------------------------------------------------------------------------------------------
 
     def _adopt(self, value: TopologyVersion, source: str | None, now: float) -> None:
-        before, self.value = self.wanted, value
+        before, hub, self.value = self.wanted, self.value.hub, value
         self.wanted = ends(self.physical, self._me)
         if self.carried:
             self._act(Neighbours(self.neighbours))
         self.adopted = now
         self._spare.forget()
+        if value.hub != hub:
+            self._change_hub(hub, now)
         for peer in sorted(self.wanted - before):
             self._down[peer] = now
             self._act(Connect(peer))
@@ -302,6 +325,19 @@ class Linking:
         self._repeat_at = now + REPEAT_PERIOD
         self._announce(now)
         self._look_soon(now)
+
+    def _change_hub(self, before: Hub, now: float) -> None:
+        """Take another choice of the hub, or another kind of the same."""
+        hub, names, place = self.value.hub, self._ground.names, self._ground.place
+        self._choice.adopted(hub, [place[name] for name in self._map.routes()], now)
+        text = f"hub {names[hub.place]}{' on trial' if hub.trial else ''}, before it {names[hub.before]}"
+        self._act(LogLine(f"{text} with a mean round trip of {hub.round_trip} ms", problem=False))
+        if hub.place == before.place:
+            return
+        order = self._ground.order(self.value)
+        self._succession.reorder(order)
+        for peer in sorted(follow(self._dials, order, self._me) & self.wanted):
+            self._act(Connect(peer))  # it is up to the other end now to call
 
     def _send(self, peer: str) -> None:
         data = self._ground.encode(self.value)
@@ -361,7 +397,8 @@ class Linking:
         agreed = self._is_agreed(now)
         made = now >= self.adopted + MAKE or all(peer in self._links for peer in self.wanted if peer in reachable)
         graph = self._map.graph() if agreed and made else {}
-        needless, look_at = self._spare.needless(kept, graph, frozenset(self.physical), now)
+        topology = frozenset(self._ground.edge(a, b) for a, b in self.physical)
+        needless, look_at = self._spare.needless(kept, graph, topology, now)
         for peer in needless:
             self._act(Disconnect(peer, frames.UNWANTED))
         self._check_at = min(self._check_at, look_at)
@@ -374,6 +411,21 @@ class Linking:
         assert self.adopted is not None
         tag = self.tag
         return now >= self.adopted + PATIENCE or all(self._map.topology(name) == tag for name in self._map.routes())
+
+    # -- the hub -----------------------------------------------------------------------------------------------
+
+    def _choose(self, now: float) -> None:
+        """Measure the links of this robot, where it is the hub, and let another one be it where that may pay."""
+        own, place = self._map.links(self._me), self._ground.place
+        reached = {
+            place[name]: Reached(
+                2e-4 * (own[name] if route.hops == 1 else route.time), route.hops, len(self._map.links(name))
+            )
+            for name, route in self._map.routes().items()
+        }
+        hub = self._choice.look(self.value.hub, reached, now)
+        if hub != self.value.hub and self.value.step < MAX_STEP:
+            self._adopt(self.value._replace(step=self.value.step + 1, issuer=self._me, hub=hub), None, now)
 
     # -- the automatic rule ------------------------------------------------------------------------------------
 

@@ -116,6 +116,10 @@ def test_a_robot_that_is_back_knocks_at_one_that_only_calls(
     assert far.limits == []  # r0 has called: the roles are those wanted
     asks = {sock.adapter: sock.link_mode for sock in air.sockets if sock.fileno() >= 0 and sock.channel}
     assert asks == {A: rfcomm.RFCOMM_LM_MASTER, B: 0}  # a knock at r0, which calls all, makes r0 the central
+    near.network.follow({"r1": False})  # another robot is the hub now
+    far.network.follow({"r0": True})
+    asks = {sock.adapter: sock.link_mode for sock in air.sockets if sock.fileno() >= 0 and sock.channel}
+    assert asks == {A: 0, B: rfcomm.RFCOMM_LM_MASTER}
     near.stop()
     far.stop()
 

@@ -111,6 +111,19 @@ def test_pythons_own_time_out_has_a_text_too(air: RfcommAir, monkeypatch: pytest
         dial(air)
 
 
+def test_who_was_called_can_limit_the_silence_too_which_makes_it_the_central(air: RfcommAir) -> None:
+    limits: list[tuple[str, str, float]] = []
+    listener = rfcomm.RfcommListener(
+        Radio(B), {A: "r0"}, open_socket=air.open, supervise=lambda *each: limits.append(each)
+    )
+    pipes = dial(air), accept(listener)
+    assert pipes[1].limit is not None
+    pipes[1].limit(3.0)
+    assert limits == [(B, A, 3.0)]
+    for each in (*pipes, listener):
+        each.close()
+
+
 def test_a_taken_channel_is_named(air: RfcommAir, listener: rfcomm.RfcommListener) -> None:
     with pytest.raises(LocalError, match=f"Bluetooth {B} channel 1: address already in use.*holds channel 8"):
         rfcomm.RfcommListener(Radio(B), {}, open_socket=air.open)

@@ -14,7 +14,7 @@ from laptop.cli import mesh as mesh_command
 from laptop.cli.mesh import places
 from swarm.core.graph import Graph
 from swarm.errors import LocalError
-from swarm.messages import Clock, GraphRobot, Links, LinkState, Topology
+from swarm.messages import Clock, GraphRobot, Links, LinkState, MeasuredHub, Topology
 from swarm.onboard.mesh import show, tables
 from swarm.onboard.mesh.collected import CollectedMesh, MeshView
 
@@ -65,6 +65,23 @@ def test_where_hubs_carry_the_topology_its_neighbours_are_named() -> None:
     assert tables.graph(CollectedMesh({"r0": asked}))[-1] == ("neighbours r0-r1 r1-r2 r2-r3, over hubs: r0 calls r1 r2")
     asked.topology = replace(told, links=())
     assert "hubs" not in tables.graph(CollectedMesh({"r0": asked}))[-1]
+
+
+def test_the_hub_that_was_measured_is_named_with_the_round_trips_that_chose_it() -> None:
+    edges = (("r0", "r1"), ("r1", "r2"))
+    told = Topology(1.0, 0, 0, "", False, 0.0, edges, ("r1",), ("r1",), (), {}, (("r0", "r1"), ("r0", "r2")))
+    asked, hub = view(link("r1")), view(link("r0"))
+    asked.topology = replace(told, hub=MeasuredHub("r0", None, "", None, trial=False))
+    mesh = CollectedMesh({"r2": asked})
+    assert "hub by measurement: r0, mean round trip not known; no other was tried" in tables.graph(mesh)
+    choice = MeasuredHub("r1", None, "r0", 0.194, trial=True)
+    asked.topology = replace(told, step=1, hub=choice)
+    hub.topology = replace(asked.topology, hub=replace(choice, round_trip=0.041))
+    mesh = CollectedMesh({"r0": asked, "r1": hub})
+    line = "hub by measurement: r1 (on trial), mean round trip 41.0 ms; before it r0, 194.0 ms"
+    assert line in tables.graph(mesh)
+    assert show.as_json(mesh)["hub"] == {"robot": "r1", "round_trip": 0.041, "before": "r0", "round_trip_before": 0.194,
+                                    "trial": True}  # fmt: skip
 
 
 def test_a_robot_out_of_its_hubs_range_is_named_with_the_reason_and_with_the_robot_that_calls_it_instead() -> None:

@@ -64,11 +64,12 @@ def test_the_first_successor_calls_the_lost_ones_and_the_next_leave_it_to_the_fi
 
 
 def test_a_robot_that_was_never_there_is_left_to_its_hub_for_longer() -> None:
-    succession = Succession(names_of(3), "r01")
-    assert succession.due(["r02"], set(), 0.0) == []
-    assert succession.next_deadline() == UNSEEN + PAUSE
-    assert succession.due(["r02"], {"r00"}, UNSEEN + PAUSE) == []
-    assert succession.due(["r02"], {"r00"}, UNSEEN + PAUSE + BRIDGE) == ["r02"]
+    first, second = Succession(names_of(4), "r01"), Succession(names_of(4), "r02")
+    assert first.due(["r03"], set(), 0.0) == second.due(["r03"], {"r00", "r01"}, 0.0) == []
+    assert first.next_deadline() == UNSEEN + PAUSE
+    assert first.due(["r03"], {"r00"}, UNSEEN + PAUSE) == ["r03"]
+    assert second.due(["r03"], {"r00", "r01"}, UNSEEN + 2 * PAUSE) == []
+    assert second.due(["r03"], {"r00", "r01"}, UNSEEN + 2 * PAUSE + BRIDGE) == ["r03"]
 
 
 def test_old_news_of_ways_that_the_lost_hub_had_begin_no_new_wait() -> None:
