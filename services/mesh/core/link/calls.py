@@ -35,7 +35,12 @@ LONGEST_DELAY = 5.0
 time, and there is no last attempt."""
 
 EAGER = 3
-"""Calls of a robot in vain after which calls keep to `SHARE`."""
+"""Calls of a robot that has not been met yet after which calls keep to `OTHERS_SHARE`."""
+
+EAGER_S = 15.0
+"""Seconds of calls of a robot in vain after which calls keep to `SHARE`: three pages. A call that fails at once keeps
+no radio busy: where the own adapter is off for a few seconds, a dozen of them do not make an absent robot of a
+neighbour."""
 
 SHARE = 0.05
 """Share of its time that the robot which is to call spends on calls of one that does not answer: on Bluetooth a page of
@@ -88,6 +93,8 @@ class Dialler:
         """`random` gives uniform numbers from 0 up to 1."""
         self._random = random
         self._failures = 0
+        self._in_vain = 0.0
+        """Seconds of calls in vain since the last good link."""
         self._next: float | None = 0.0
         self._up_since: float | None = None
 
@@ -111,17 +118,18 @@ class Dialler:
         """The attempt failed or its link is down: plan the next one. `page`: s for which a call in vain kept the radio
         from other links."""
         if self._up_since is not None and now - self._up_since >= GOOD_AFTER:
-            self._failures = 0
+            self._failures, self._in_vain = 0, 0.0
         self._up_since = None
+        self._in_vain += page
         delay = min(LONGEST_DELAY, FIRST_DELAY * 2.0 ** min(self._failures, 16))
         self._failures += 1
         drawn = self._random()
-        rare = page * (1.0 / SHARE - 1.0) * (1.0 + JITTER * drawn) if self._failures >= EAGER else 0.0
+        rare = page * (1.0 / SHARE - 1.0) * (1.0 + JITTER * drawn) if self._in_vain >= EAGER_S else 0.0
         self._next = now + max(delay * (1.0 - JITTER + 2.0 * JITTER * drawn), rare)
 
     def hurry(self, now: float) -> None:
         """The neighbour is there after all: dial it soon, unless that is under way."""
-        self._failures = 0
+        self._failures, self._in_vain = 0, 0.0
         if self._next is not None:
             self._next = min(self._next, now + FIRST_DELAY)
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from mesh_world import ACCIDENTS, World
 from raw_hello import KEYS, hello
 
-from services.mesh.core.link.calls import EAGER, FIRST_DELAY, LONGEST_DELAY, MAX_HALF_OPEN, SHARE, Dialler, dials
+from services.mesh.core.link.calls import EAGER_S, FIRST_DELAY, LONGEST_DELAY, MAX_HALF_OPEN, SHARE, Dialler, dials
 from services.mesh.core.wire import frames
 from swarm.config.types import MeshConfig, RobotConfig
 
@@ -356,14 +356,14 @@ def test_the_back_off_doubles_with_jitter_up_to_its_limit(draws: list[float]) ->
         now = deadline
 
 
-@given(st.floats(0.0, 1.0, exclude_max=True), st.floats(0.01, 20.0))
+@given(st.floats(0.0, 1.0, exclude_max=True), st.floats(0.3, 20.0))
 def test_pages_of_an_absent_robot_keep_to_their_share_until_it_knocks(draw: float, page: float) -> None:
     dialler, now, spent = Dialler(lambda: draw), 0.0, 0.0
-    for attempt in range(20):
+    while spent < 10 * EAGER_S:
         deadline = dialler.next_deadline()
         assert deadline is not None
         began = max(now, deadline)
-        if attempt >= EAGER:
+        if spent >= EAGER_S:
             assert page <= SHARE * (began - now + page) * 1.000001
         assert dialler.take(began)
         now = began + page
@@ -371,6 +371,21 @@ def test_pages_of_an_absent_robot_keep_to_their_share_until_it_knocks(draw: floa
         dialler.ended(now, page)
     dialler.hurry(now)
     assert dialler.take(now + FIRST_DELAY)
+
+
+def test_calls_that_fail_at_once_make_no_neighbour_an_absent_one() -> None:
+    """The own adapter is off for a while, and the first call after it meets a neighbour that is still busy."""
+    dialler, now = Dialler(lambda: 0.5), 0.0
+    for page in (0.001,) * 20 + (5.12, 5.12):
+        deadline = dialler.next_deadline()
+        assert deadline is not None
+        now = max(now, deadline)
+        assert dialler.take(now)
+        now += page
+        dialler.ended(now, page)
+    deadline = dialler.next_deadline()
+    assert deadline is not None
+    assert deadline - now <= LONGEST_DELAY
 
 
 def test_only_a_link_that_lasted_resets_the_back_off() -> None:
