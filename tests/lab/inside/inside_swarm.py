@@ -46,6 +46,8 @@ class Swarm:
         self.buses: dict[str, Bus] = {}
         self.reached: dict[str, int] = dict.fromkeys(names, -1)
         """The latest iteration of each robot."""
+        self.links: dict[str, object] = {}
+        """What each mesh has told of its links last, by key."""
         self.fork_server = processes.start(str(Path(__file__).with_name("inside_fork_server.py")), program=PYTHON)
         for name in self.names:
             directory = processes.runtime / name
@@ -53,9 +55,13 @@ class Swarm:
             self.routers.append(Router(bus_endpoint(directory)))
             self.buses[name] = Bus.of(directory)
             self.buses[name].subscribe(f"swarm/{name}/app/*/state", self._on_state)
+            self.buses[name].subscribe(f"swarm/{name}/mesh/links", self._on_links)
 
     def _on_state(self, key: str, payload: bytes) -> None:
         self.reached[key.split("/")[1]] = read(key, payload).k
+
+    def _on_links(self, key: str, payload: bytes) -> None:
+        self.links[key] = read(key, payload)
 
     def start(self, module: str, name: str, *words: str, config: str = "") -> int:
         """The process id of a service that has begun to start."""
@@ -114,10 +120,10 @@ class Swarm:
             raise WaitedInVainError(f"{error}\n{self.told()}") from None
 
     def told(self) -> str:
-        """What the services answer about themselves: counters, links and progress, by key."""
-        answers: dict[str, object] = {}
+        """What the services answer about themselves, counters and progress, and how the links are, by key."""
+        answers = dict(self.links)
         for name, bus in self.buses.items():
-            for topic in ("mesh/status", "mesh/links", "app/*/status", "app/*/progress"):
+            for topic in ("mesh/status", "app/*/status", "app/*/progress"):
                 bus.ask(
                     f"swarm/{name}/{topic}",
                     lambda key, payload: answers.setdefault(key, read(key, payload)),
