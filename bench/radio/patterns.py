@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator, Iterable, Sequence
 from functools import partial
 from typing import Any
 
-from sim.slots.parameters import Parameters
+from sim.slots.parameters import SlotParameters
 from sim.slots.radio import SlotRadio
 from sim.virtual.events import EventQueue
 
@@ -41,7 +41,7 @@ class Pattern:
     `air`: parameters of the slot radio, or the one-way latency of emulated links in seconds.
     """
 
-    def __init__(self, links: Edges, air: Parameters | float, seed: object) -> None:
+    def __init__(self, links: Edges, air: SlotParameters | float, seed: object) -> None:
         self.time = EventQueue()
         self.random = random.Random(f"{seed} pattern")
         self.names = sorted({name for link in links for name in link})
@@ -91,7 +91,7 @@ class Original(Pattern):
     twice an iteration. A message has to wait up to `lock` s for the interpreter of who receives it."""
 
     def __init__(
-        self, links: Edges, air: Parameters | float, seed: object, *, poll: float, delay: float = 0.0, lock: float
+        self, links: Edges, air: SlotParameters | float, seed: object, *, poll: float, delay: float = 0.0, lock: float
     ) -> None:
         super().__init__(links, air, seed)
         self._poll, self._delay, self._lock = poll, delay, lock
@@ -134,7 +134,7 @@ class Bundled(Pattern):
     """Lockstep of a graph in one piconet: each robot tells the hub, the central, and the hub tells each in one message
     all that it needs of the others."""
 
-    def __init__(self, edges: Edges, parameters: Parameters, seed: object, *, compute: float) -> None:
+    def __init__(self, edges: Edges, parameters: SlotParameters, seed: object, *, compute: float) -> None:
         near = neighbours(edges)
         self._hub = max(near, key=lambda name: len(near[name]))
         super().__init__([(self._hub, name) for name in near if name != self._hub], parameters, seed)
@@ -176,7 +176,7 @@ class Bundled(Pattern):
             self._begin(name, k + 1)
 
 
-def round_trips(size: int, parameters: Parameters, count: int, *, lock: float) -> list[float]:
+def round_trips(size: int, parameters: SlotParameters, count: int, *, lock: float) -> list[float]:
     """The thesis' test: a message every 3 s, sent back by the other end. Both ends are busy programs: each message
     waits `lock` s, give or take half of it, for the interpreter. In s."""
     pair = Pattern([("r1", "r0")], parameters, size)

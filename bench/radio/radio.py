@@ -20,7 +20,7 @@ from bench.radio import fit as radio_fit
 from bench.radio.patterns import Bundled, Original
 from bench.radio.swarm import SIZE, Trouble, fail_over, long_pace, pace, start, transfer, troubled
 from bench.rows import Row
-from sim.slots.parameters import THESIS, Parameters
+from sim.slots.parameters import THESIS, SlotParameters
 from swarm.core.graph import Graph
 
 GRAPHS = {"line 3": 0.017, "line 6": 0.094, "loop 6": 0.113, "thesis-d 6": 0.232, "full 6": 0.887}
@@ -60,7 +60,7 @@ RATE = 176_000.0 / 2
 STAYS = (0.05, 0.2, 0.3)
 """s, besides that of the fit."""
 
-LEAST = Parameters(poll_busy=2, loss=0.0, host=0.0, uart=1e12, scan=1e6)
+LEAST = SlotParameters(poll_busy=2, loss=0.0, host=0.0, uart=1e12, scan=1e6)
 COMPUTE = 0.002
 """s of a step in an app's process, on average: virtual time has none."""
 
@@ -143,7 +143,7 @@ def _iterations(name: str, sizes: Sizes) -> Iterator[Row]:
         )
     original = statistics.fmean(_original(name, sizes.rivals, seed) for seed in range(sizes.seeds))
     yield Row(f"the original's pattern, {name}", 1e3 * original, "ms", limit, None)
-    for text, parameters, compute in (("one piconet, bundled", Parameters(), COMPUTE), ("least", LEAST, 0.0)):
+    for text, parameters, compute in (("one piconet, bundled", SlotParameters(), COMPUTE), ("least", LEAST, 0.0)):
         yield Row(f"{text}, {name}", 1e3 * _bundled(name, sizes.rivals, parameters, compute), "ms", limit, None)
 
 
@@ -158,5 +158,5 @@ def _original(name: str, iterations: int, seed: int) -> float:
     return Original(_edges(name), THESIS, seed, poll=poll, lock=lock).paced(iterations)
 
 
-def _bundled(name: str, iterations: int, parameters: Parameters, compute: float) -> float:
+def _bundled(name: str, iterations: int, parameters: SlotParameters, compute: float) -> float:
     return Bundled(_edges(name), parameters, 1, compute=compute).paced(iterations, turn=1.0)

@@ -43,7 +43,7 @@ FLAT = 1.15
 
 
 @frozen
-class Radio:
+class RadioBehaviour:
     """The behaviour of a radio in a run, recorded or simulated."""
 
     pace: float
@@ -67,7 +67,7 @@ class Recorded:
     links: int
     piconets: int
     """The number of piconets in which the busiest robot is."""
-    radio: Radio
+    radio: RadioBehaviour
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -120,7 +120,7 @@ def _read(path: Path) -> Recorded:
     return Recorded(path, len(config.names), len(links), max(piconets(links).values()), _radio(pace, told))
 
 
-def _radio(pace: float, told: Mapping[str, Sequence[LinkState]]) -> Radio:
+def _radio(pace: float, told: Mapping[str, Sequence[LinkState]]) -> RadioBehaviour:
     """Return the radio's figures from each robot's last report of its links."""
     states = [(robot, link) for robot, links in told.items() for link in links]
     medians = [link.rtt_median for _, link in states if link.rtt_median is not None]
@@ -129,7 +129,7 @@ def _radio(pace: float, told: Mapping[str, Sequence[LinkState]]) -> Radio:
         frozenset((robot, link.peer)): link.connection - (link.state in ("up", "suspect")) for robot, link in states
     }
     wrong = tuple(sorted(f"{robot} {link.peer}" for robot, link in states if link.role != link.wanted_role))
-    return Radio(
+    return RadioBehaviour(
         pace, statistics.median(medians) if medians else None, max(longest, default=None), sum(lost.values()), wrong
     )
 
@@ -146,7 +146,7 @@ def _curve(
     return Curve(each.radio.pace, model) if max(paces) > FLAT * min(paces) else None
 
 
-def _simulated(path: Path, parameters: Mapping[str, float], seed: int, iterations: int) -> Radio:
+def _simulated(path: Path, parameters: Mapping[str, float], seed: int, iterations: int) -> RadioBehaviour:
     radio = "slots:" + ",".join(f"{name}={value!r}" for name, value in parameters.items())
     words = [APP, "--config", str(path / "swarm.toml"), "--virtual", "--radio", radio]
     options = parse([*words, "--seed", str(seed), "--iterations", str(iterations)])
@@ -158,7 +158,7 @@ def _simulated(path: Path, parameters: Mapping[str, float], seed: int, iteration
     return _radio(pace, {name: mesh.links().links for name, mesh in meshes.items() if isinstance(mesh, VirtualMesh)})
 
 
-def _table(runs: Sequence[Recorded], beside: Sequence[Radio]) -> list[str]:
+def _table(runs: Sequence[Recorded], beside: Sequence[RadioBehaviour]) -> list[str]:
     rows: list[Sequence[str]] = [
         ("run", "robots", "links", "piconets", "ms an iteration", "model", "rtt median", "model", "p99 ms", "model",
          "lost", "wrong roles"),

@@ -26,7 +26,7 @@ _LEVELS = {"info": 2, "warning": 3, "error": 4}
 """The levels of `foxglove.Log`."""
 
 
-class Message(NamedTuple):
+class FoxgloveMessage(NamedTuple):
     """One message on its way to Foxglove."""
 
     topic: str
@@ -44,7 +44,7 @@ class Message(NamedTuple):
         return json_text.schema(self.value, self.schema_name)
 
 
-def sample(robot: str, topic: str, value: object, log_time: int) -> Message | None:
+def sample(robot: str, topic: str, value: object, log_time: int) -> FoxgloveMessage | None:
     """Return a robot's sample at a log time, ns since 1970, under the key that it has on the bus; None where JSON
     cannot carry it. `value` is what the key holds: maps, lists, texts and numbers."""
     key = f"swarm/{robot}/{topic}"
@@ -55,8 +55,8 @@ def sample(robot: str, topic: str, value: object, log_time: int) -> Message | No
                 return None
             known = {field: value[field] for field in _POSE_FIELDS if field in value}
             pose = Pose(**{**known, "heading": number(value["heading"])})
-            return Message(key, foxglove.POSE, pose, foxglove.pose(pose, log_time))
-        return Message(key, name, value, json_text.encode(value))
+            return FoxgloveMessage(key, foxglove.POSE, pose, foxglove.pose(pose, log_time))
+        return FoxgloveMessage(key, name, value, json_text.encode(value))
     except LocalError:
         return None
 
@@ -73,7 +73,7 @@ def _schema_name(key: str, topic: str) -> str:
     return topic.replace("/", ".") if kind is None else f"swarm.{kind.__name__}"
 
 
-def frames(places: Mapping[str, tuple[float, float, float]], log_time: int) -> Message:
+def frames(places: Mapping[str, tuple[float, float, float]], log_time: int) -> FoxgloveMessage:
     """Return a frame of reference for each robot: x and y, m, and heading, rad, in the frame of the anchors."""
     transforms = [
         {
@@ -88,7 +88,7 @@ def frames(places: Mapping[str, tuple[float, float, float]], log_time: int) -> M
     return _made(FRAMES, "foxglove.FrameTransforms", {"transforms": transforms})
 
 
-def log(events: Iterable[Event], log_time: int) -> Iterator[Message]:
+def log(events: Iterable[Event], log_time: int) -> Iterator[FoxgloveMessage]:
     """Yield a line for each event."""
     for event in events:
         line = {
@@ -118,5 +118,5 @@ def rotation(heading: float) -> dict[str, float]:
     return {"x": 0.0, "y": 0.0, "z": math.sin(heading / 2.0), "w": math.cos(heading / 2.0)}
 
 
-def _made(topic: str, name: str, value: dict[str, Any]) -> Message:
-    return Message(topic, name, value, json.dumps(value, separators=(",", ":")).encode())
+def _made(topic: str, name: str, value: dict[str, Any]) -> FoxgloveMessage:
+    return FoxgloveMessage(topic, name, value, json.dumps(value, separators=(",", ":")).encode())

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 
 from laptop.foxglove import scene
-from laptop.foxglove.messages import Message, frames, log
+from laptop.foxglove.messages import FoxgloveMessage, frames, log
 from laptop.view.feeds.picture import Picture
 from swarm.config.types import Config
 from swarm.errors import SwarmError
@@ -27,7 +27,7 @@ class RecordedScenes:
         self._last = -math.inf
         self._event = 0
 
-    def after(self, sample: RecordedSample) -> Iterator[Message]:
+    def after(self, sample: RecordedSample) -> Iterator[FoxgloveMessage]:
         """Yield the messages to show after a sample; most have none, and so has one that cannot be read."""
         try:
             robot, service, topic = parse(sample.topic)

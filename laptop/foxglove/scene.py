@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from laptop.foxglove.messages import Message, number, rotation, timestamp
+from laptop.foxglove.messages import FoxgloveMessage, number, rotation, timestamp
 from laptop.view.feeds.picture import Picture
 from swarm.config.types import Config
 from swarm.recording.core import foxglove
@@ -52,7 +52,7 @@ def _xy(value: object) -> tuple[float, float] | None:
     return None if x is None or y is None else (x, y)
 
 
-def scene(picture: Picture, config: Config, log_time: int) -> Message:
+def scene(picture: Picture, config: Config, log_time: int) -> FoxgloveMessage:
     """Return the drawing at a log time, ns since 1970. Each entity replaces the one of its name."""
     where = places(picture, config)
     entities = [
@@ -64,7 +64,7 @@ def scene(picture: Picture, config: Config, log_time: int) -> Message:
     if (target := _target(picture, config)) is not None:
         entities.append(_entity("target", log_time, spheres=[_shape(*target, 0.08, (0.08, 0.08, 0.08), _TARGET)]))
     data = json.dumps({"deletions": [], "entities": entities}, separators=(",", ":")).encode()
-    return Message(SCENE, "foxglove.SceneUpdate", _SHAPE, data)
+    return FoxgloveMessage(SCENE, "foxglove.SceneUpdate", _SHAPE, data)
 
 
 def _robot(robot: str, place: Place, picture: Picture, log_time: int) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import time
 from typing import Any
 
 from laptop.foxglove import scene
-from laptop.foxglove.messages import Message, frames, log, sample
+from laptop.foxglove.messages import FoxgloveMessage, frames, log, sample
 from laptop.view.actions.control import Control
 from laptop.view.feeds.feed import LiveFeed
 from swarm.errors import LocalError, MissingPackageError
@@ -127,7 +127,7 @@ class FoxgloveServer:
     def _look(self, log_time: int) -> list[str]:
         """Tell what is new; gives its topics."""
         feed, config = self._feed, self._feed.config
-        messages: list[Message] = []
+        messages: list[FoxgloveMessage] = []
         with feed.lock:
             picture = feed.picture
             if self._late.is_set():
@@ -150,7 +150,7 @@ class FoxgloveServer:
             self._channel(message).log(message.data, log_time=log_time)
         return [message.topic for message in messages]
 
-    def _channel(self, message: Message) -> foxglove.Channel:
+    def _channel(self, message: FoxgloveMessage) -> foxglove.Channel:
         channel = self._channels.get(message.topic)
         if channel is None:
             schema = foxglove.Schema(name=message.schema_name, encoding="jsonschema", data=message.schema)

@@ -17,7 +17,7 @@ def cut(run_dir: Path, robot: str, peer: str, seconds: float) -> None:
     radio = run_dir / slots.RADIO_SOCKET
     if radio.exists():
         try:
-            slots.ask(radio, slots.Cut(robot, peer, float(seconds))).close()
+            slots.ask(radio, slots.RadioCut(robot, peer, float(seconds))).close()
         except OSError as error:
             raise LocalError(f"not cut: the radio is not running at this moment ({error.strerror})") from None
         return

@@ -25,15 +25,15 @@ from services.mesh.links.sim import bound, precise_timers
 from services.mesh.links.slots import (
     MAX_PACKET,
     RADIO_SOCKET,
-    Answer,
-    Call,
-    Cut,
+    RadioAnswer,
+    RadioCall,
+    RadioCut,
+    RadioSupervise,
     Request,
-    Supervise,
     call_from,
 )
-from sim.slots.connections import SOCKET, Connections, End
-from sim.slots.parameters import Parameters
+from sim.slots.connections import SOCKET, End, RadioConnections
+from sim.slots.parameters import SlotParameters
 from sim.slots.radio import RadioLink
 from sim.virtual.events import EventQueue
 from swarm import clock
@@ -56,7 +56,7 @@ ROUNDING = 1e-9
 LATENESS = "lateness.json"
 """The file in its directory in which the process writes at its end how late it was."""
 
-_KINDS: tuple[type[Request], ...] = (Call, Supervise, Cut)
+_KINDS: tuple[type[Request], ...] = (RadioCall, RadioSupervise, RadioCut)
 
 _log = logging.getLogger("radio")
 
@@ -116,14 +116,14 @@ class RadioServer:
     """The radio and its sockets. Time passes only in `turn`."""
 
     def __init__(
-        self, run_dir: Path, meshes: Mapping[str, Path], parameters: Parameters, seed: object, now: float
+        self, run_dir: Path, meshes: Mapping[str, Path], parameters: SlotParameters, seed: object, now: float
     ) -> None:
         """`meshes`: the socket of each robot's mesh, by name."""
         self._paths = meshes
         self._time = EventQueue()
         self._zero = now
         """The time of the real clock at which the radio's clock began."""
-        self._connections = Connections(self._time, meshes, parameters, seed)
+        self._connections = RadioConnections(self._time, meshes, parameters, seed)
         self.ends: set[SocketEnd] = set()
         """Those with an open socket."""
         self._meshes: dict[str, socket.socket] = {}
@@ -210,14 +210,14 @@ class RadioServer:
         request = None
         with contextlib.suppress(OSError):
             request = _read(sock.recv(MAX_PACKET))
-        if isinstance(request, Call) and self._known(request.caller, request.called):
+        if isinstance(request, RadioCall) and self._known(request.caller, request.called):
             self._connections.call(request.caller, request.called, partial(self._called, sock, request))
             return
-        if isinstance(request, Supervise):
+        if isinstance(request, RadioSupervise):
             for end in self.ends:
                 if end.robot == request.robot and end.other.robot == request.peer:
                     self._connections.supervise(end, request.seconds)
-        elif isinstance(request, Cut) and self._known(request.a, request.b):
+        elif isinstance(request, RadioCut) and self._known(request.a, request.b):
             self._connections.cut(request.a, request.b, request.seconds)
         elif request is not None:
             _log.warning("refused: %s", request)
@@ -226,14 +226,14 @@ class RadioServer:
     def _known(self, a: str, b: str) -> bool:
         return a != b and a in self._paths and b in self._paths
 
-    def _called(self, sock: socket.socket, call: Call, link: RadioLink | None, reason: str) -> None:
+    def _called(self, sock: socket.socket, call: RadioCall, link: RadioLink | None, reason: str) -> None:
         """A call has ended: tell both meshes."""
         there = None
         if link is not None and (there := self._connect(call.called, call.caller)) is None:
             self._connections.radio.drop(link)
             reason = "nobody listens there"
         with contextlib.suppress(OSError):  # the caller has ended, which `SocketEnd.take` will see
-            sock.send(encode(Answer(reason)))
+            sock.send(encode(RadioAnswer(reason)))
         if link is None or there is None:
             sock.close()
             return
@@ -277,7 +277,7 @@ def main() -> None:
     die_with_parent()
     log.setup("radio")
     reader = argparse.ArgumentParser(prog="sim.processes.radio")
-    reader.add_argument("parameters", type=Parameters.parse)
+    reader.add_argument("parameters", type=SlotParameters.parse)
     reader.add_argument("seed", type=int)
     read = reader.parse_args()
     own = runtime_dir()

@@ -19,7 +19,7 @@ from sim.scenario.quantities import (
     speed,
     velocity,
 )
-from sim.slots.parameters import Parameters
+from sim.slots.parameters import SlotParameters
 from sim.virtual.robot.body import MODELS
 from swarm.app import run_options
 from swarm.app.run_options import RunOptions
@@ -70,7 +70,7 @@ class Options:
     bandwidth: float | None
     loss: float
     """Probability that a radio packet is lost and sent again."""
-    slots: Parameters | None
+    slots: SlotParameters | None
     """The slot radio; None: all links have the delays above."""
     clock_skew: float
     """How far the rates of the robots' clocks err at most, 1e-6 = 1 ppm; 0: all have one clock."""

@@ -9,7 +9,7 @@ import re
 from typing import NamedTuple
 
 from services.mesh.links.radio_model import MAX_LOSS
-from sim.slots.parameters import Parameters
+from sim.slots.parameters import SlotParameters
 from swarm.app import settings
 from swarm.errors import AppError, ConfigError
 from swarm.messages.keys import is_name
@@ -100,13 +100,13 @@ def loss(text: str) -> float:
     return value
 
 
-def slots(text: str) -> Parameters:
+def slots(text: str) -> SlotParameters:
     """The slot radio, `slots` or `slots:stay=0.2,loss=0.1`."""
     kind, _, parameters = text.partition(":")
     if kind != "slots":
         raise argparse.ArgumentTypeError(f"{text!r}: expected slots or slots:NAME=X,...")
     try:
-        return Parameters.parse(parameters)
+        return SlotParameters.parse(parameters)
     except ConfigError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
 

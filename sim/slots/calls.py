@@ -9,7 +9,7 @@ pages one at a time; what else its host wants waits (newer Linux kernels; older 
 from collections import deque
 from collections.abc import Callable
 
-from sim.slots.radio import PAGE, Clock, RadioLink, SlotRadio
+from sim.slots.radio import PAGE, EventClock, RadioLink, SlotRadio
 
 ABSENT = "not in range, switched off, or deaf"
 BUSY = "an earlier connection to it has not ended yet"
@@ -20,7 +20,7 @@ SMALL = 12
 """Bytes of a frame of the set-up."""
 
 
-class Call:
+class CallAttempt:
     """One attempt to make a link."""
 
     def __init__(self, caller: str, called: str, timeout: float, done: Callable[[RadioLink | None, str], None]) -> None:
@@ -34,11 +34,11 @@ class Call:
 class Calls:
     """The calls of all robots."""
 
-    def __init__(self, clock: Clock, radio: SlotRadio) -> None:
+    def __init__(self, clock: EventClock, radio: SlotRadio) -> None:
         self._clock = clock
         self._radio = radio
-        self._waiting: dict[str, deque[Call]] = {}
-        self._paging: dict[str, Call] = {}
+        self._waiting: dict[str, deque[CallAttempt]] = {}
+        self._paging: dict[str, CallAttempt] = {}
         """By caller."""
         self.reachable: set[str] = set()
         """Who scans for pages."""
@@ -54,15 +54,17 @@ class Calls:
         self.scans[name] = parameters.scan, parameters.scan_window
         self._clock.at(self._clock.now + self._radio.random.random() * parameters.scan, self._scan, name)
 
-    def call(self, caller: str, called: str, timeout: float, done: Callable[[RadioLink | None, str], None]) -> Call:
+    def call(
+        self, caller: str, called: str, timeout: float, done: Callable[[RadioLink | None, str], None]
+    ) -> CallAttempt:
         """Make a link; `done(link, reason)` is called at its end, with None `timeout` s after its page has begun at the
         latest."""
-        call = Call(caller, called, timeout, done)
+        call = CallAttempt(caller, called, timeout, done)
         self._waiting[caller].append(call)
         self._next(caller)
         return call
 
-    def cancel(self, call: Call) -> None:
+    def cancel(self, call: CallAttempt) -> None:
         """End a call about whose end nobody wants to hear."""
         call.done = lambda link, reason: None
         self._end(call, "")
@@ -82,7 +84,7 @@ class Calls:
             self._clock.at(self._clock.now + radio.parameters.page_timeout, self._page_failed, call)
             self._clock.at(self._clock.now + call.timeout, self._end, call, LATE)
 
-    def _page_failed(self, call: Call) -> None:
+    def _page_failed(self, call: CallAttempt) -> None:
         if self._paging.get(call.caller) is call:
             self._end(call, ABSENT)
 
@@ -101,7 +103,7 @@ class Calls:
                     self._clock.at(now + parameters.page_answer, self._answered, call)
                 return
 
-    def _answered(self, call: Call) -> None:
+    def _answered(self, call: CallAttempt) -> None:
         if self._paging.get(call.caller) is not call:
             return
         self._hang_up_page(call)
@@ -109,7 +111,7 @@ class Calls:
         link.lost = lambda: self._end(call, LATE)
         self._set_up(call)
 
-    def _set_up(self, call: Call) -> None:
+    def _set_up(self, call: CallAttempt) -> None:
         """The next frame, from either side in turn; after the last one the link is the callers' own."""
         if call.step < 0 or call.link is None:
             return
@@ -122,12 +124,12 @@ class Calls:
         call.step += 1
         self._radio.send(call.link, sender, SMALL, lambda: self._set_up(call))
 
-    def _hang_up_page(self, call: Call) -> None:
+    def _hang_up_page(self, call: CallAttempt) -> None:
         del self._paging[call.caller]
         self._radio.leave_role(self._radio.devices[call.caller], PAGE)
         self._clock.at(self._clock.now, self._next, call.caller)
 
-    def _end(self, call: Call, reason: str) -> None:
+    def _end(self, call: CallAttempt, reason: str) -> None:
         """It has failed, unless it was over."""
         if call.step < 0:
             return

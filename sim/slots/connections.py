@@ -8,8 +8,8 @@ from random import Random
 
 from services.mesh.links.rfcomm import DIAL_TIMEOUT
 from sim.slots.calls import Calls
-from sim.slots.parameters import FRAME, Parameters
-from sim.slots.radio import Clock, RadioLink, SlotRadio
+from sim.slots.parameters import FRAME, SlotParameters
+from sim.slots.radio import EventClock, RadioLink, SlotRadio
 from swarm.bluetooth.hci import SUPERVISION_SHARE
 
 CHUNK = 4096
@@ -45,10 +45,10 @@ class End:
         raise NotImplementedError
 
 
-class Connections:
+class RadioConnections:
     """All connections of a swarm."""
 
-    def __init__(self, clock: Clock, names: Iterable[str], parameters: Parameters, seed: object) -> None:
+    def __init__(self, clock: EventClock, names: Iterable[str], parameters: SlotParameters, seed: object) -> None:
         self._clock = clock
         self.radio = SlotRadio(clock, names, parameters, Random(f"{seed} slots"))
         self.radio.passes = self._passes

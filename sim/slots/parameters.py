@@ -27,7 +27,7 @@ MAX_PERIPHERALS = 7
 
 
 @frozen
-class Parameters:
+class SlotParameters:
     """Times in s where nothing else is said."""
 
     stay: float = 0.1
@@ -72,7 +72,7 @@ class Parameters:
     """Exchanges of small frames before a socket is connected: LMP 6, L2CAP 3, RFCOMM 4."""
 
     @classmethod
-    def parse(cls, text: str) -> "Parameters":
+    def parse(cls, text: str) -> "SlotParameters":
         """Read `stay=0.2,loss=0.1`, each part optional. Raises `ConfigError`."""
         values: dict[str, float] = {}
         names = [field.name for field in fields(cls)]
@@ -101,5 +101,5 @@ class Parameters:
 
 MAX_LOSS = 0.9
 
-THESIS = Parameters(scan=1.28, scan_window=0.01125)
+THESIS = SlotParameters(scan=1.28, scan_window=0.01125)
 """The thesis' robots: page scans as Linux sets them where nobody asks for others (0x0800 and 0x0012 slots)."""

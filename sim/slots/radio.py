@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Any, Protocol
 
-from sim.slots.parameters import EDR2, MAX_PERIPHERALS, OVERHEAD, SLOT, Parameters
+from sim.slots.parameters import EDR2, MAX_PERIPHERALS, OVERHEAD, SLOT, SlotParameters
 from swarm.core.random_numbers import RandomNumbers
 
 PAGE = ""
@@ -39,7 +39,7 @@ def _even(time: float) -> float:
     return math.ceil(time / EVEN - ABOUT) * EVEN
 
 
-class Clock(Protocol):
+class EventClock(Protocol):
     """Time that calls back, in the order of times and of planning."""
 
     now: float
@@ -57,7 +57,7 @@ class _Frame:
 class LinkEnd:
     """The frames that one end of a link has to send."""
 
-    def __init__(self, device: "Device", now: float) -> None:
+    def __init__(self, device: "RadioDevice", now: float) -> None:
         self.device = device
         self.waiting: deque[_Frame] = deque()
         """Frames in the host."""
@@ -101,7 +101,7 @@ class RadioLink:
         return self.central if self.central.device.name == name else self.peripheral
 
 
-class Device:
+class RadioDevice:
     """The controller of one robot."""
 
     def __init__(self, name: str) -> None:
@@ -135,11 +135,13 @@ class Device:
 class SlotRadio:
     """The links of all robots."""
 
-    def __init__(self, clock: Clock, names: Iterable[str], parameters: Parameters, random: RandomNumbers) -> None:
+    def __init__(
+        self, clock: EventClock, names: Iterable[str], parameters: SlotParameters, random: RandomNumbers
+    ) -> None:
         self._clock = clock
         self.parameters = parameters
         self.random = random
-        self.devices = {name: Device(name) for name in names}
+        self.devices = {name: RadioDevice(name) for name in names}
         self.passes: Callable[[str, str], bool] = lambda a, b: True
         """Whether two robots hear each other."""
         self.losses: dict[frozenset[str], float] = {}
@@ -153,7 +155,7 @@ class SlotRadio:
         device.tuned = None
         device.switching += 1
         device.serving += 1
-        self.devices[name] = Device(name)
+        self.devices[name] = RadioDevice(name)
 
     # -- links -------------------------------------------------------------------------------------------------
 
@@ -241,7 +243,7 @@ class SlotRadio:
             end.waiting.append(frame)
             self._refill(end.device)
 
-    def _refill(self, device: Device) -> None:
+    def _refill(self, device: RadioDevice) -> None:
         """The host hands frames over as buffers are free, to the link with the fewest first (Linux, hci_low_sent)."""
         while device.held < self.parameters.buffers:
             ends = [(link, link.end(device.name)) for link in device.links]
@@ -256,7 +258,7 @@ class SlotRadio:
 
     # -- where a device is -------------------------------------------------------------------------------------
 
-    def take_role(self, device: Device, role: str) -> None:
+    def take_role(self, device: RadioDevice, role: str) -> None:
         """Add a role among which a device shares its time."""
         if role in device.roles:
             return
@@ -266,7 +268,7 @@ class SlotRadio:
         elif device.until == _NEVER:
             self._stay(device)
 
-    def leave_role(self, device: Device, role: str) -> None:
+    def leave_role(self, device: RadioDevice, role: str) -> None:
         """It does so no longer."""
         if role in device.roles:
             device.roles.remove(role)
@@ -274,14 +276,14 @@ class SlotRadio:
                 device.tuned = None
                 self._switch(device, device.switching)
 
-    def _stay(self, device: Device) -> None:
+    def _stay(self, device: RadioDevice) -> None:
         p = self.parameters
         weight = (p.page_weight if device.tuned == PAGE else 1.0) * min(1.0, 2.0 / len(device.roles))
         stay = weight * p.stay * (1.0 + p.spread * (2.0 * self.random.random() - 1.0))
         device.until = self._clock.now + stay
         self._clock.at(device.until, self._switch, device, device.switching)
 
-    def _switch(self, device: Device, plan: int) -> None:
+    def _switch(self, device: RadioDevice, plan: int) -> None:
         """Go to the next of its roles, after the exchange that is under way."""
         if plan != device.switching:
             return
@@ -306,13 +308,13 @@ class SlotRadio:
 
     # -- the central -------------------------------------------------------------------------------------------
 
-    def _wake(self, device: Device) -> None:
+    def _wake(self, device: RadioDevice) -> None:
         """Look at the next even slot what is to be done."""
         device.serving += 1
         free = max(self._clock.now, device.ready, device.busy, device.scanning)
         self._clock.at(_even(free), self._serve, device, device.serving)
 
-    def _serve(self, device: Device, plan: int) -> None:
+    def _serve(self, device: RadioDevice, plan: int) -> None:
         if plan != device.serving or device.tuned != device.name:
             return
         now = self._clock.now
@@ -333,7 +335,7 @@ class SlotRadio:
             # Towards an even slot, or the phase would drift from poll to poll.
             self._clock.at(max(_even(due), now + EVEN), self._serve, device, plan)
 
-    def _next_poll(self, device: Device, link: RadioLink) -> float:
+    def _next_poll(self, device: RadioDevice, link: RadioLink) -> float:
         p, now = self.parameters, self._clock.now
         waits = bool(link.central.held)
         if waits or link.more or (len(device.roles) > 1 and link not in device.polled):

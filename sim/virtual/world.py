@@ -26,7 +26,7 @@ from sim.core.actions import SimulationAction
 from sim.core.scene_record import SceneRecord
 from sim.scenario.options import DELAY, FROM_START, SETTLED
 from sim.scene import contacts_of
-from sim.slots.parameters import Parameters
+from sim.slots.parameters import SlotParameters
 from sim.virtual.apps.storage import MemoryStorage
 from sim.virtual.bus import VirtualBus, VirtualRouter
 from sim.virtual.events import EventQueue, LocalTime, Time
@@ -119,7 +119,7 @@ class VirtualWorld:
         lying: str | None = None,
         skew: float = 0.0,
         scene_record: SceneRecord | None = None,
-        slots: Parameters | None = None,
+        slots: SlotParameters | None = None,
         processes_end: bool = False,
     ) -> None:
         """`body`: which model of `sim.virtual.robot.body`; `mesh`: one of `options.MESHES`; `lying`: the side on

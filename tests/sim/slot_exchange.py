@@ -6,7 +6,7 @@ from functools import partial
 
 from bench.radio.patterns import HEAD, VALUE, Pattern, neighbours
 from sim.slots.calls import Calls
-from sim.slots.parameters import Parameters
+from sim.slots.parameters import SlotParameters
 from swarm.core.graph import Edge
 
 Tree = dict[str, tuple[str, ...]]
@@ -41,7 +41,7 @@ def frames_of(edges: Sequence[Edge], links: Sequence[Edge]) -> int:
 class Exchange(Pattern):
     """Robots that compute as soon as all neighbours' values are there."""
 
-    def __init__(self, edges: Sequence[Edge], links: Sequence[Edge], parameters: Parameters, seed: int) -> None:
+    def __init__(self, edges: Sequence[Edge], links: Sequence[Edge], parameters: SlotParameters, seed: int) -> None:
         """The first robot of each link is its central."""
         super().__init__(links, parameters, seed)
         Calls(self.time, self.radio).reachable.update(self.names)

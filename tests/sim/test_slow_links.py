@@ -10,7 +10,7 @@ from bench.radio.patterns import pace
 from services.mesh.core.routing.physical_links import callers, physical
 from sim.scenario.options import parse
 from sim.scenario.scenario import build
-from sim.slots.parameters import Parameters
+from sim.slots.parameters import SlotParameters
 from sim.virtual.run import PLACE, VirtualRun
 from swarm.core.graph import Graph
 
@@ -106,7 +106,7 @@ def test_no_link_of_the_slot_radio_that_carries_is_given_up(graph, links, stay):
     assert ran.outcome.problems == ()
     assert ran.lost == 0
     assert ran.outcome.messages <= 1.3 * frames_of(edges, ways) * (iterations + 1)
-    model = [Exchange(edges, ways, Parameters(stay=stay), seed).paced(iterations) for seed in range(3)]
+    model = [Exchange(edges, ways, SlotParameters(stay=stay), seed).paced(iterations) for seed in range(3)]
     assert pace(ran.moments.values()) <= 1.3 * fmean(model)
 
 

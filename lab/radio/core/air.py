@@ -20,12 +20,12 @@ from lab.radio.core.controller import Controller
 from lab.radio.core.hci import Acl, Command, Status
 from lab.radio.core.link import Link
 from sim.slots.calls import SMALL, Calls
-from sim.slots.parameters import OVERHEAD, Parameters
-from sim.slots.radio import Device, RadioLink, SlotRadio
+from sim.slots.parameters import OVERHEAD, SlotParameters
+from sim.slots.radio import RadioDevice, RadioLink, SlotRadio
 from sim.virtual.events import EventQueue
 from swarm.core.random_numbers import RandomNumbers
 
-PARAMETERS = Parameters(host=0.0, setup=6, page_timeout=41.0)
+PARAMETERS = SlotParameters(host=0.0, setup=6, page_timeout=41.0)
 """Of the slot radio. Hosts are real: they take their own time, set their own page time-out, and exchange the frames of
 L2CAP and RFCOMM themselves, which leaves those of the link managers."""
 
@@ -68,7 +68,7 @@ class Air:
         if address in self._controllers:
             raise ValueError(f"controller {address} is there already")
         if address not in self._radio.devices:
-            self._radio.devices[address] = Device(address)
+            self._radio.devices[address] = RadioDevice(address)
             self.calls.add(address)
         self._controllers[address] = Controller(self, address, len(self._controllers))
 

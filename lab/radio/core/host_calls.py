@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 from lab.radio.core import hci
 from lab.radio.core.hci import Ev, Status
-from sim.slots.calls import ABSENT, BUSY, FULL, LATE, Call
+from sim.slots.calls import ABSENT, BUSY, FULL, LATE, CallAttempt
 from sim.slots.parameters import MAX_PERIPHERALS
 from sim.slots.radio import RadioLink
 
@@ -28,7 +28,7 @@ class HostCalls:
     """Calls that are under way, by the address of the other side."""
 
     def __init__(self, air: "Air", me: "Controller") -> None:
-        self.made: dict[str, Call] = {}
+        self.made: dict[str, CallAttempt] = {}
         """Those of our host, until the other one has answered."""
         self.received: dict[str, RadioLink] = {}
         """Those that our host has not answered yet."""
@@ -115,7 +115,7 @@ class HostCalls:
             self._air.send(address, hci.event(Ev.CONNECTION_REQUEST, ours))
             self._air.after(self._me.page_timeout, lambda: self._not_answered(address, call))
 
-    def _not_answered(self, address: str, call: Call) -> None:
+    def _not_answered(self, address: str, call: CallAttempt) -> None:
         if self.made.get(address) is call:
             self._fail(address, Status.ACCEPT_TIMEOUT)
 
@@ -128,7 +128,7 @@ class HostCalls:
         if called is not None and rang and self._me.address in called.calls.made:
             called.calls._fail(self._me.address, code)
 
-    def _give_up(self, call: Call) -> None:
+    def _give_up(self, call: CallAttempt) -> None:
         self._air.calls.cancel(call)
         if call.link is not None:
             self._air.refuse(call.link)

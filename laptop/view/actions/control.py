@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from laptop.view.actions.robot_actions import PageAction, RobotActions, check_parameter, named, settings_of
-from laptop.view.feeds.feed import LiveFeed, Publisher
+from laptop.view.feeds.feed import LiveFeed, RobotBus
 from swarm import clock
 from swarm.app.settings import on_top
 from swarm.config.types import AppConfig
@@ -115,7 +115,7 @@ class Control:
                 self._give(name, bus, stop=stop)
         return "stop given to all robots" if stop else "stops taken back"
 
-    def _give(self, name: str, bus: Publisher, *, stop: bool) -> None:
+    def _give(self, name: str, bus: RobotBus, *, stop: bool) -> None:
         if stop:
             bus.publish(STOP, Stop(clock.now(), name, REASON), urgent=True)
         else:

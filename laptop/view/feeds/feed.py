@@ -22,7 +22,7 @@ _LOOK_EVERY = 0.5
 """Seconds between two searches for new buses."""
 
 
-class Publisher(Protocol):
+class RobotBus(Protocol):
     """The way to a robot's bus."""
 
     @property
@@ -57,7 +57,7 @@ class LiveFeed(Protocol):
         """Return the swarm's config; None while it is unknown."""
 
     @property
-    def buses(self) -> Mapping[str, Publisher]:
+    def buses(self) -> Mapping[str, RobotBus]:
         """The way to each robot that has one."""
 
     def now(self) -> float:

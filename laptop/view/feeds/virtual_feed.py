@@ -7,7 +7,7 @@ import math
 import threading
 from collections.abc import Mapping
 
-from laptop.view.feeds.feed import Publisher
+from laptop.view.feeds.feed import RobotBus
 from laptop.view.feeds.picture import Picture
 from sim.scenario.quantities import FASTEST, SLOWEST
 from sim.virtual.bus import VirtualBus
@@ -53,7 +53,7 @@ class VirtualFeed:
         self.config: Config | None = config
         self.live = True
         """Whether the run is still going on."""
-        self.buses: Mapping[str, Publisher] = {}
+        self.buses: Mapping[str, RobotBus] = {}
         self._time = world.time
         self._now = 0.0
         self._speed = speed

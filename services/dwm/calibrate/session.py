@@ -86,7 +86,7 @@ class Presses:
         return [what for what, new, old in zip(meanings, counts, last, strict=True) for _ in range(new - old)]
 
 
-class Keys:
+class KeyPresses:
     """Keys of a terminal as they are pressed; of a pipe, a line whenever the guide waits for one."""
 
     def __init__(self, stream: TextIO) -> None:
@@ -120,7 +120,7 @@ def hold(
     guide: Guide, hearing: Hearing, module: str, path: Path, say: Callable[[str], None], now: Callable[[], float]
 ) -> None:
     """Run the session until it is done; samples are appended to `path`. Raises `BusError` where nothing is heard."""
-    reports, presses, keys = Reports(), Presses(), Keys(sys.stdin)
+    reports, presses, keys = Reports(), Presses(), KeyPresses(sys.stdin)
     with _new(path) as file, keyboard.Keyboard(sys.stdin).raw():
         file.write(HEADER + "\n")
         say(HELP)

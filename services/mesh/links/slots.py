@@ -1,8 +1,8 @@
 """`slots:` links: a Bluetooth radio that one process simulates for all robots (`sim.processes.radio`).
 
 Sockets keep packets apart (SOCK_SEQPACKET). At `RADIO_SOCKET` in the run directory, that of the robots' runtime
-directories, the process takes one request on each connection, a msgpack map: `Call` is answered by `Answer`, and where
-that has no reason the connection is the link from then on. `Supervise` and `Cut` have no answer.
+directories, the process takes one request on each connection, a msgpack map: `RadioCall` is answered by `RadioAnswer`,
+and where that has no reason the connection is the link from then on. `RadioSupervise` and `RadioCut` have no answer.
 
 It connects to the address of a robot that is called. The socket that it connects from has an address that ends in the
 caller's name. Once it connects without a name: as long as that connection is there, the robot can be called.
@@ -33,7 +33,7 @@ MAX_PACKET = 4096
 
 
 @frozen
-class Call:
+class RadioCall:
     """A robot wants a link to another one."""
 
     caller: str
@@ -41,7 +41,7 @@ class Call:
 
 
 @frozen
-class Answer:
+class RadioAnswer:
     """The end of a call."""
 
     reason: str
@@ -49,7 +49,7 @@ class Answer:
 
 
 @frozen
-class Supervise:
+class RadioSupervise:
     """A robot wants to be the central of a link, and the radio to give it up after somewhat less silence than this."""
 
     robot: str
@@ -58,7 +58,7 @@ class Supervise:
 
 
 @frozen
-class Cut:
+class RadioCut:
     """Nothing is to pass between two robots for so many seconds; 0 ends that."""
 
     a: str
@@ -66,7 +66,7 @@ class Cut:
     seconds: float
 
 
-Request = Call | Supervise | Cut
+Request = RadioCall | RadioSupervise | RadioCut
 
 ENDED = "the simulated radio has ended"
 
@@ -89,9 +89,9 @@ def ask(radio: Path, request: Request) -> socket.socket:
 def dial(path: Path, me: str, peer: str) -> Pipe:
     """Have the radio call the robot `peer` at this address. A call ends in some time. Raises OSError."""
     radio = path.parent.parent / RADIO_SOCKET
-    sock = ask(radio, Call(me, peer))
+    sock = ask(radio, RadioCall(me, peer))
     try:
-        answer = decode(Answer, sock.recv(MAX_PACKET), "the radio's answer")
+        answer = decode(RadioAnswer, sock.recv(MAX_PACKET), "the radio's answer")
     except (OSError, PayloadError):
         sock.close()
         raise ConnectionError(ENDED) from None
@@ -105,7 +105,7 @@ def dial(path: Path, me: str, peer: str) -> Pipe:
 
 def _supervise(radio: Path, me: str, peer: str, seconds: float) -> None:
     with contextlib.suppress(OSError):  # a radio that has ended has no link to give up
-        ask(radio, Supervise(me, peer, seconds)).close()
+        ask(radio, RadioSupervise(me, peer, seconds)).close()
 
 
 def _pipe(sock: socket.socket, caller: Caller = UNKNOWN) -> Pipe:

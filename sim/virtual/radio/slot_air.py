@@ -3,8 +3,8 @@
 from services.mesh.core.link.calls import Caller
 from services.mesh.core.link.session import Session
 from services.mesh.mesh import CLOSED
-from sim.slots.connections import CHUNK, Connections, End
-from sim.slots.parameters import Parameters
+from sim.slots.connections import CHUNK, End, RadioConnections
+from sim.slots.parameters import SlotParameters
 from sim.slots.radio import RadioLink
 from sim.virtual.events import EventQueue
 from sim.virtual.radio.air import Station
@@ -30,10 +30,10 @@ class SlotEnd(End):
             self.station.received([(self.session, "silent: the radio gave the link up")])
 
 
-class SlotAir(Connections):
+class SlotAir(RadioConnections):
     """All links of a swarm; see `sim.virtual.radio.air.Medium`."""
 
-    def __init__(self, time: EventQueue, names: tuple[str, ...], parameters: Parameters, seed: object) -> None:
+    def __init__(self, time: EventQueue, names: tuple[str, ...], parameters: SlotParameters, seed: object) -> None:
         super().__init__(time, names, parameters, seed)
         self._stations: dict[str, Station] = {}
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from laptop.foxglove import scene
-from laptop.foxglove.messages import Message, frames, log, sample
+from laptop.foxglove.messages import FoxgloveMessage, frames, log, sample
 from laptop.view.feeds.picture import Picture
 from swarm.config import parse
 from swarm.config.example import EXAMPLE
@@ -30,7 +30,7 @@ def config() -> Config:
     return parse(EXAMPLE, Path("swarm.toml"))
 
 
-def entities(message: Message) -> dict[str, Any]:
+def entities(message: FoxgloveMessage) -> dict[str, Any]:
     return {entity["id"]: entity for entity in json.loads(message.data)["entities"]}
 
 

@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 from services.mesh.core.link.calls import Caller
 from services.mesh.links import slots
 from services.mesh.links.pipe import Pipe
-from services.mesh.links.slots import RADIO_SOCKET, Answer, Call, Cut, SlotsListener, Supervise
+from services.mesh.links.slots import RADIO_SOCKET, RadioAnswer, RadioCall, RadioCut, RadioSupervise, SlotsListener
 from sim.control.link_cuts import cut
 from sim.processes.radio import LOOK_EVERY, MOST_LATE, RadioServer
 from sim.slots.calls import ABSENT
-from sim.slots.connections import SOCKET, Connections, End
-from sim.slots.parameters import Parameters
+from sim.slots.connections import SOCKET, End, RadioConnections
+from sim.slots.parameters import SlotParameters
 from sim.virtual.events import EventQueue
 from swarm.errors import LocalError
 from swarm.messages.codec import decode
@@ -46,7 +46,7 @@ class Swarm:
 
     def start_radio(self, seed: int = 1) -> RadioServer:
         meshes = {name: self.address(name) for name in NAMES}
-        self.server = RadioServer(self.run_dir, meshes, Parameters(), seed, self.now)
+        self.server = RadioServer(self.run_dir, meshes, SlotParameters(), seed, self.now)
         return self.server
 
     def address(self, name: str) -> Path:
@@ -86,9 +86,9 @@ class Swarm:
 
     def call(self, caller: str, called: str) -> tuple[str, socket.socket]:
         """Return the reason why there is no link, and the connection."""
-        sock = slots.ask(self.run_dir / RADIO_SOCKET, Call(caller, called))
+        sock = slots.ask(self.run_dir / RADIO_SOCKET, RadioCall(caller, called))
         self.run(lambda: select.select([sock], [], [], 0)[0])
-        return decode(Answer, sock.recv(1024), "answer").reason, sock
+        return decode(RadioAnswer, sock.recv(1024), "answer").reason, sock
 
     def link(self, caller: str, called: str) -> tuple[Pipe, Pipe]:
         reason, sock = self.call(caller, called)
@@ -182,7 +182,7 @@ def test_the_sockets_change_no_time_of_the_model(swarm: Swarm) -> None:
     swarm.run(arrived)
 
     clock = EventQueue()
-    core = Connections(clock, NAMES, Parameters(), 7)
+    core = RadioConnections(clock, NAMES, SlotParameters(), 7)
     core.reachable.update(NAMES)
     ends = []
 
@@ -205,7 +205,7 @@ def test_a_robot_without_a_mesh_is_called_in_vain_for_the_time_of_a_page(swarm: 
     reason, sock = swarm.call("r0", "r1")
     sock.close()
     assert reason == ABSENT
-    assert swarm.now - began == pytest.approx(Parameters().page_timeout, abs=LOOK_EVERY)
+    assert swarm.now - began == pytest.approx(SlotParameters().page_timeout, abs=LOOK_EVERY)
     swarm.start_mesh("r1")
     swarm.link("r0", "r1")
 
@@ -222,7 +222,7 @@ def test_a_mesh_that_ends_is_noticed_at_the_other_end_after_what_it_has_sent(swa
 
 
 def test_a_caller_that_has_ended_meanwhile_leaves_no_link(swarm: Swarm) -> None:
-    slots.ask(swarm.run_dir / RADIO_SOCKET, Call("r0", "r1")).close()
+    slots.ask(swarm.run_dir / RADIO_SOCKET, RadioCall("r0", "r1")).close()
     far = []
     swarm.run(lambda: far.append(swarm.accepted("r1")) or far[-1] is not None)
     swarm.run(lambda: received(far[-1]) is None)
@@ -232,7 +232,7 @@ def test_a_caller_that_has_ended_meanwhile_leaves_no_link(swarm: Swarm) -> None:
 def test_a_cut_passes_nothing_and_a_link_ends_after_its_supervision(swarm: Swarm) -> None:
     near, far = swarm.link("r0", "r1")
     radio = swarm.run_dir / RADIO_SOCKET
-    slots.ask(radio, Supervise("r0", "r1", 3.0)).close()
+    slots.ask(radio, RadioSupervise("r0", "r1", 3.0)).close()
     cut(swarm.run_dir, "r0", "r1", 60.0)
     swarm.let_pass(0.01)
     write(near, b"lost")
@@ -312,7 +312,7 @@ def test_a_request_that_is_none_is_refused_and_the_radio_goes_on(swarm: Swarm, d
 
 
 @pytest.mark.parametrize(
-    "request_", [Call("r0", "r9"), Call("r0", "r0"), Cut("r7", "r0", 1.0), Supervise("a", "b", 1.0)]
+    "request_", [RadioCall("r0", "r9"), RadioCall("r0", "r0"), RadioCut("r7", "r0", 1.0), RadioSupervise("a", "b", 1.0)]
 )
 def test_a_request_about_robots_that_are_not_there_is_refused(swarm: Swarm, request_: slots.Request) -> None:
     sock = slots.ask(swarm.run_dir / RADIO_SOCKET, request_)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim.slots.calls import ABSENT, BUSY, FULL, Calls
-from sim.slots.parameters import EDR2, FRAME, MAX_PERIPHERALS, OVERHEAD, SLOT, THESIS, Parameters
+from sim.slots.parameters import EDR2, FRAME, MAX_PERIPHERALS, OVERHEAD, SLOT, THESIS, SlotParameters
 from sim.slots.radio import SlotRadio
 from sim.virtual.events import EventQueue
 from swarm.errors import ConfigError
@@ -90,7 +90,7 @@ def planned(swarm, graph, frames):
 @settings(max_examples=60, deadline=None)
 @given(GRAPHS, FRAMES, st.sampled_from((0.05, 0.3)), st.sampled_from((0.0, 0.05, 0.5)), st.integers(0, 9))
 def test_every_frame_arrives_once_and_in_order_on_any_graph(graph, frames, stay, loss, seed):
-    swarm = Swarm(graph, Parameters(stay=stay, loss=loss), seed)
+    swarm = Swarm(graph, SlotParameters(stay=stay, loss=loss), seed)
     sent = planned(swarm, graph, frames)
     swarm.run(at_last(frames) + 60.0)
     assert not swarm.lost
@@ -108,7 +108,7 @@ def test_every_frame_arrives_once_and_in_order_on_any_graph(graph, frames, stay,
 @given(GRAPHS, st.integers(0, 9))
 def test_the_same_seed_gives_the_same_times(graph, seed):
     def times():
-        swarm = Swarm(graph, Parameters(), seed)
+        swarm = Swarm(graph, SlotParameters(), seed)
         for number, link in enumerate(graph * 3):
             swarm.time.at(0.1 * number, swarm.send, link, link[number % 2], 100, number)
         swarm.run(5.0)
@@ -128,7 +128,7 @@ def test_a_saturated_link_carries_what_its_packets_hold_and_no_more():
 
 def test_bridges_share_their_time_and_are_slower_than_one_piconet():
     def mean(graph):
-        swarm = Swarm(graph, Parameters())
+        swarm = Swarm(graph, SlotParameters())
         sent = {}
         for number in range(200):
             sent[number] = 0.1 * number
@@ -144,7 +144,7 @@ def test_bridges_share_their_time_and_are_slower_than_one_piconet():
 @settings(max_examples=60, deadline=None)
 @given(GRAPHS, FRAMES, st.lists(st.tuples(st.floats(0.0, 5.0), st.integers(0, 9)), max_size=8), st.integers(0, 9))
 def test_switches_of_roles_lose_and_reorder_nothing(graph, frames, switches, seed):
-    swarm = Swarm(graph, Parameters(), seed)
+    swarm = Swarm(graph, SlotParameters(), seed)
     sent = planned(swarm, graph, frames)
     for time, which in switches:
         swarm.time.at(time, swarm.radio.switch_roles, swarm.links[graph[which % len(graph)]])
@@ -164,7 +164,7 @@ def link_names(link):
 
 
 def test_who_is_called_by_all_and_has_all_roles_switched_is_no_bridge_any_more():
-    swarm = Swarm([("a", "hub"), ("b", "hub"), ("c", "hub")], Parameters())
+    swarm = Swarm([("a", "hub"), ("b", "hub"), ("c", "hub")], SlotParameters())
     swarm.run(3.0)
     for link in swarm.links.values():
         swarm.radio.switch_roles(link)
@@ -179,7 +179,7 @@ def test_who_is_called_by_all_and_has_all_roles_switched_is_no_bridge_any_more()
 
 def test_who_asks_to_be_central_is_so_while_its_piconet_has_room():
     calls = [*((f"p{number}", "hub") for number in range(MAX_PERIPHERALS)), ("late", "hub")]
-    swarm = Swarm(calls, Parameters())
+    swarm = Swarm(calls, SlotParameters())
     for caller, called in calls:
         swarm.radio.be_central("hub", swarm.links[caller, called])
         swarm.radio.be_central("hub", swarm.links[caller, called])
@@ -189,7 +189,7 @@ def test_who_asks_to_be_central_is_so_while_its_piconet_has_room():
 
 def test_pairs_in_a_poor_place_lose_more_packets_than_others():
     def sent_in(losses):
-        swarm = Swarm([("a", "b"), ("a", "c")], Parameters(loss=0.0))
+        swarm = Swarm([("a", "b"), ("a", "c")], SlotParameters(loss=0.0))
         swarm.radio.losses.update(losses)
         for number in range(100):
             swarm.send(("a", "b"), "a", 100, number)
@@ -300,7 +300,7 @@ def test_a_piconet_has_room_for_seven():
 
 def test_all_robots_of_a_full_graph_can_call_each_other_at_once():
     names = [f"r{n}" for n in range(4)]
-    swarm = Made(names, Parameters())
+    swarm = Made(names, SlotParameters())
     pairs = list(itertools.combinations(names, 2))
     for pair in pairs:
         swarm.call(*pair)
@@ -310,13 +310,13 @@ def test_all_robots_of_a_full_graph_can_call_each_other_at_once():
 
 @given(st.floats(0.001, 10.0), st.integers(1, 99), st.floats(0.0, 0.9), st.floats(0.1, 9.0))
 def test_parameters_are_written_as_they_are_read(stay, buffers, loss, scan):
-    found = Parameters(stay=stay, buffers=buffers, loss=loss, scan=scan)
-    assert Parameters.parse(found.text()) == found
-    assert Parameters().text() == ""
+    found = SlotParameters(stay=stay, buffers=buffers, loss=loss, scan=scan)
+    assert SlotParameters.parse(found.text()) == found
+    assert SlotParameters().text() == ""
 
 
 def test_parameters_are_read_and_refused_by_name():
-    assert Parameters.parse("stay=0.2,buffers=6") == Parameters(stay=0.2, buffers=6)
+    assert SlotParameters.parse("stay=0.2,buffers=6") == SlotParameters(stay=0.2, buffers=6)
     for wrong in ("stay=0", "stay=long", "speed=2", "loss=0.95", "loss=-1", "stay=nan", "spread=1"):
         with pytest.raises(ConfigError):
-            Parameters.parse(wrong)
+            SlotParameters.parse(wrong)

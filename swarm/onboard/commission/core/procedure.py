@@ -124,7 +124,7 @@ class Desk:
         return True
 
 
-class Step(NamedTuple):
+class ProcedureStep(NamedTuple):
     """One step of the procedure."""
 
     name: str
@@ -149,7 +149,7 @@ class StepResult:
 class Procedure:
     """The whole of it; `done` at its end, and then there is a `report`."""
 
-    def __init__(self, subject: Subject, steps: Sequence[Step]) -> None:
+    def __init__(self, subject: Subject, steps: Sequence[ProcedureStep]) -> None:
         self.desk = Desk(subject)
         self._steps = steps
         self._script = self._run()
@@ -201,7 +201,7 @@ class Procedure:
             ],
         }
 
-    def _result(self, step: Step) -> StepResult:
+    def _result(self, step: ProcedureStep) -> StepResult:
         return self.results.get(step.name, StepResult(step.name, NOT_TRIED, 0, {}))
 
     def _pressed(self, buttons: Buttons) -> None:
@@ -224,7 +224,7 @@ class Procedure:
                 if not again:
                     return
 
-    def _try(self, step: Step) -> Generator[None, None, bool]:
+    def _try(self, step: ProcedureStep) -> Generator[None, None, bool]:
         desk = self.desk
         desk.figures = {}
         tries = self._result(step).tries + 1
