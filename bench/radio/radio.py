@@ -82,7 +82,7 @@ class Sizes:
     """Of runs beside an absent robot, which is called each 100 to 150 s."""
     size: int = SIZE
     """Bytes of the large message."""
-    trouble: tuple[str, ...] = ("line 6", "loop 6", "thesis-d 6", "full 6")
+    trouble: tuple[str, ...] = ("line 6", "thesis-d 6", "full 6")
     """Graphs on which the hub is in trouble."""
 
 

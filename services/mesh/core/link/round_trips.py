@@ -66,6 +66,10 @@ class RoundTrips:
 SUSPECT_AFTER, DEAD_AFTER = 1.0, 3.0
 """Times that an answer is expected in, besides a heartbeat's period, after which silence is suspicious, and the end."""
 
+UNKNOWN_AFTER = 2.0
+"""Times as long as a handshake may take after which such a link ends whose round trips are not known yet: its own
+handshake may have been a quick one."""
+
 BRIDGED_AFTER = 5.0
 """Times as long as the longest round trip of late after which a link whose ends may be in several piconets ends: two
 ends can miss one another for longer than a few dozens of heartbeats have shown."""
@@ -123,7 +127,8 @@ class Pulse:
         not show that these two hardly do."""
         least = max(local.dead, self.silence(local.heartbeat, DEAD_AFTER))
         if local.pages and not self.is_steady(local.heartbeat):
-            least = max(least, local.handshake, BRIDGED_AFTER * self.longest)
+            young = UNKNOWN_AFTER if len(self.rtts) < KNOWN else 1.0
+            least = max(least, young * local.handshake, BRIDGED_AFTER * self.longest)
         return min(least, local.patience)
 
     def next_beat(self, now: float, least: float, incarnation: int) -> float:
