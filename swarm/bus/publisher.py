@@ -47,8 +47,11 @@ class Publisher:
 
     def heard(self) -> bool:
         """Return whether anybody may listen. Raises `zenoh.ZError`."""
-        audience, now = self.audience, clock.now()
-        if (audience.sure and audience.there) or now < audience.ask_at:
+        audience = self.audience
+        if audience.sure and audience.there:
+            return True
+        now = clock.now()
+        if now < audience.ask_at:
             return audience.there
         # In this order, since who comes meanwhile is told of by `matched`.
         audience.sure, audience.there, audience.ask_at = True, False, now + _CERTAIN_S

@@ -135,17 +135,24 @@ def test_who_comes_later_hears_what_nobody_heard_before(open_bus: Open, monkeypa
         subscription.close()
 
 
+def heard_by_another(open_bus: Open) -> tuple[Bus, Publisher, Samples]:
+    """A client, its publisher of a key, and what another client hears of it."""
+    alice, bob = open_bus(), open_bus()
+    samples = Samples()
+    bob.subscribe("swarm/r0/test/x", samples)
+    talk(alice, "swarm/r0/test/x", samples)
+    return alice, alice._publishers["swarm/r0/test/x", False], samples
+
+
 @pytest.mark.usefixtures("bus_service")
 def test_a_key_is_not_silent_for_ever_when_the_word_that_somebody_listens_was_lost(
     open_bus: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("swarm.bus.publisher._CERTAIN_S", 0.0)
-    alice, bob = open_bus(), open_bus()
-    samples = Samples()
-    bob.subscribe("swarm/r0/test/x", samples)
-    talk(alice, "swarm/r0/test/x", samples)
-    alice._publishers["swarm/r0/test/x", False].audience.there = False
+    alice, publisher, samples = heard_by_another(open_bus)
+    publisher.audience.there = False
     talk(alice, "swarm/r0/test/x", samples, b"later")
+    assert publisher.audience.there
 
 
 @pytest.mark.usefixtures("bus_service")
@@ -153,11 +160,7 @@ def test_a_key_is_not_silent_where_zenoh_says_for_ever_that_nobody_listens(
     open_bus: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("swarm.bus.publisher._CERTAIN_S", 0.01)
-    alice, bob = open_bus(), open_bus()
-    samples = Samples()
-    bob.subscribe("swarm/r0/test/x", samples)
-    talk(alice, "swarm/r0/test/x", samples)
-    publisher = alice._publishers["swarm/r0/test/x", False]
+    alice, publisher, samples = heard_by_another(open_bus)
 
     class Wrong:
         """What Zenoh has declared, and its word that nobody listens."""
