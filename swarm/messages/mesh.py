@@ -306,6 +306,11 @@ class Topology:
     hub: MeasuredHub | None = None
     """None where the hub is not chosen by measurement."""
 
+    @property
+    def number(self) -> str:
+        """Return version and step as people read them; the step only where there may be one."""
+        return f"{self.version}.{self.step}" if self.auto or self.step else str(self.version)
+
 
 TOPICS = with_telemetry(
     {

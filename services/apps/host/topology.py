@@ -155,9 +155,7 @@ class TopologyWatch:
     def take(self, topology: Topology) -> None:
         """The topology in force."""
         lost = self._needed - set(topology.wanted)
-        self._version = (
-            f"{topology.version}.{topology.step}" if topology.auto or topology.step else str(topology.version)
-        )
+        self._version = topology.number
         if lost - self._lost:
             self._on_lost(self._text(lost))
         self._lost = lost

@@ -92,16 +92,12 @@ def table(answers: Answers[Topology]) -> list[str]:
         down = [peer for peer in each.wanted if peer not in each.up]
         missing = [f"{robot} ({why})" for robot, why in sorted(each.missing.items())]
         lists = (" ".join(each.up), " ".join(down), " ".join(each.kept), ", ".join(missing))
-        rows.append((name, _version(each), each.issuer or "-", *(text or "-" for text in lists)))
+        rows.append((name, each.number, each.issuer or "-", *(text or "-" for text in lists)))
     newest = max(answers.newest.values(), key=lambda each: (each.version, each.step, each.issuer))
-    end = [f"version {_version(newest)}{', automatic' if newest.auto else ''}: {pairs(newest.edges) or 'none yet'}"]
+    end = [f"version {newest.number}{', automatic' if newest.auto else ''}: {pairs(newest.edges) or 'none yet'}"]
     if newest.links:
         end.append(f"carried by: {pairs(newest.links)}")
     return [*columns(rows), "", *end]
-
-
-def _version(topology: Topology) -> str:
-    return f"{topology.version}.{topology.step}" if topology.auto or topology.step else str(topology.version)
 
 
 def _wish(words: list[str]) -> tuple[str, tuple[tuple[str, ...], ...]]:
