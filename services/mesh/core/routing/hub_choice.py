@@ -44,6 +44,8 @@ REST, LONGEST_REST = 600.0, 4 * 3600.0
 EVERY = 5.0
 """Seconds between two looks at the round trips."""
 
+_NEVER = float("inf")
+
 
 class Reached(NamedTuple):
     """A robot that is in reach of the hub."""
@@ -98,7 +100,7 @@ class HubChoice:
         self._tried: set[int] = set()
         self._rest = REST
         self._rest_until = 0.0
-        self._next = 0.0
+        self._next = _NEVER
 
     @property
     def mean(self) -> float | None:
@@ -106,7 +108,7 @@ class HubChoice:
         return fmean(mean for _, mean, _ in self._looks) if self._looks else None
 
     def next_deadline(self) -> float:
-        """Return the time of the next look."""
+        """Return the time of the next look; infinite before `begin`, and while another robot is the hub."""
         return self._next
 
     def begin(self, now: float) -> None:
@@ -132,7 +134,7 @@ class HubChoice:
         if now < self._next:
             return hub
         if hub.place != self._place:
-            self._next = float("inf")
+            self._next = _NEVER
             return hub
         self._next = now + EVERY
         if reached:
@@ -140,17 +142,24 @@ class HubChoice:
             self._looks.append((now, fmean(times), median(times)))
         while self._looks and self._looks[0][0] <= now - MEASURED:
             self._looks.popleft()
-        mean = self.mean
-        if hub.trial and hub.before not in reached:
+        return self._on_trial(hub, reached, now) if hub.trial else self._in_office(hub, reached, now)
+
+    def _on_trial(self, hub: Hub, reached: Mapping[int, Reached], now: float) -> Hub:
+        """Go on with the trial, hand back, or stay the hub."""
+        if hub.before not in reached:
             return hub  # nobody is there to hand back to
-        if hub.trial:
-            if now >= self._since + LOST and not self._had <= reached.keys() | {self._place}:
-                return handed(hub.before, self._place, None)
-            if now >= self._since + MEASURED and self._looks and self._looks[-1][1] * 1e3 > PAYS * hub.round_trip:
-                return handed(hub.before, self._place, self._looks[-1][1])
-            if now < self._since + TRIAL:
-                return hub
-            return handed(hub.before, self._place, None) if mean is None else verdict(hub, mean)
+        if now >= self._since + LOST and not self._had <= reached.keys() | {self._place}:
+            return handed(hub.before, self._place, None)
+        if now >= self._since + MEASURED and self._looks and self._looks[-1][1] * 1e3 > PAYS * hub.round_trip:
+            return handed(hub.before, self._place, self._looks[-1][1])
+        if now < self._since + TRIAL:
+            return hub
+        mean = self.mean
+        return handed(hub.before, self._place, None) if mean is None else verdict(hub, mean)
+
+    def _in_office(self, hub: Hub, reached: Mapping[int, Reached], now: float) -> Hub:
+        """Stay the hub, or have another robot tried."""
+        mean = self.mean
         if mean is None or not is_slow(reached.values(), mean, fmean(middle for *_, middle in self._looks)):
             self._slow_since = None
             return hub

@@ -228,13 +228,14 @@ class Linking:
         if self.adopted is None:
             self.adopted = now
             self._down = dict.fromkeys(self.wanted, now)
-            self._choice.begin(now)
+            if self._ground.measured:
+                self._choice.begin(now)
             self._announce(now)
         if now >= min(self._look_at, self._check_at):
             self._look(now)
         if now >= self._plan_at:
             self._plan(now)
-        if self._ground.measured and now >= self._choice.next_deadline():
+        if now >= self._choice.next_deadline():
             self._choose(now)
         if now >= self._repeat_at:
             self._repeat_at = _NEVER
@@ -247,9 +248,13 @@ class Linking:
 
     def next_deadline(self) -> float:
         """Return the time at which `handle_timer` must be called."""
-        choose_at = self._choice.next_deadline() if self._ground.measured else _NEVER
         return min(
-            self._look_at, self._check_at, self._plan_at, self._repeat_at, self._search.next_deadline(), choose_at
+            self._look_at,
+            self._check_at,
+            self._plan_at,
+            self._repeat_at,
+            self._search.next_deadline(),
+            self._choice.next_deadline(),
         )
 
     # -- outputs -----------------------------------------------------------------------------------------------
@@ -416,13 +421,10 @@ class Linking:
 
     def _choose(self, now: float) -> None:
         """Measure the links of this robot, where it is the hub, and let another one be it where that may pay."""
-        own, place = self._map.links(self._me), self._ground.place
-        reached = {
-            place[name]: Reached(
-                2e-4 * (own[name] if route.hops == 1 else route.time), route.hops, len(self._map.links(name))
-            )
-            for name, route in self._map.routes().items()
-        }
+        own, place, reached = self._map.links(self._me), self._ground.place, {}
+        for name, route in self._map.routes().items():
+            one_way = 1e-4 * (own[name] if route.hops == 1 else route.time)
+            reached[place[name]] = Reached(2.0 * one_way, route.hops, len(self._map.links(name)))
         hub = self._choice.look(self.value.hub, reached, now)
         if hub != self.value.hub and self.value.step < MAX_STEP:
             self._adopt(self.value._replace(step=self.value.step + 1, issuer=self._me, hub=hub), None, now)

@@ -70,6 +70,8 @@ class Swarm:
         self.means, self.deaf, self.noise = means, deaf, noise
         self.hub = Hub()
         self.choices = [HubChoice(place) for place in range(len(means))]
+        for choice in self.choices:
+            choice.begin(0.0)
         self.changes = []
         self.now = 0.0
 
