@@ -70,6 +70,10 @@ class World(TimedWorld):
         self.clock_error: dict[str, float] = {}
         self.passed: list[tuple[str, Passed]] = []
         """Who has told that a message was handed on."""
+        self.former: list[tuple[str, list[tuple[str, bytes]]]] = []
+        """What robots received in the lives that `disturb` has ended."""
+        self.lives: Counter[str] = Counter()
+        """How many lives of each robot those were."""
         self.messages: Counter[int] = Counter()
         self.bytes: Counter[int] = Counter()
         self.counting: Callable[[Transmit], int] = lambda packet: packet.overlay
@@ -136,6 +140,24 @@ class World(TimedWorld):
         edge = self.edges[frozenset((a, b))]
         generation = edge.generation
         self.at(self.now + 3 * self._latency(a, b), lambda: self._up(a, b, generation))
+
+    def disturb(self, what: str, value: float, option: int = 0) -> None:
+        """Do one step of a property: `cut` (silently by `option`) or `join` a link, `restart` a robot, both chosen by
+        the number `value`, or `wait` for `value` s. What a robot received before a restart is in `former`."""
+        links = [sorted(edge) for edge in self.edges]
+        match what:
+            case "cut":
+                self.cut(*links[int(value) % len(links)], silent=bool(option))
+            case "join":
+                self.join(*links[int(value) % len(links)])
+            case "restart":
+                name = self.names[int(value) % len(self.names)]
+                self.former.append((name, self.bots[name].inbox))
+                self.lives[name] += 1
+                self.kill(name)
+                self.start(name)
+            case "wait":
+                self.run(value)
 
     def settle(self, seconds: float = 2.0) -> None:
         """Run until links are up and routes known, and forget what came meanwhile."""

@@ -131,9 +131,6 @@ def test_whatever_happens_large_messages_arrive_whole_once_and_are_told_truly(
     world = World(GRAPHS[graph], jitter=jitter, seed=seed)
     world.run(1.0)
     world.loss = loss
-    edges = [sorted(edge) for edge in world.edges]
-    lives: dict[str, int] = dict.fromkeys(world.names, 0)
-    inboxes: list[tuple[str, list[tuple[str, bytes]]]] = []
     sent: dict[int, tuple[str, str, int]] = {}
     floods: dict[int, tuple[str, int]] = {}
     for count, (what, value, option) in enumerate(steps):
@@ -141,11 +138,11 @@ def test_whatever_happens_large_messages_arrive_whole_once_and_are_told_truly(
         match what:
             case "send":
                 to = world.names[option % len(world.names)]
-                sent[count] = (name, to, lives[name])
+                sent[count] = (name, to, world.lives[name])
                 request = SendRequest(f"t{count}", "test", to, large(count), "bulk", 100.0)
                 world.step(name, lambda each, request=request: each.request(request, world.now))
             case "flood":
-                floods[count] = (name, lives[name])
+                floods[count] = (name, world.lives[name])
                 wish = FloodRequest(f"t{count}", "test", large(count), "bulk", False)
                 world.step(name, lambda each, wish=wish: each.request(wish, world.now))
             case "latest":
@@ -154,19 +151,10 @@ def test_whatever_happens_large_messages_arrive_whole_once_and_are_told_truly(
                     name,
                     lambda each, key=key, payload=payload: each.flood(key, payload, BULK, world.now, latest=True),
                 )
-            case "cut":
-                world.cut(*edges[int(value) % len(edges)], silent=bool(option))
-            case "join":
-                world.join(*edges[int(value) % len(edges)])
-            case "restart":
-                inboxes.append((name, world.bots[name].inbox))
-                world.kill(name)
-                world.start(name)
-                lives[name] += 1
-            case "wait":
-                world.run(value)
+            case _:
+                world.disturb(what, value, option)
     world.run(60.0)
-    inboxes += [(name, bot.inbox) for name, bot in world.bots.items()]
+    inboxes = [*world.former, *((name, bot.inbox) for name, bot in world.bots.items())]
     whole = {large(count) for count in range(len(steps))}
     for _, inbox in inboxes:
         ours = [(key, data) for key, data in inbox if len(data) > packets.MAX_MESSAGE]
@@ -177,13 +165,13 @@ def test_whatever_happens_large_messages_arrive_whole_once_and_are_told_truly(
             values = [data for each, data in ours if each == key]
             assert values == sorted(values), "an older value after a newer one"
     for count, (name, to, life) in sent.items():
-        if life == lives[name]:
+        if life == world.lives[name]:
             answer = world.sent(name, f"t{count}")
             assert answer is not None, "no answer at all"
             got = any(data == large(count) for who, inbox in inboxes if who == to for _, data in inbox)
             assert got or not answer.delivered, "it says that it arrived"
     for count, (name, life) in floods.items():
-        if life == lives[name]:
+        if life == world.lives[name]:
             flooded = world.flooded(name, f"t{count}")
             assert flooded is not None, "no answer at all"
             for who in flooded.robots:

@@ -111,7 +111,6 @@ accidents = st.lists(
 
 
 def disturb(world: World, steps: Sequence[tuple[str, float, int]], sent: list[tuple[str, bytes]]) -> None:
-    edges = [sorted(edge) for edge in world.edges]
     for count, (what, value, option) in enumerate(steps):
         match what:
             case "flood":
@@ -120,16 +119,8 @@ def disturb(world: World, steps: Sequence[tuple[str, float, int]], sent: list[tu
                 world.flood(name, b"%d" % count, ticket=f"t{count}")
             case "latest":
                 publish(world, world.names[int(value) % len(world.names)], f"k{option}", b"%d" % count)
-            case "cut":
-                world.cut(*edges[int(value) % len(edges)], silent=bool(option))
-            case "join":
-                world.join(*edges[int(value) % len(edges)])
-            case "restart":
-                name = world.names[int(value) % len(world.names)]
-                world.kill(name)
-                world.start(name)
-            case "wait":
-                world.run(value)
+            case _:
+                world.disturb(what, value, option)
 
 
 @settings(max_examples=60, deadline=None)

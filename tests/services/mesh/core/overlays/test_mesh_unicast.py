@@ -321,36 +321,24 @@ def test_whatever_happens_delivered_at_most_once_and_said_truly(
 ) -> None:
     world = World(GRAPHS[graph], jitter=jitter, seed=seed)
     world.run(1.0)
-    edges = [sorted(edge) for edge in world.edges]
-    lives: dict[str, int] = dict.fromkeys(world.names, 0)
-    inboxes: list[tuple[str, list[tuple[str, bytes]]]] = []
     sent: dict[int, tuple[str, str, int]] = {}
     for count, (what, value, option) in enumerate(steps):
         name = world.names[int(value) % len(world.names)]
         match what:
             case "send":
                 to = world.names[option % len(world.names)]
-                sent[count] = (name, to, lives[name])
+                sent[count] = (name, to, world.lives[name])
                 world.send(name, to, b"%d" % count, ticket=f"t{count}")
-            case "cut":
-                world.cut(*edges[int(value) % len(edges)], silent=bool(option))
-            case "join":
-                world.join(*edges[int(value) % len(edges)])
-            case "restart":
-                inboxes.append((name, world.bots[name].inbox))
-                world.kill(name)
-                world.start(name)
-                lives[name] += 1
-            case "wait":
-                world.run(value)
+            case _:
+                world.disturb(what, value, option)
     world.run(15.0)
-    inboxes += [(name, bot.inbox) for name, bot in world.bots.items()]
+    inboxes = [*world.former, *((name, bot.inbox) for name, bot in world.bots.items())]
     for name, inbox in inboxes:
         arrived = [data for key, data in inbox if "/send/" in key]
         assert len(arrived) == len(set(arrived)), "twice in one life"
         assert all(sent[int(data)][1] == name for data in arrived)
     for count, (name, to, life) in sent.items():
-        if life == lives[name]:
+        if life == world.lives[name]:
             answer = world.sent(name, f"t{count}")
             assert answer is not None, "no answer at all"
             arrived = any(
