@@ -11,7 +11,7 @@ from collections.abc import Callable
 from swarm import clock
 from swarm.messages import ModuleAnswer, ModuleRequest
 from swarm.messages.keys import key
-from swarm.process.runtime import listen
+from swarm.process.runtime import listen, refuse
 from swarm.process.service import Service
 
 MAX_OPEN = 16
@@ -48,7 +48,7 @@ class ModuleRequests:
     def _take(self, request: ModuleRequest) -> None:
         """Runs on Zenoh's thread."""
         if len(request.request) > MAX_REQUEST:
-            self._service.counters["refused_payloads"] += 1
+            refuse(self._service, f"a request of {len(request.request)} bytes: at most {MAX_REQUEST} are taken")
             return
         if request.ticket in self._answers:
             known = self._answers[request.ticket]

@@ -204,14 +204,14 @@ class Overlays:
     def on_complete(self, callback: Callable[[str, Flooded], None]) -> None:
         """Call `callback(origin, answer)` on Zenoh's thread when all have another robot's flood with `announce`."""
 
-        def take(origin: str, answer: Flooded) -> None:
-            if answer.app == self._app:
-                callback(origin, answer)
-
         def handle(name: str, payload: bytes) -> None:
             origin = parse(name).robot
-            if origin != self._robot:
-                decoded(Flooded, partial(take, origin))(name, payload)
+
+            def take(answer: Flooded) -> None:
+                if answer.app == self._app and origin != self._robot:
+                    callback(origin, answer)
+
+            decoded(Flooded, take)(name, payload)
 
         self._bus.subscribe(key("*", "mesh", "flooded"), handle)
 
