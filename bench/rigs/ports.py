@@ -9,6 +9,7 @@ _FIRST, _LAST = 20_000, 32_000
 
 _held: list[socket.socket] = []
 _random = random.Random()
+"""Apart from the module's own generator, which tests seed: all would try the same ports."""
 
 
 def free_port() -> int:

@@ -145,7 +145,7 @@ class SlotRadio:
         self.passes: Callable[[str, str], bool] = lambda a, b: True
         """Whether two robots hear each other."""
         self.losses: dict[frozenset[str], float] = {}
-        """Probabilities, as `Parameters.loss`, between pairs of robots that differ from it."""
+        """Probabilities, as `SlotParameters.loss`, between pairs of robots that differ from it."""
 
     def switch_off(self, name: str) -> None:
         """Let a device fall silent without a word: the others lose its links by supervision. From now on its name is

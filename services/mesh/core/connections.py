@@ -103,7 +103,8 @@ class Connections:
         """The connection that we asked for could not be made."""
         page = self._calling.called(peer, now)
         if (link := self.links.get(peer)) is not None:
-            # A neighbour that others reach is no absent one: what waits for this link waits for each call.
+            # A neighbour that others reach is no absent one: what waits for this link waits for each call. Where other
+            # links than the graph's carry it, nothing waits.
             absent = self._local.pages and (self._linking.carried or not self._linking.is_reachable(peer))
             link.failed(reason, now, page if absent else 0.0)
             self._actions.add(LinksChanged())

@@ -35,7 +35,7 @@ LONGEST_DELAY = 5.0
 time, and there is no last attempt."""
 
 EAGER = 3
-"""Calls of a robot that has not been met yet after which calls keep to `OTHERS_SHARE`."""
+"""Calls of a target in vain after which `Search` keeps to `OTHERS_SHARE`, where calls are no pages."""
 
 EAGER_S = 15.0
 """Seconds of calls of a robot in vain after which calls keep to `SHARE`: three pages. A call that fails at once keeps
