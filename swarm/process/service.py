@@ -97,9 +97,13 @@ class Service:
         return Status(clock.now(), self.name, state, reason, os.getpid(), since, counters)
 
     def close(self) -> None:
-        """Announce the end and leave the bus."""
+        """Announce the end and leave the bus. Only the main thread may call it."""
         self._change("stopping", "")
         self.bus.close()
+        # As it ends, Python gives signals that have a handler back to the kernel. The next one would kill the process,
+        # and its exit code would tell of that signal, not of its work.
+        for number in _STOP_SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
 
     def __enter__(self) -> "Service":
         return self
