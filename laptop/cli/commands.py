@@ -50,12 +50,12 @@ SECTIONS: Sections = {
         ),
         "measure": robot.MEASURE._replace(
             commands={
-                "rtt": Command("laptop.cli.measure", ("rtt",), robot.MEASURE.commands["rtt"].help, FAR),
+                "rtt": Command("laptop.cli.measure.links", ("rtt",), robot.MEASURE.commands["rtt"].help, FAR),
                 "throughput": Command(
-                    "laptop.cli.measure", ("throughput",), robot.MEASURE.commands["throughput"].help, FAR
+                    "laptop.cli.measure.links", ("throughput",), robot.MEASURE.commands["throughput"].help, FAR
                 ),
-                "radio": Command("laptop.cli.radio", far=FAR),
-                "slots": Command("laptop.cli.slots"),
+                "radio": Command("laptop.cli.measure.radio", far=FAR),
+                "slots": Command("laptop.cli.measure.slots"),
                 "i2c": robot.MEASURE.commands["i2c"]._replace(far=FAR),
             }
         ),

@@ -1,6 +1,6 @@
 """The documented path on three robots, each a machine of its own: the very code blocks of the tutorial with the labels
-`laptop` and `lab` (tests/docs/documented_path.py), from an empty folder and provisioned machines to robots that stand,
-and on to a run that was brought home."""
+`laptop` and `lab` (tests/docs/executed/documented_path.py), from an empty folder and provisioned machines to robots
+that stand, and on to a run that was brought home."""
 
 import os
 import re

@@ -16,7 +16,7 @@ from hci_controller import ADAPTERS, HANDLE, PEER, Controller, complete
 from hypothesis import given
 from hypothesis import strategies as st
 
-from laptop.cli import radio as command
+from laptop.cli.measure import radio as command
 from swarm.bluetooth import adapter as adapters
 from swarm.bluetooth import hci
 from swarm.bluetooth.adapter import Adapter

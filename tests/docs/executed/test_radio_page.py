@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 PAGE = ROOT / "docs/how-to/network/fit-the-radio.md"
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]

@@ -14,7 +14,7 @@ from bench.rigs.running import running
 from services.dwm.core.calibration import calibration_file
 from swarm.process.simulations import default_run_dir, is_live
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs/how-to/robots/calibrate.md").read_text(encoding="utf-8").replace("\\\n", " ")
 BLOCK = re.compile(r"```sh rehearsal\n(swarm sim .*)\n(swarm calibrate .*)\n(swarm hand place r0) .*\n```")
 START = re.compile(r"place \d+ of \d+: \((\S+), (\S+)\) m, heading 0 degrees: start\?")

@@ -9,7 +9,7 @@ import pytest
 from swarm import simulate
 from swarm.config import parse
 
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = Path(__file__).parents[3] / "docs"
 CONFIGURATION = """
 network = "lab"
 robots = [{ name = "r0" }, { name = "r1" }, { name = "r2" }]

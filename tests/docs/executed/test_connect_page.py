@@ -18,7 +18,7 @@ from bench.rigs.running import running
 from swarm.bus.zenoh_bus import Bus
 from swarm.messages import Pose, read
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 PAGES = ("how-to/tools/zenoh-client.md", "how-to/runs/export.md")
 PROGRAM = re.compile(r"^```python (\S+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 PROGRAMS = dict(PROGRAM.findall("".join((ROOT / "docs" / page).read_text(encoding="utf-8") for page in PAGES)))

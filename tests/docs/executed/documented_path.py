@@ -2,10 +2,10 @@
 
 The label of a block in its fence says which test runs it as it stands:
 
-    ```sh laptop       tests/docs/test_documented_path.py: needs no robot
+    ```sh laptop       tests/docs/executed/test_documented_path.py: needs no robot
     ```sh lab          tests/lab/test_lab_day_one.py: three virtual machines as robots
     ```sh ssh          tests/laptop/fleet/test_docs_commands.py: ssh servers as robots
-    ```sh rehearsal    tests/docs/test_calibration_rehearsal.py: a simulation
+    ```sh rehearsal    tests/docs/executed/test_calibration_rehearsal.py: a simulation
     ```sh shown="why it is not run: the test that runs such a command"
 """
 
@@ -13,7 +13,7 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 DOCS = ROOT / "docs"
 TUTORIAL = "tutorials/three-robots.md"
 PAGES = (
@@ -31,10 +31,10 @@ PAGES = (
     "how-to/robots/stand-and-drive.md",
 )
 LABELS = {
-    "laptop": "tests/docs/test_documented_path.py",
+    "laptop": "tests/docs/executed/test_documented_path.py",
     "lab": "tests/lab/test_lab_day_one.py",
     "ssh": "tests/laptop/fleet/test_docs_commands.py",
-    "rehearsal": "tests/docs/test_calibration_rehearsal.py",
+    "rehearsal": "tests/docs/executed/test_calibration_rehearsal.py",
 }
 """By label the test that runs such blocks."""
 FENCE = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)

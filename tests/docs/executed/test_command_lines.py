@@ -17,7 +17,7 @@ from laptop.cli.commands import SECTIONS
 from sim.scenario import options as simulation
 from swarm.onboard.command_line import Command, CommandGroup, commands_of, parser_of, with_verb
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 INDENTED = re.compile(r"^ {4}((?:\./run )?swarm (?:.*\\\n)*.*)$", re.MULTILINE)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = Path(__file__).parents[3] / "docs"
 PAGES = {
     "tutorials/first-swarm.md": (4, ("first.png", "second.png")),
     "tutorials/own-algorithm.md": (8, ("descent.png", "states.png")),

@@ -1,4 +1,4 @@
-"""`swarm measure slots`: recorded runs are read, fitted and told; tests/docs/test_radio_page.py has the rehearsal."""
+"""`swarm measure slots`: recorded runs are read, fitted and told; test_radio_page.py has the rehearsal."""
 
 import argparse
 import json
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from laptop.cli import slots
+from laptop.cli.measure import slots
 from sim.virtual.run import simulate
 from swarm.errors import LocalError
 from swarm.messages import LinkState

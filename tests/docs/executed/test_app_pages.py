@@ -9,7 +9,7 @@ from test_tutorial import commands_on_the_path
 
 from services.apps import loader
 
-PAGES = Path(__file__).parents[2] / "docs/reference/apps"
+PAGES = Path(__file__).parents[3] / "docs/reference/apps"
 PICTURE = re.compile(r"^```sh picture\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 SHOWN = re.compile(r"!\[[^]]+\]\(\.\./\.\./images/([a-z0-9_]+\.png)\)")
 
