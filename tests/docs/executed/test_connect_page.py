@@ -19,7 +19,7 @@ from swarm.bus.zenoh_bus import Bus
 from swarm.messages import Pose, read
 
 ROOT = Path(__file__).parents[3]
-PAGES = ("how-to/tools/zenoh-client.md", "how-to/runs/export.md")
+PAGES = ("how-to/tools/zenoh-client.md", "how-to/runs/export.md", "reference/overlays-client.md")
 PROGRAM = re.compile(r"^```python (\S+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 PROGRAMS = dict(PROGRAM.findall("".join((ROOT / "docs" / page).read_text(encoding="utf-8") for page in PAGES)))
 
@@ -52,6 +52,14 @@ def until_said(program: str, folder: Path, text: str, *arguments: object) -> Non
 
 def test_a_stock_zenoh_client_reads_an_apps_state(simulation: Path) -> None:
     until_said("client.py", simulation, "'value':", simulation / "run" / "r0" / "bus.sock", 3)
+
+
+def test_a_program_beside_the_apps_floods_and_sends(simulation: Path) -> None:
+    until_said("flood.py", simulation, "delivered=True", simulation / "run")
+    said = run_program("flood.py", simulation, simulation / "run")
+    assert "flood from r0 b'hello'" in said
+    assert "robots=('r1',), complete=True" in said
+    assert "message from r0 b'psst'" in said
 
 
 @needs_ssh

@@ -11,12 +11,13 @@ import pytest
 
 DOCS = Path(__file__).parents[3] / "docs"
 PAGES = {
+    "index.md": (0, ()),
     "tutorials/first-swarm.md": (4, ("first.png", "second.png")),
     "tutorials/own-algorithm.md": (8, ("descent.png", "states.png")),
     "how-to/apps/max-consensus.md": (2, ()),
 }
 """Pages whose files and commands are run: the fewest quick commands of each, and the pictures that they make."""
-WITH_PROCESSES = ("tutorials/first-swarm.md", "tutorials/own-algorithm.md")
+WITH_PROCESSES = ("index.md", "tutorials/first-swarm.md", "tutorials/own-algorithm.md")
 
 BLOCK = re.compile(r"^```(\w+) ?([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 

@@ -200,10 +200,10 @@ def test_the_example_follow_leds_lights_robots_in_turn() -> None:
 )
 def test_the_apps_of_the_documentation_are_apps(tmp_path: Path, page: str) -> None:
     text = (EXAMPLES.parent / page).read_text()
-    blocks = [block for block in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL) if "class " in block]
+    blocks = [block for block in re.findall(r"```python[^\n]*\n(.*?)```", text, flags=re.DOTALL) if "class " in block]
     assert blocks
     for number, block in enumerate(blocks):
         lines = block if "import" in block else f"from swarm import SyncApp\n{block}"
         name = f"page{number}"
-        app = loader.load(write(tmp_path, lines, f"{name}.py"))
-        app.check(config_of(3, app=name))
+        swarm = rehearse(write(tmp_path, lines, f"{name}.py"), robots=3)
+        swarm.run(10)
