@@ -13,7 +13,7 @@ import tempfile
 import threading
 import time
 import warnings
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -94,6 +94,11 @@ def costly(count: int) -> Callable[[Any], Any]:
 def examples(count: int) -> int:
     """How many of `count` costly examples, or seconds of a costly run, this run has time for."""
     return count if _thorough else count // 3
+
+
+def thinned(values: Iterable[Any]) -> list[Any]:
+    """Parameters of a test that takes long: every third value is for the suite, the others are for the slow rigs."""
+    return [pytest.param(value, marks=[pytest.mark.slow] if number % 3 else []) for number, value in enumerate(values)]
 
 
 @pytest.hookimpl(wrapper=True)

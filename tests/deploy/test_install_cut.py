@@ -263,6 +263,7 @@ def test_another_config_and_key_for_the_same_release_come_together(robot: Robot)
     check(robot, steps, whole("1"), new)
 
 
+@pytest.mark.slow
 def test_a_release_that_does_not_run_is_taken_back_with_its_config_and_key(robot: Robot) -> None:
     robot.run(robot.release("1") / "install", *files(robot, "1"))
     steps = robot.run(

@@ -82,6 +82,7 @@ def test_a_robots_wheel_holds_neither_the_simulated_world_nor_the_laptop() -> No
     assert not [name for name in names if "__pycache__" in name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [("sim", "consensus", "--robots", "2", "--iterations", "3"), ("check", "mine.py")])
 def test_files_of_the_user_take_no_place_of_our_modules(runtime: Path, words: tuple[str, ...]) -> None:
     """Whoever types `swarm` in a folder with a `sim.py` or a `laptop.py` runs our modules, and so do its processes."""

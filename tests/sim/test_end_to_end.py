@@ -77,6 +77,7 @@ def test_a_run_over_a_hub_whose_mesh_ends_is_the_undisturbed_one_bit_for_bit():
             assert simulation.trajectory(name).rows == path.rows
 
 
+@pytest.mark.slow
 def test_killed_services_and_a_stopped_app_change_no_bit():
     """Who is stopped is named by those who wait for it. Lockstep needs its apps and meshes alone, so the others are
     killed while it stands, for the run not to end before they are back."""
@@ -189,6 +190,7 @@ def test_a_robot_with_another_version_of_the_app_is_named(tmp_path):
         assert simulation.trajectory("r0", "mean").last > 20
 
 
+@pytest.mark.slow
 def test_a_robot_that_is_cut_off_for_ever_does_not_keep_the_others_from_their_end():
     drop = ("--absent", "drop", "--drop-after", "1.5", "--cut", "r1-r2@0.2s,999s")
     report = simulate("consensus", "--iterations", "60", "--latency", "10ms", *drop, **FORKED)

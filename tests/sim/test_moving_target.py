@@ -25,6 +25,7 @@ def test_a_moving_target_stands_until_all_have_begun_and_then_goes_straight_on()
     assert not World().moving
 
 
+@pytest.mark.slow
 def test_the_algorithm_moving_follows_a_target_behind_which_info_lags():
     follows, outcome = simulate(*SIX, *MOVING, "--algorithm", "moving")
     moved = math.dist(outcome.targets()["r0"], (0.5, 1.0))

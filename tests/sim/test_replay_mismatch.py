@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from conftest import thinned
 
 from laptop.cli.runs import export
 from services.apps.builtin.localization import ALGORITHMS
@@ -120,7 +121,7 @@ def test_lengths_in_another_unit_are_named(tmp_path: Path, recorded: dict[str, s
             replay(written(tmp_path, changed))
 
 
-@pytest.mark.parametrize("algorithm", sorted(ALGORITHMS.keys() - {"thesis"}))
+@pytest.mark.parametrize("algorithm", thinned(sorted(ALGORITHMS.keys() - {"thesis"})))
 def test_another_algorithm_ends_where_the_recording_does(tmp_path: Path, algorithm: str) -> None:
     """A recorded run that has settled at (0.5, 1.0), replayed; then with estimates that its measurements contradict."""
     places, files = ((0.5, 1.5), (1.0, 0.5), (1.5, 1.5)), {}

@@ -241,6 +241,7 @@ def test_the_phone_apps_auto_positioning_is_used_where_it_was_done(run, board, r
         assert told["anchors"][address] == pytest.approx(place, abs=0.003)
 
 
+@pytest.mark.slow
 def test_a_tag_is_carried_from_anchor_to_anchor(run, service, board, processes):
     process = processes.start("-m", "laptop.cli", "dwm", "anchors", "--auto", "--seconds", "2", "--json")
     for place in ((0.0, 0.0), (1.94, 0.0), (1.0, 1.94)):

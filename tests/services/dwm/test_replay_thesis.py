@@ -75,6 +75,7 @@ def test_no_row_of_test_5_makes_a_message_that_is_too_large() -> None:
                 assert len(encode(message)) < 200
 
 
+@pytest.mark.slow
 def test_no_telemetry_of_a_swarm_on_test_5_is_too_large(caplog: pytest.LogCaptureFixture) -> None:
     words = ("--algorithm", "thesis", "--step-size", "5e-7", "--latency", "0ms")
     report, outcome = simulate("localization", "--replay", str(TEST_5), *words)

@@ -352,6 +352,7 @@ def test_balance_commands_reach_a_running_robot_and_say_what_came_of_them(robot:
     assert balance("stand") == (0, {"ok": True, "text": "stands"})
 
 
+@pytest.mark.slow
 def test_a_robot_drives_by_keyboard_and_stops_when_the_key_is_let_go(robot: Robot) -> None:
     """At a terminal of its own, which is as before afterwards, whichever way it ends."""
     robot.wait_balancing()

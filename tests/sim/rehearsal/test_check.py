@@ -237,6 +237,7 @@ def test_the_last_of_all_steps_is_rehearsed(tmp_path: Path, short: None) -> None
     assert f"step 99: {file}, line 7: AssertionError" in check.judge(findings(file), [])["problems"][0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["SyncApp", "PeriodicApp"])
 def test_poses_and_ranges_come_in_the_rehearsal_of_every_kind(tmp_path: Path, short: None, kind: str) -> None:
     text = f"from swarm import {kind}\nclass Mine({kind}):\n    x: float = 0.0\n    def step(self, neighbours):\n"

@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+from conftest import thinned
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -134,7 +135,7 @@ def test_the_limit_of_a_gain_is_found(tmp_path):
     assert "gain settles" in sweep_results.limits(points, "gain", brackets)
 
 
-@pytest.mark.parametrize("engine", engines.ENGINES)
+@pytest.mark.parametrize("engine", thinned(engines.ENGINES))
 def test_the_command_gives_what_one_process_gives(engine, tmp_path):
     if engine == "dask":
         pytest.importorskip("distributed", reason="Dask is not installed: pip install distributed")
@@ -188,6 +189,7 @@ def figures(runs):
     return [(each.point, each.seed, each.settled, each.error, each.seconds, each.problem) for each in runs]
 
 
+@pytest.mark.slow
 def test_a_dask_cluster_that_runs_already_gives_the_same():
     """Of it only the address is known."""
     distributed = pytest.importorskip("distributed", reason="Dask is not installed: pip install distributed")

@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from conftest import thinned
 
 from bench.rigs.running import running
 from services.apps import loader
@@ -94,7 +95,7 @@ def recordings(tmp_path_factory):
         yield [Recordings(tmp_path_factory.mktemp(f"hash{salt}"), salt, stack) for salt in ("1", "2")]
 
 
-@pytest.mark.parametrize("app", sorted(APPS))
+@pytest.mark.parametrize("app", thinned(sorted(APPS)))
 def test_every_app_records_the_same_bytes(recordings, app):
     (problems, digests, size), again = (each.of(app) for each in recordings)
     assert problems == []

@@ -151,6 +151,7 @@ def test_an_operator_sends_a_robot_away_and_lets_it_come_back():
     assert abs(path.last - outcome.trajectories["r3"].last) <= 2
 
 
+@pytest.mark.slow
 def test_changes_of_members_are_the_same_bytes_whatever_the_hashes_are(tmp_path):
     def files(name, salt):
         disturbed = (*DROP, "--jitter", "10ms", "--off", "r3@1s,5s", "--cut", "r0-r1@2s,3s")

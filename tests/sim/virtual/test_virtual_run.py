@@ -208,6 +208,7 @@ def test_an_app_that_waits_for_events_ends_when_nothing_happens():
     assert report["result"]["r1"] == {"presses": 1}
 
 
+@pytest.mark.slow
 def test_an_app_that_never_rests_and_has_no_iterations_ends():
     report, _ = simulate("led_sync", "--algorithm", "thesis", "--robots", "2")
     assert report["problems"] == []

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from commission_world import ANCHORS, OFFSET, World
+from conftest import thinned
 
 from services.dwm.calibrate import making
 from sim.core.actions import MISWIRINGS
@@ -67,7 +68,7 @@ def test_a_part_that_is_mounted_wrong_is_named_and_no_motor_reaches_full_power(p
     assert "stand-on-floor" not in world.asked
 
 
-@pytest.mark.parametrize("part", ["left-motor", "right-encoder"])
+@pytest.mark.parametrize("part", thinned(["left-motor", "right-encoder"]))
 def test_a_step_is_tried_again_once_its_fault_is_mended_and_the_robot_stands(part: str) -> None:
     world = World()
     world.robot.miswire(part, back=False)
@@ -90,6 +91,7 @@ def test_a_dead_anchor_is_named() -> None:
     assert world.largest_duty <= LOW_POWER
 
 
+@pytest.mark.slow
 def test_an_anchor_that_stands_elsewhere_is_named_by_the_offsets_step() -> None:
     world = World()
     world.wrong["D10A"] = 0.8

@@ -19,6 +19,7 @@ def record(path: Path, iterations: int) -> None:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_loop_tells_how_long_bridges_stay_and_nothing_of_hosts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

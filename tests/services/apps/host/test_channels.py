@@ -2,6 +2,7 @@
 
 import signal
 
+import pytest
 from apps_rig import NAMES, Rig
 from host_rig import MakeRig, ask, consensus, make_rig
 
@@ -61,6 +62,7 @@ def phase(rig: Rig, name: str, channel: str, wanted: str) -> None:
     rig.until(lambda: key in rig.told and rig.told[key].phase == wanted, f"{key} {wanted}")
 
 
+@pytest.mark.slow
 def test_two_channels_of_one_app_never_mix(make_rig: MakeRig) -> None:
     """The same class twice, one of them in fault on one robot: the other goes to its end, kills and all."""
     rig = make_rig("")

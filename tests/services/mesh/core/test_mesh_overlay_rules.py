@@ -132,6 +132,7 @@ def test_a_value_too_long_for_its_overlay_is_counted() -> None:
     assert sorted(len(payload) for _, payload in world.bots["r3"].inbox) == [packets.MAX_MESSAGE, packets.MAX_SPREAD]
 
 
+@pytest.mark.slow
 def test_in_the_bulk_class_rules_carry_a_mebibyte() -> None:
     world = World(LINE, rules=RULES)
     world.run(1.0)

@@ -73,6 +73,7 @@ def test_no_way_is_said(peer: str, text: str) -> None:
 # -- between real meshes -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_links_and_paths_are_measured_over_each_overlay(
     build: Build, swarm: Swarm, monkeypatch: pytest.MonkeyPatch, runtime: Path
 ) -> None:

@@ -41,6 +41,7 @@ def test_a_robot_that_comes_late_is_called_and_waited_for_over_the_slot_radio():
     assert report["iterations"] == 60
 
 
+@pytest.mark.slow
 def test_a_robot_that_was_absent_for_long_knocks_and_is_called_back():
     more = ("--radio", "slots", "--links", "star", "--absent", "drop", "--drop-after", "3", "--off", "r2@start,80s")
     options = parse([*CONSENSUS[:5], "--virtual", "--seconds", "120", *more])

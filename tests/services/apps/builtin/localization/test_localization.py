@@ -219,6 +219,7 @@ def test_the_origin_is_the_mean_of_the_anchors() -> None:
         assert (result["x"], result["y"]) == pytest.approx((TARGET[0] + 300, TARGET[1] - 200), abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "shape"), [(3, "line"), (6, "line"), (6, "thesis-d")])
 def test_info_errs_no_more_than_least_squares_of_all_ranges(count: int, shape: str) -> None:
     """Root mean square over 60 draws; least squares of the range residuals is what a central computer would do."""

@@ -5,6 +5,7 @@ import random
 import statistics
 
 import pytest
+from conftest import thinned
 from hypothesis import given
 from hypothesis import strategies as st
 from localization_rig import exact, noisy, place, rounds_to
@@ -48,7 +49,7 @@ def test_rounds_to_a_centimetre_on_exact_ranges(algorithm: str, rounds: tuple[in
 
 
 @pytest.mark.parametrize(("count", "shape"), GRAPHS)
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", thinned(range(3)))
 def test_nids_ends_on_the_least_squares_of_all_ranges(count: int, shape: str, seed: int) -> None:
     swarm = run("nids", count, shape, 250, frozen(seed))
     for name in swarm.results:
@@ -151,7 +152,7 @@ def test_every_algorithm_tells_that_two_places_fit(algorithm: str) -> None:
         assert found == [pytest.approx(TARGET, abs=0.01), pytest.approx(mirror, abs=0.01)]
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@pytest.mark.parametrize("algorithm", thinned(ALGORITHMS))
 def test_noise_that_goes_on_leaves_no_bias(algorithm: str) -> None:
     parameters = {"step_size": 0.01} if algorithm in ("thesis", "diging") else {}
     swarm = run(algorithm, 3, "line", 700, noisy, every=True, **parameters)

@@ -6,7 +6,7 @@ import random
 
 import pytest
 from balancer_rig import CONFIGURED, OTHER, PLANTS, Rig, scaled, upright
-from conftest import examples
+from conftest import examples, thinned
 
 from services.balancer.balancer import RETRY_S, TOLERATED_ERRORS
 from services.balancer.core.devices import balboa, imu
@@ -30,7 +30,7 @@ def test_a_robot_stands_upright_for_a_minute(name: str) -> None:
 
 
 @pytest.mark.costly
-@pytest.mark.parametrize("name", [name for name in PLANTS if "%" in name])
+@pytest.mark.parametrize("name", thinned(name for name in PLANTS if "%" in name))
 def test_upright_with_each_parameter_a_fifth_off(name: str) -> None:
     stands(upright(plant=PLANTS[name], seed=len(name)).run(examples(30)))
 
@@ -61,7 +61,7 @@ def test_a_standing_robot_recovers_from_a_push(plant, momentum: float) -> None:
 
 
 @pytest.mark.parametrize("plant", [CONFIGURED, OTHER], ids=["configured", "other"])
-@pytest.mark.parametrize("mean", [0.005, 0.010])
+@pytest.mark.parametrize("mean", thinned([0.010, 0.005]))
 def test_a_standing_robot_bears_a_loop_that_is_late_at_random(plant, mean: float) -> None:
     rng = random.Random(11)
     rig = upright(plant=plant, lateness=lambda _tick: rng.expovariate(1 / mean)).run(60)
@@ -111,7 +111,7 @@ def test_wrong_upright_is_learned() -> None:
 
 
 @pytest.mark.parametrize("side", [1, -1])
-@pytest.mark.parametrize("name", [name for name in PLANTS if name.startswith("configured") or name == "other"])
+@pytest.mark.parametrize("name", thinned(name for name in PLANTS if name.startswith("configured") or name == "other"))
 def test_a_robot_stands_up_from_front_and_back(name: str, side: int) -> None:
     rig = Rig(PLANTS[name], tilt=side * math.radians(110), held=False).run(15)
     assert on_its_feet(rig)

@@ -82,6 +82,7 @@ def test_pushes_while_it_drives_change_neither_way_nor_heading(plant) -> None:
     assert rig.body.heading == pytest.approx(0.0, abs=math.radians(3))
 
 
+@pytest.mark.slow
 def test_heading_is_held_for_minutes_with_unlike_motors() -> None:
     """A motor that is a tenth weaker, and wheels of which one slips now and then."""
     rig = upright().run(3)

@@ -4,7 +4,7 @@ import math
 
 import pytest
 from balancer_rig import CONFIGURED, OTHER, PLANTS, Rig, scaled, upright
-from conftest import examples
+from conftest import examples, thinned
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -24,7 +24,7 @@ def test_every_controller_of_the_config_is_there() -> None:
 
 
 @pytest.mark.costly
-@pytest.mark.parametrize("name", PLANTS)
+@pytest.mark.parametrize("name", thinned(PLANTS))
 def test_pololus_constants_stand_on_both_bodies_and_a_fifth_off(name: str) -> None:
     rig = upright(plant=PLANTS[name], seed=len(name), controller="pololu").run(examples(30))
     assert rig.balancer.mode == "balancing"
@@ -33,7 +33,7 @@ def test_pololus_constants_stand_on_both_bodies_and_a_fifth_off(name: str) -> No
 
 
 @pytest.mark.costly
-@pytest.mark.parametrize("name", [name for name in PLANTS if name.startswith("configured")])
+@pytest.mark.parametrize("name", thinned(name for name in PLANTS if name.startswith("configured")))
 def test_the_thesis_constants_stand_on_our_body(name: str) -> None:
     rig = upright(plant=PLANTS[name], seed=len(name), controller="thesis").run(examples(30))
     assert rig.balancer.mode == "balancing"
@@ -67,7 +67,7 @@ def test_each_board_and_payload_has_gains_that_hold_it(board: str, payload: floa
 
 
 @pytest.mark.costly
-@pytest.mark.parametrize("name", ["mass", "lever", "inertia", "stall_torque", "free_speed"])
+@pytest.mark.parametrize("name", thinned(["mass", "lever", "inertia", "stall_torque", "free_speed"]))
 @pytest.mark.parametrize("factor", [0.8, 1.2])
 def test_a_pi_4_stands_and_gets_up_with_each_parameter_a_fifth_off(name: str, factor: float) -> None:
     body = body_model("pi4", Body())

@@ -21,6 +21,7 @@ def judged(speed, hidden, limit, seeds):
     return found
 
 
+@pytest.mark.slow
 def test_at_half_a_metre_a_second_averages_are_far_behind():
     found = judged(*SCENARIOS[2][1:], 3)
     assert found["IQR + MA15"] > 10 * found["EKF"]

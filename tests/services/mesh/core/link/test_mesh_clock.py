@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 import pytest
-from conftest import costly
+from conftest import costly, thinned
 from hypothesis import given
 from hypothesis import strategies as st
 from mesh_world import World
@@ -133,7 +133,7 @@ def shaped(shape: str, robots: int = 6) -> Graph:
 
 
 @pytest.mark.parametrize("shape", ["line", "loop", "thesis-d"])
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", thinned([1, 2]))
 def test_robots_agree_to_some_milliseconds(shape: str, seed: int) -> None:
     """30 +- 10 ms links, crystals +- 30 ppm: at most 6 ms mean and 12 ms worst between any two robots."""
     world = Clocks(shaped(shape), seed=seed)

@@ -154,6 +154,7 @@ def test_a_robot_that_is_started_anew_is_no_copy(silent: bool) -> None:
     assert not any("another robot" in problems(world, name) for name in world.bots)
 
 
+@pytest.mark.slow
 def test_two_halves_with_a_robot_of_one_name_each_do_not_make_routes_flap_for_long() -> None:
     """Both links are old when the halves meet, so both stay; the link states take turns, less and less often."""
     edges = (("r0", "r1"), ("r1", "r2"), ("r2", "r3"), ("r0", "r3"))

@@ -46,7 +46,14 @@ def kind_of(packet: Transmit) -> int:
             return REPAIR
 
 
-@pytest.mark.parametrize("count", [30, 100, pytest.param(1000, marks=[pytest.mark.slow, pytest.mark.timeout(900)])])
+@pytest.mark.parametrize(
+    "count",
+    [
+        30,
+        pytest.param(100, marks=pytest.mark.slow),
+        pytest.param(1000, marks=[pytest.mark.slow, pytest.mark.timeout(900)]),
+    ],
+)
 def test_messages_and_bytes_follow_the_formulas(count: int) -> None:
     edges = small_world(count)
     world = World(edges)

@@ -237,6 +237,7 @@ def star(hub):
     return {name: [other for other in SIX if other != hub] if name == hub else [hub] for name in SIX}
 
 
+@pytest.mark.slow
 def test_a_hub_that_does_not_hear_a_robot_hands_over_to_one_that_does(monkeypatch):
     for name, seconds in (("SUSTAINED", 15.0), ("TRIAL", 30.0), ("MEASURED", 15.0)):
         monkeypatch.setattr(hub_choice, name, seconds)

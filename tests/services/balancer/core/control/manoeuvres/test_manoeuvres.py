@@ -4,6 +4,7 @@ import math
 
 import pytest
 from balancer_rig import CONFIGURED, OTHER, PLANTS, Rig, upright
+from conftest import thinned
 
 from services.balancer.core.control.estimation import posture
 from services.balancer.core.control.estimation.gyro import STILL_RANGE
@@ -23,7 +24,7 @@ def touch_down_rate(rig: Rig) -> float:
     return max(rates[-3:])
 
 
-@pytest.mark.parametrize("name", PLANTS)
+@pytest.mark.parametrize("name", thinned(PLANTS))
 def test_a_robot_lies_down_gently_and_ends_idle(name: str) -> None:
     gentle = upright(plant=PLANTS[name]).run(3)
     gentle.balancer.command("lie", gentle.now)
