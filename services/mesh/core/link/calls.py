@@ -1,8 +1,8 @@
-"""The calls that make links: who calls whom and when, who may call this robot, and who may be at the other end.
+"""The calls that make links: who calls whom and when, and who may be at the other end.
 
 `Dialler` says when a neighbour is to be dialled, which `dials` gives to one of the two ends. A Bluetooth page keeps the
 caller's radio from its links, so a robot that does not answer is called rarely. When it is back and nobody calls it, it
-knocks: it calls those who should call it, and they call back at once (`Connections`).
+knocks: it calls those who should call it, and they call back at once (`calling`, `Connections`).
 
 `Search` looks for robots by calling those that we would dial and have no link with. Those out of the swarm's reach
 (`far`) are called again and again, with a growing pause; those in the swarm whom we have not reached ourselves
@@ -10,15 +10,9 @@ knocks: it calls those who should call it, and they call back at once (`Connecti
 of an absent robot takes a Bluetooth adapter 5 s. (An inquiry takes it 10 s, finds also what is not ours, and needs
 PyBluez: that is `swarm discover`.)
 
-`Callers` bounds what a stranger can cost us before we believe a word of it: `MAX_HALF_OPEN` handshakes at once for
-all of them and `MAX_PER_SOURCE` for one address, and an address whose handshakes we refuse is shut out for a while.
-An address of a neighbour has room of its own, which nobody else's calls take, and is never shut out: a neighbour that
-was set up wrongly dials with a back-off of its own, and who forges its address must not be able to lock it out.
-
 `refusal` says what a HELLO must say so that its sender may prove that it holds the key.
 """
 
-from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
@@ -48,10 +42,6 @@ SHARE = 0.05
 
 OTHERS_SHARE = 0.02
 """The same of all others together."""
-
-KNOCK = 12.0
-"""Seconds between two looks of a robot whether it has any link; up to twice that, so that robots do not look
-together. A lost hub has a successor by then, whose radio a knock of 5 s would take."""
 
 JITTER = 0.5
 """Each delay is spread by this fraction up and down, so that robots that lost each other together do not
@@ -134,22 +124,6 @@ class Dialler:
             self._next = min(self._next, now + FIRST_DELAY)
 
 
-MAX_HALF_OPEN = 16
-"""Handshakes of strangers, and of callers without a known address, at the same time."""
-
-MAX_PER_SOURCE = 8
-"""Handshakes of one address at the same time."""
-
-FIRST_SHUT_OUT = 0.2
-"""Seconds that an address is shut out after a refused handshake; doubles with each further one."""
-
-LONGEST_SHUT_OUT = 5.0
-"""s; as long as our own robots wait at most until they call again."""
-
-_MAX_REMEMBERED = 256
-"""Addresses whose refusals are remembered; the longest unheard of goes first."""
-
-
 @frozen
 class Caller:
     """A caller as the transport knows it before a byte was exchanged."""
@@ -169,47 +143,6 @@ class Caller:
 
 UNKNOWN = Caller()
 """A caller of whom the transport knows nothing."""
-
-
-class Callers:
-    """Remembers whom we refused."""
-
-    def __init__(self) -> None:
-        self._refused: OrderedDict[str, tuple[int, float]] = OrderedDict()
-
-    def refusal(self, caller: Caller, half_open: Iterable[Caller], now: float) -> tuple[str, str, str] | None:
-        """Why a caller may not begin its handshake: counter, problem and text; None where it may."""
-        if caller.robot == "":
-            text = f"connection refused: {caller.source} is the address of no robot of ours"
-            return "refused_robot", "strange address", text
-        if self.has_room(caller, half_open, now):
-            return None
-        limit = f"more than {MAX_HALF_OPEN} wait for their handshake, or the last ones from there were refused"
-        text = f"connection refused source={caller.source or 'unknown'}: {limit}"
-        return "half_open", "half-open connections", text
-
-    def has_room(self, caller: Caller, half_open: Iterable[Caller], now: float) -> bool:
-        """Return whether a caller may begin its handshake while those of `half_open` are in theirs."""
-        if now < self._refused.get(caller.source, (0, 0.0))[1]:
-            return False
-        same = strangers = 0
-        for other in half_open:
-            same += caller.source == other.source != ""
-            strangers += not other.has_own_room
-        return same < MAX_PER_SOURCE and (caller.has_own_room or strangers < MAX_HALF_OPEN)
-
-    def refused(self, caller: Caller, now: float) -> None:
-        """Note that a handshake of this caller was refused."""
-        if caller.has_own_room or not caller.source:
-            return
-        count, _ = self._refused.pop(caller.source, (0, 0.0))
-        self._refused[caller.source] = count + 1, now + min(LONGEST_SHUT_OUT, FIRST_SHUT_OUT * 2.0 ** min(count, 16))
-        if len(self._refused) > _MAX_REMEMBERED:
-            self._refused.popitem(last=False)
-
-    def confirmed(self, caller: Caller) -> None:
-        """Forget the refusals of a caller that has proved to be a robot of the swarm."""
-        self._refused.pop(caller.source, None)
 
 
 FIRST_PAUSE = 0.5

@@ -23,8 +23,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule, run_state_machine_as_test
 from mesh_world import End, Raw
 
-from services.mesh.core.link import calls
-from services.mesh.core.link.calls import MAX_HALF_OPEN, MAX_PER_SOURCE, Caller, Callers
+from services.mesh.core import calling
+from services.mesh.core.calling import MAX_HALF_OPEN, MAX_PER_SOURCE, Callers
+from services.mesh.core.link.calls import Caller
 
 __all__ = ["watched"]
 
@@ -115,7 +116,7 @@ def test_what_is_remembered_of_strangers_is_bounded() -> None:
     gate = Callers()
     for number in range(1000):
         gate.refused(Caller(f"10.0.{number >> 8}.{number & 255}"), 0.0)
-    assert len(gate._refused) == calls._MAX_REMEMBERED
+    assert len(gate._refused) == calling._MAX_REMEMBERED
     last = Caller("10.0.3.231")
     assert not gate.has_room(last, (), 0.1)
     assert gate.has_room(last, (), 0.3)
@@ -124,7 +125,7 @@ def test_what_is_remembered_of_strangers_is_bounded() -> None:
     assert gate.has_room(last, (), 0.31)
     for _ in range(50):
         gate.refused(last, 1.0)
-    assert gate.has_room(last, (), 1.0 + calls.LONGEST_SHUT_OUT)
+    assert gate.has_room(last, (), 1.0 + calling.LONGEST_SHUT_OUT)
 
 
 class Siege(RuleBasedStateMachine):

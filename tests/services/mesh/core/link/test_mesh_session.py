@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from mesh_world import ACCIDENTS, World
 from raw_hello import KEYS, hello
 
-from services.mesh.core.link.calls import EAGER_S, FIRST_DELAY, LONGEST_DELAY, MAX_HALF_OPEN, SHARE, Dialler, dials
+from services.mesh.core.calling import MAX_HALF_OPEN
+from services.mesh.core.link.calls import EAGER_S, FIRST_DELAY, LONGEST_DELAY, SHARE, Dialler, dials
 from services.mesh.core.wire import frames
 from swarm.config.types import MeshConfig, RobotConfig
 
