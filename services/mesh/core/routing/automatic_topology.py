@@ -17,11 +17,11 @@ Links with a robot that is away stay as far as there is room: who comes back fin
 """
 
 import heapq
-from collections.abc import Collection, Iterable, Mapping, Sequence, Set
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import lru_cache
 
 from services.mesh.core.routing.link_state import LinkStateMap
-from services.mesh.core.routing.topology import MAX_LINKS, Ground
+from services.mesh.core.routing.topology import MAX_LINKS, Ground, TopologyVersion
 from swarm.core.graph import Edge
 
 SOCIABLE = 4
@@ -29,6 +29,9 @@ SOCIABLE = 4
 
 DOUBLED = MAX_LINKS - 1
 """Links a robot has at most for the sake of a second way: the last one is for who comes."""
+
+SETTLE = 1.0
+"""Seconds of news that the automatic rule waits for, and between two changes of it."""
 
 FORGET = 60.0
 """Seconds after which the automatic rule takes a link between two robots that do not hear each other out of the
@@ -266,22 +269,25 @@ class AutomaticRule:
     """The rule by which the robot with the lowest place mends the topology. Calls with `now` must not go back in
     time."""
 
-    def __init__(self, ground: Ground, map: LinkStateMap) -> None:
+    def __init__(self, me: str, ground: Ground, map: LinkStateMap) -> None:
+        self._me = me
         self._ground = ground
         self._map = map
         self._dead: dict[Edge, float] = {}
         """Links of the topology between robots in reach that do not hear each other, and since when."""
 
-    def forget(self) -> None:
-        """Another robot mends the topology."""
-        self._dead.clear()
+    def mend(self, value: TopologyVersion, now: float, *, agreed: bool) -> tuple[tuple[Edge, ...], float]:
+        """Return the links that there are to be in place of those of `value`, and when to look again.
 
-    def mend(self, edges: tuple[Edge, ...], members: Set[str], now: float) -> tuple[tuple[Edge, ...], float]:
-        """Return the links that there are to be in place of `edges`, and when to look at those that may be dead.
-
-        `members` are the robots in reach and this one.
+        `agreed`: whether all robots in reach have `value`, or were waited for.
         """
-        names, edge = self._ground.names, self._ground.edge
+        members = {self._me, *self._map.routes()}
+        if not value.auto or min(members, key=self._ground.place.__getitem__) != self._me:
+            self._dead.clear()
+            return value.edges, float("inf")
+        if not agreed:
+            return value.edges, now + SETTLE
+        names, edge, edges = self._ground.names, self._ground.edge, value.edges
         up = {edge(a, b) for a, near in self._map.graph().items() for b in near if a in members and b in members}
         heard = set(up)
         for name in members:

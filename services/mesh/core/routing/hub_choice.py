@@ -13,11 +13,13 @@ away nobody decides: other robots take over its calls (`routing.physical_links.S
 """
 
 from collections import deque
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from statistics import fmean, median
 from typing import NamedTuple
 
+from services.mesh.core.routing.link_state import LinkStateMap
 from services.mesh.core.routing.topology import MAX_ROUND_TRIP, Hub
+from swarm.messages import MeasuredHub
 
 SLOW = 0.1
 """Mean round trip of a slow hub, s. On the slot radio a hub of six robots has 0.04, one of eight on the full graph has
@@ -55,6 +57,15 @@ class Reached(NamedTuple):
     hops: int
     links: int
     """How many links it has."""
+
+
+def in_reach(me: str, place: Mapping[str, int], map: LinkStateMap) -> dict[int, Reached]:
+    """Return the robots in reach of `me` by their places in the configuration, which `place` gives by name."""
+    own, found = map.links(me), {}
+    for name, route in map.routes().items():
+        one_way = 1e-4 * (own[name] if route.hops == 1 else route.time)
+        found[place[name]] = Reached(2.0 * one_way, route.hops, len(map.links(name)))
+    return found
 
 
 def is_slow(reached: Collection[Reached], mean: float, middle: float) -> bool:
@@ -106,6 +117,11 @@ class HubChoice:
     def mean(self) -> float | None:
         """Mean round trip between this hub and the robots in reach over the last `MEASURED` s; None: not measured."""
         return fmean(mean for _, mean, _ in self._looks) if self._looks else None
+
+    def told(self, hub: Hub, names: Sequence[str]) -> MeasuredHub:
+        """Return the choice in force for the key `mesh/topology`."""
+        before = names[hub.before] if hub.before != hub.place else ""
+        return MeasuredHub(names[hub.place], self.mean, before, hub.round_trip * 1e-3 or None, hub.trial)
 
     def next_deadline(self) -> float:
         """Return the time of the next look; infinite before `begin`, and while another robot is the hub."""

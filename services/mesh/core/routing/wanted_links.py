@@ -4,15 +4,8 @@ The topology (`routing.topology`) is a register that neighbours merge: the great
 each new link, and a new value to all other neighbours at once. So it reaches every robot in reach, whether or not its
 issuer is still there. (A flooded latest value would be void when its origin restarts.)
 
-Make before break. A new value's links are asked for at once. A link that it does not contain stays until
-1. every robot in reach has the same value (its link state says so), or `PATIENCE` is over,
-2. this robot's own links of it are up, as far as their other ends are in reach, or `MAKE` is over, and
-3. for a while its two ends have been connected without it: by links of the topology, and unwanted ones of lower rank
-   (`SpareLinks`).
-By 3 the links that stay are a minimum spanning forest with the topology's links at no cost (Kruskal 1956), so robots
-that drop links at the same time, on old news even, never count on one another's: whatever is dropped, a chain of lower
-ones remains. By 1 all ranks are of one value. So a link that alone holds two parts together stays for good
-where its replacements never come up: a bad topology leaves a swarm that can be told a better one.
+Make before break: a new value's links are asked for at once, and a link that it does not contain stays until the new
+ones hold the swarm together (`routing.spare_links`).
 
 Where other links than the topology's own carry it (`routing.physical_links`), those are the wanted ones, and the
 neighbours are whom the node sends to. What a successor of a lost hub adds is unwanted, and goes as above once the hub
@@ -28,8 +21,8 @@ from typing import NamedTuple
 
 from services.mesh.core.actions import Connect, Disconnect, LinkAction, LogLine, Neighbours, Transmit, Write
 from services.mesh.core.link.calls import EAGER, Search
-from services.mesh.core.routing.automatic_topology import AutomaticRule
-from services.mesh.core.routing.hub_choice import HubChoice, Reached
+from services.mesh.core.routing.automatic_topology import SETTLE, AutomaticRule
+from services.mesh.core.routing.hub_choice import HubChoice, in_reach
 from services.mesh.core.routing.link_state import LinkStateMap
 from services.mesh.core.routing.physical_links import Succession, follow
 from services.mesh.core.routing.spare_links import SpareLinks
@@ -49,13 +42,6 @@ from swarm.errors import LocalError
 from swarm.messages import MeasuredHub
 from swarm.messages.keys import key as key_of
 
-PATIENCE = 30.0
-"""Seconds after which a robot in reach with another value is not waited for any more."""
-
-MAKE = 10.0
-"""Seconds after which new links are not waited for: a radio that is full has no room for them before old ones are
-gone."""
-
 LOOK = 0.05
 """Seconds from a change of the map until it is looked at: news come in packs."""
 
@@ -65,9 +51,6 @@ REPEAT_PERIOD = 10.0
 DOUBT = 10.0
 """Seconds that a link of the topology must have been down, and called in vain, until its other end counts as out of
 reach."""
-
-SETTLE = 1.0
-"""Seconds of news that the automatic rule waits for, and between two changes of it."""
 
 _NEVER = float("inf")
 
@@ -108,12 +91,12 @@ class Linking:
         callers = len(start.ground.names) if start.ground.carried else 0
         self._search = Search(random, callers, 0 if start.pages else EAGER)
         self._links: dict[str, None] = {}
-        self._spare = SpareLinks(me, start.ground)
+        self._spare = SpareLinks(me, start.ground, map)
         self._reach: dict[str, bool] = {}
         """Whether we hear each of the robots that we dial, as far as we have tried."""
         self._down: dict[str, float] = {}
         """Links of the topology that are down, and since when."""
-        self._rule = AutomaticRule(start.ground, map)
+        self._rule = AutomaticRule(me, start.ground, map)
         self.missing: dict[str, str] = {}
         """Robots out of reach that this one has called, and why in vain."""
         self._channel = key_of(me, "mesh", "topology")
@@ -281,11 +264,7 @@ class Linking:
 
     def hub(self) -> MeasuredHub | None:
         """Return the hub for the key `mesh/topology`; None where it is not chosen by measurement."""
-        if not self._ground.measured:
-            return None
-        names, hub = self._ground.names, self.value.hub
-        before = names[hub.before] if hub.before != hub.place else ""
-        return MeasuredHub(names[hub.place], self._choice.mean, before, hub.round_trip * 1e-3 or None, hub.trial)
+        return self._choice.told(self.value.hub, self._ground.names) if self._ground.measured else None
 
     @property
     def up(self) -> tuple[str, ...]:
@@ -351,9 +330,8 @@ class Linking:
 
     def _announce(self, now: float) -> None:
         """Tell the swarm which value holds here and, where the automatic rule wants to know, whom we hear."""
-        heard = 0
-        if self.value.auto:
-            heard = sum(1 << self._ground.place[peer] for peer, reached in self._reach.items() if reached)
+        known = self._reach.items() if self.value.auto else ()
+        heard = sum(1 << self._ground.place[peer] for peer, reached in known if reached)
         self._map.tell(self.tag, heard, now)
 
     def _note_reach(self, peer: str, reached: bool, now: float) -> None:
@@ -374,7 +352,11 @@ class Linking:
             for peer in self.missing.keys() & self._map.routes().keys():
                 del self.missing[peer]
         if kept := self.kept:
-            self._look_for_spare(kept, now)
+            assert self.adopted is not None
+            to_come = self.wanted - self._links.keys()
+            needless, self._check_at = self._spare.needless(kept, to_come, self.value, self.adopted, now)
+            for peer in needless:
+                self._act(Disconnect(peer, frames.UNWANTED))
         if not self.value.auto and not self.value.version and not self.carried:
             return
         reachable = self._map.routes()
@@ -388,61 +370,27 @@ class Linking:
         if len(self._links) >= MAX_LINKS:
             self.missing |= dict.fromkeys(far, f"not called, this robot has all its {MAX_LINKS} links")
             far = strangers = []
-        near = (
-            [name for name in strangers if name in reachable and not self._reach.get(name)] if self.value.auto else []
-        )
-        self._search.aim(far, near, now)
+        near = []
         if self.value.auto:
+            near = [name for name in strangers if name in reachable and not self._reach.get(name)]
             self._plan_at = min(self._plan_at, now + SETTLE)
-
-    def _look_for_spare(self, kept: tuple[str, ...], now: float) -> None:
-        """Drop what has not been needed for a while."""
-        assert self.adopted is not None
-        reachable = self._map.routes()
-        agreed = self._is_agreed(now)
-        made = now >= self.adopted + MAKE or all(peer in self._links for peer in self.wanted if peer in reachable)
-        graph = self._map.graph() if agreed and made else {}
-        topology = frozenset(self._ground.edge(a, b) for a, b in self.physical)
-        needless, look_at = self._spare.needless(kept, graph, topology, now)
-        for peer in needless:
-            self._act(Disconnect(peer, frames.UNWANTED))
-        self._check_at = min(self._check_at, look_at)
-        for end in (self.adopted + MAKE, self.adopted + PATIENCE):
-            if now < end:
-                self._check_at = min(self._check_at, end)
-
-    def _is_agreed(self, now: float) -> bool:
-        """Return whether all in reach have this value, or were waited for."""
-        assert self.adopted is not None
-        tag = self.tag
-        return now >= self.adopted + PATIENCE or all(self._map.topology(name) == tag for name in self._map.routes())
+        self._search.aim(far, near, now)
 
     # -- the hub -----------------------------------------------------------------------------------------------
 
     def _choose(self, now: float) -> None:
         """Measure the links of this robot, where it is the hub, and let another one be it where that may pay."""
-        own, place, reached = self._map.links(self._me), self._ground.place, {}
-        for name, route in self._map.routes().items():
-            one_way = 1e-4 * (own[name] if route.hops == 1 else route.time)
-            reached[place[name]] = Reached(2.0 * one_way, route.hops, len(self._map.links(name)))
-        hub = self._choice.look(self.value.hub, reached, now)
+        hub = self._choice.look(self.value.hub, in_reach(self._me, self._ground.place, self._map), now)
         if hub != self.value.hub and self.value.step < MAX_STEP:
             self._adopt(self.value._replace(step=self.value.step + 1, issuer=self._me, hub=hub), None, now)
 
     # -- the automatic rule ------------------------------------------------------------------------------------
 
     def _plan(self, now: float) -> None:
-        """Mend the topology, where that falls to this robot: it has the lowest place of those in reach."""
-        self._plan_at = _NEVER
-        routes = self._map.routes()
-        members = {self._me, *routes}
-        if not self.value.auto or min(members, key=self._ground.place.__getitem__) != self._me:
-            self._rule.forget()
-            return
-        if not self._is_agreed(now):
-            self._plan_at = now + SETTLE
-            return
-        edges, self._plan_at = self._rule.mend(self.value.edges, members, now)
+        """Mend the topology, where that falls to this robot."""
+        assert self.adopted is not None
+        agreed = self._spare.is_agreed(self.value, self.adopted, now)
+        edges, self._plan_at = self._rule.mend(self.value, now, agreed=agreed)
         if edges == self.value.edges:
             return
         if self.value.step == MAX_STEP:
