@@ -11,8 +11,9 @@ from typing import NamedTuple
 from bench.radio.patterns import Edges, Original, pace, round_trips
 from bench.rows import Row
 from sim.slots.calls import Calls
+from sim.slots.devices import RadioLink
 from sim.slots.parameters import THESIS
-from sim.slots.radio import RadioLink, SlotRadio
+from sim.slots.radio import SlotRadio
 from sim.virtual.events import EventQueue
 from swarm.core.graph import Graph
 

@@ -33,8 +33,8 @@ from services.mesh.links.slots import (
     call_from,
 )
 from sim.slots.connections import SOCKET, End, RadioConnections
+from sim.slots.devices import RadioLink
 from sim.slots.parameters import SlotParameters
-from sim.slots.radio import RadioLink
 from sim.virtual.events import EventQueue
 from swarm import clock
 from swarm.config import load

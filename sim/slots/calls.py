@@ -9,7 +9,8 @@ pages one at a time; what else its host wants waits (newer Linux kernels; older 
 from collections import deque
 from collections.abc import Callable
 
-from sim.slots.radio import PAGE, EventClock, RadioLink, SlotRadio
+from sim.slots.devices import PAGE, RadioLink
+from sim.slots.radio import EventClock, SlotRadio
 
 ABSENT = "not in range, switched off, or deaf"
 BUSY = "an earlier connection to it has not ended yet"

@@ -8,8 +8,9 @@ from random import Random
 
 from services.mesh.links.rfcomm import DIAL_TIMEOUT
 from sim.slots.calls import Calls
+from sim.slots.devices import RadioLink
 from sim.slots.parameters import FRAME, SlotParameters
-from sim.slots.radio import EventClock, RadioLink, SlotRadio
+from sim.slots.radio import EventClock, SlotRadio
 from swarm.bluetooth.hci import SUPERVISION_SHARE
 
 CHUNK = 4096

@@ -11,15 +11,12 @@ B, 7.6). So a link delivers every byte in order, or is lost.
 """
 
 import math
-from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Any, Protocol
 
-from sim.slots.parameters import EDR2, MAX_PERIPHERALS, OVERHEAD, SLOT, SlotParameters
+from sim.slots.devices import ABOUT, PAGE, LinkEnd, RadioDevice, RadioFrame, RadioLink
+from sim.slots.parameters import MAX_PERIPHERALS, OVERHEAD, SLOT, SlotParameters
 from swarm.core.random_numbers import RandomNumbers
-
-PAGE = ""
-"""What a device is tuned to that pages; piconets have their central's name."""
 
 EVEN = 2 * SLOT
 
@@ -27,9 +24,6 @@ TRIED = 2
 """Times that a peripheral may be silent until it is asked less often; then the pause doubles up to `RAREST`."""
 RAREST = 16
 """In pairs of slots."""
-
-ABOUT = 1e-9
-"""Seconds by which sums of slots may be off."""
 
 _NEVER = float("inf")
 
@@ -46,90 +40,6 @@ class EventClock(Protocol):
 
     def at(self, time: float, call: Callable[..., object], *arguments: Any) -> None:
         """Call at `time`."""
-
-
-class _Frame:
-    def __init__(self, size: int, arrived: Callable[[], None]) -> None:
-        self.size = self.left = size
-        self.arrived = arrived
-
-
-class LinkEnd:
-    """The frames that one end of a link has to send."""
-
-    def __init__(self, device: "RadioDevice", now: float) -> None:
-        self.device = device
-        self.waiting: deque[_Frame] = deque()
-        """Frames in the host."""
-        self.held: deque[_Frame] = deque()
-        """Frames in the controller."""
-        self.got = False
-        """Whether the packet at the head has arrived and its acknowledgement has not."""
-        self.heard = now
-        """The time at which this end last heard the other one."""
-        self.ready_at = self.delivered_at = now
-        """The time at which the host had the last frame ready for sending, and the last one received."""
-
-    def packet(self) -> tuple[int, int]:
-        """Bytes and slots of the next packet."""
-        if not self.held:
-            return 0, 1
-        left = self.held[0].left
-        return next(((left, slots) for size, slots in EDR2 if left <= size), EDR2[-1])
-
-
-class RadioLink:
-    """One link of the baseband."""
-
-    def __init__(self, central: LinkEnd, peripheral: LinkEnd, now: float) -> None:
-        self.central, self.peripheral = central, peripheral
-        self.supervision = 0.0
-        self.watch = 0
-        """Counts plans of `SlotRadio.supervise`."""
-        self.polled = now - 1.0
-        self.used = now
-        """The time at which it last carried data."""
-        self.misses = 0
-        self.more = False
-        """Whether the peripheral has said that it has more."""
-        self.up = True
-        self.lost: Callable[[], None] = lambda: None
-        """Called when the link is lost."""
-
-    def end(self, name: str) -> LinkEnd:
-        """The end of that device."""
-        return self.central if self.central.device.name == name else self.peripheral
-
-
-class RadioDevice:
-    """The controller of one robot."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-        self.roles: list[str] = []
-        """What it shares its time among: piconets, and `PAGE`."""
-        self.tuned: str | None = None
-        self.ready = 0.0
-        """The time at which the change to that is done."""
-        self.until = _NEVER
-        """The time at which the stay ends."""
-        self.scanning = 0.0
-        """The time until which it scans for pages."""
-        self.busy = 0.0
-        """The time until which an exchange takes it."""
-        self.links: list[RadioLink] = []
-        self.central_of: list[RadioLink] = []
-        self.turn = 0
-        self.held = 0
-        """Frames in its buffers."""
-        self.polled: set[RadioLink] = set()
-        """In this stay."""
-        self.serving = self.switching = 0
-        """Count plans; one that another has replaced does nothing."""
-
-    def is_in(self, piconet: str, now: float) -> bool:
-        """Return whether it hears that piconet now."""
-        return self.tuned == piconet and max(self.ready, self.scanning, self.busy) <= now + ABOUT
 
 
 class SlotRadio:
@@ -219,7 +129,7 @@ class SlotRadio:
         """Send a frame of so many bytes; `arrived()` is called when the other end's host has it, unless the link is
         lost before."""
         end = link.end(sender)
-        frame = _Frame(size + OVERHEAD, arrived)
+        frame = RadioFrame(size + OVERHEAD, arrived)
         end.ready_at = max(end.ready_at, self._clock.now + self._host(frame.size))
         self._clock.at(end.ready_at, self._hand_over, link, end, frame)
 
@@ -238,7 +148,7 @@ class SlotRadio:
         p = self.parameters
         return p.host * (1.0 + p.host_spread * (2.0 * self.random.random() - 1.0)) + size * 10.0 / p.uart
 
-    def _hand_over(self, link: RadioLink, end: LinkEnd, frame: _Frame) -> None:
+    def _hand_over(self, link: RadioLink, end: LinkEnd, frame: RadioFrame) -> None:
         if link.up:
             end.waiting.append(frame)
             self._refill(end.device)
@@ -393,7 +303,7 @@ class SlotRadio:
             self._clock.at(receiver.delivered_at, self._deliver, link, frame)
 
     @staticmethod
-    def _deliver(link: RadioLink, frame: _Frame) -> None:
+    def _deliver(link: RadioLink, frame: RadioFrame) -> None:
         if link.up:
             frame.arrived()
 

@@ -20,8 +20,9 @@ from lab.radio.core.controller import Controller
 from lab.radio.core.hci import Acl, Command, Status
 from lab.radio.core.link import Link
 from sim.slots.calls import SMALL, Calls
+from sim.slots.devices import RadioDevice, RadioLink
 from sim.slots.parameters import OVERHEAD, SlotParameters
-from sim.slots.radio import RadioDevice, RadioLink, SlotRadio
+from sim.slots.radio import SlotRadio
 from sim.virtual.events import EventQueue
 from swarm.core.random_numbers import RandomNumbers
 

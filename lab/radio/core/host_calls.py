@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 from lab.radio.core import hci
 from lab.radio.core.hci import Ev, Status
 from sim.slots.calls import ABSENT, BUSY, FULL, LATE, CallAttempt
+from sim.slots.devices import RadioLink
 from sim.slots.parameters import MAX_PERIPHERALS
-from sim.slots.radio import RadioLink
 
 if TYPE_CHECKING:
     from lab.radio.core.air import Air

@@ -5,7 +5,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from lab.radio.core.pairing import Pairing
-from sim.slots.radio import RadioLink
+from sim.slots.devices import RadioLink
 
 
 @dataclass(eq=False)

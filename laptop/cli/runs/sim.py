@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from sim import report
+from sim import report, report_table
 from sim.processes.progress import said
 from sim.scenario import options as arguments
 from sim.scenario import scenario
@@ -81,7 +81,7 @@ def _run(options: Options, run_dir: Path) -> int:
 
 def _tell(options: Options, plan: Scenario, records: Path, outcome: report.RunOutcome) -> int:
     found = report.summary(outcome)
-    print(report.table(found, outcome))
+    print(report_table.table(found, outcome))
     if options.plot is not None and plan.app is not None:
         from laptop.cli.runs import plot  # matplotlib's helpers are wanted here alone
 

@@ -4,8 +4,8 @@ from services.mesh.core.link.calls import Caller
 from services.mesh.core.link.session import Session
 from services.mesh.mesh import CLOSED
 from sim.slots.connections import CHUNK, End, RadioConnections
+from sim.slots.devices import RadioLink
 from sim.slots.parameters import SlotParameters
-from sim.slots.radio import RadioLink
 from sim.virtual.events import EventQueue
 from sim.virtual.radio.air import Station
 

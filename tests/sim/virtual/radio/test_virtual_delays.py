@@ -52,7 +52,8 @@ def test_what_needs_a_mesh_is_refused():
 
 
 def test_a_large_swarm_has_a_short_table(capsys):
-    from sim.report import MOST_ROWS, summary, table
+    from sim.report import summary
+    from sim.report_table import MOST_ROWS, table
 
     arguments = ("consensus", "--robots", "60", "--topology", "loop", "--iterations", "3", "--mesh", "delay")
     report, outcome = simulate(*arguments)

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from sim.report import summary, table
+from sim.report import summary
+from sim.report_table import table
 from sim.scenario.options import parse
 from sim.scenario.scenario import build
 from sim.virtual.run import PLACE, VirtualRun, simulate
