@@ -33,7 +33,7 @@ record recorded recorder recording records register registers regulator remote r
 results robot robots roster round routing rules run runner runs samples scenario scene screen sections see send sender
 senders serial series server service services session settings shapes shell show side sim simulated simulation
 simulations slots sockets source space spec spectrum stand start state states status steps stop stopping storage store
-stream style sub supervision surroundings survey switch system tables tasks telemetry templates terminal terms text
+stream style sub supervision surroundings survey switch system table tasks telemetry templates terminal terms text
 texts threads time timeout times tool topics tracing track tracker traffic transfers trends trips tune types units unix
 up values version versions view viewing wanted watch wire wiring wish world writer zero far manoeuvre spare calling
 random
