@@ -30,7 +30,7 @@ class Consensus(SyncApp):
         return {"value": self.value}
 
 
-class Thesis(Consensus):
+class ThesisConsensus(Consensus):
     """Rule 4.1: the mean of the own and the neighbours' values.
 
     On a graph that is not regular it ends on the mean weighted by d_i + 1, not on the mean.
@@ -96,7 +96,7 @@ class Chebyshev(SecondOrder):
         return 1.0 / (1.0 - self._radius * self._radius * self._omega / 4.0)
 
 
-class Flood(SyncApp):
+class FloodConsensus(SyncApp):
     """Every robot passes on all the first values it knows and takes their mean: exact after as many rounds as hops."""
 
     value: float
@@ -149,8 +149,8 @@ def _bits(number: int) -> list[int]:
 
 ALGORITHMS = {
     "metropolis": Consensus,
-    "thesis": Thesis,
+    "thesis": ThesisConsensus,
     "second_order": SecondOrder,
     "chebyshev": Chebyshev,
-    "flood": Flood,
+    "flood": FloodConsensus,
 }
