@@ -117,7 +117,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     inside = root / "rig"
     inside.mkdir()
     subprocess.run(["tar", "-xf", made.stdout.split()[-1], "-C", str(inside)], check=True)
-    for file in (HERE / "inside.py", APP):
+    for file in (HERE / "inside.py", HERE / "inside_robot.py", APP):
         shutil.copy(file, inside)
     for name in ("sim", "laptop"):
         shutil.copytree(ROOT / name, inside / "simulated" / name, ignore=shutil.ignore_patterns("__pycache__"))

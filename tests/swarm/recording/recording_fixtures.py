@@ -1,0 +1,22 @@
+"""The fixture of the tests of a recording's file; test modules name this file in `pytest_plugins`."""
+
+from collections import Counter
+
+import pytest
+
+from swarm.recording.file import RecordingFile
+
+
+@pytest.fixture
+def open_file(tmp_path):
+    opened = []
+
+    def open_(path=None, counters=None, **options):
+        counters = Counter() if counters is None else counters
+        it = RecordingFile(path or tmp_path / "x.mcap", counters, **{"append": False, "min_free": 0, **options})
+        opened.append(it)
+        return it
+
+    yield open_
+    for it in opened:
+        it.close()
