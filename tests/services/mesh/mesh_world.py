@@ -5,9 +5,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
 
-from hypothesis import strategies as st
 from timed_world import TimedWorld, Timer
 
 from services.mesh.core.actions import Close, Dial, LogLine, Write
@@ -25,17 +23,6 @@ from swarm.messages import LinkState
 
 SOCKET = 50_000
 """Bytes that an RFCOMM socket takes."""
-ACCIDENTS = st.one_of(
-    st.tuples(st.just("publish"), st.sampled_from(("r0", "r1"))),
-    st.tuples(st.just("cut"), st.floats(0.1, 12.0)),
-    st.tuples(st.just("break"), st.integers(1, 200)),
-    st.tuples(st.just("drop"), st.sampled_from(("r0", "r1"))),
-    st.tuples(st.just("restart"), st.sampled_from(("r0", "r1"))),
-    st.tuples(st.just("absent"), st.sampled_from(("r0", "r1"))),
-    st.tuples(st.just("stop"), st.tuples(st.sampled_from(("r0", "r1")), st.floats(0.1, 9.0))),
-    st.tuples(st.just("wait"), st.floats(0.001, 6.0)),
-)
-"""What may happen to the link of r0 and r1, for `World.suffer`; `publish` is the test's own matter."""
 
 
 @dataclass
@@ -178,32 +165,6 @@ class World(TimedWorld):
             if peer is not None:
                 self._close(peer)
             self._down(end)
-
-    def suffer(self, kind: str, value: Any) -> None:
-        """One of `ACCIDENTS`."""
-        match kind:
-            case "cut":
-                self.cut("r0", "r1", value)
-            case "break":
-                self.break_after = value
-            case "drop" if value in self.bots:
-                self.break_connections(value)
-            case "restart" | "absent":
-                if value in self.bots:
-                    self.kill(value)
-                if kind == "restart":
-                    self.start(value)
-            case "stop" if value[0] in self.bots:
-                self.stop(*value)
-            case "wait":
-                self.run(value)
-
-    def recover(self) -> None:
-        """No more accidents: r0 and r1 run, and nothing breaks."""
-        for name in ("r0", "r1"):
-            if name not in self.bots:
-                self.start(name)
-        self.break_after = None
 
     def publish(self, name: str, key: str, payload: bytes, source: int = 0) -> None:
         """A sample on a robot's own bus."""

@@ -7,7 +7,8 @@ import pytest
 from conftest import costly
 from hypothesis import given
 from hypothesis import strategies as st
-from mesh_world import ACCIDENTS, End, World
+from mesh_accidents import ACCIDENTS, recover, suffer
+from mesh_world import End, World
 from raw_hello import KEYS, hello
 
 from services.mesh.core.link.outbox import LIMITS
@@ -260,8 +261,8 @@ def test_through_links_that_break_everything_is_said_and_nothing_twice(
             continue
         if kind in ("restart", "absent") and value in world.bots:
             inboxes.append((value, world.bots[value].inbox))
-        world.suffer(kind, value)
-    world.recover()
+        suffer(world, kind, value)
+    recover(world)
     world.run(25.0 if not size else 60.0)
     inboxes += [(name, bot.inbox) for name, bot in world.bots.items()]
     for _, inbox in inboxes:

@@ -4,7 +4,8 @@ import pytest
 from conftest import costly
 from hypothesis import given
 from hypothesis import strategies as st
-from mesh_world import ACCIDENTS, World
+from mesh_accidents import ACCIDENTS, recover, suffer
+from mesh_world import World
 from raw_hello import KEYS, hello
 
 from services.mesh.core.calling import MAX_HALF_OPEN
@@ -298,10 +299,10 @@ def test_the_link_comes_up_again_whatever_happened(
     world = World(PAIR, seed=seed, keys=keys)
     for count, (kind, value) in enumerate(steps):
         if kind != "publish":
-            world.suffer(kind, value)
+            suffer(world, kind, value)
         elif value in world.bots:
             world.publish(value, SYNC_KEY.format(value), count.to_bytes(2, "big"))
-    world.recover()
+    recover(world)
     world.run(12.0)  # the longest cut or stop is over
     world.run(RECOVERY)
     assert world.all_up()
