@@ -14,7 +14,7 @@ import json
 import logging
 import secrets
 import signal
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
@@ -131,13 +131,9 @@ async def _live(request: web.Request) -> web.StreamResponse:
     )
     tasks = [asyncio.create_task(_steps(feed, control, layouts, socket)), asyncio.create_task(questions.run())]
     try:
-        async for message in socket:
-            if message.type != WSMsgType.TEXT:
-                continue
-            try:
-                asked = read_json(message.data)
-            except PayloadError as error:
-                questions.tell({"refused": str(error)})
+        async for asked, problem in _messages(socket):
+            if problem:
+                questions.tell({"refused": problem})
             else:
                 await questions.take(asked)
     finally:
@@ -146,6 +142,17 @@ async def _live(request: web.Request) -> web.StreamResponse:
         for ended in await asyncio.gather(*tasks, return_exceptions=True):
             _tell_defect(ended)
     return socket
+
+
+async def _messages(socket: web.WebSocketResponse) -> AsyncIterator[tuple[Any, str]]:
+    """Yield what a page asks, and what is wrong with it, empty where nothing is."""
+    async for message in socket:
+        if message.type == WSMsgType.TEXT:
+            try:
+                asked, problem = read_json(message.data), ""
+            except PayloadError as error:
+                asked, problem = None, str(error)
+            yield asked, problem
 
 
 def _tell_defect(ended: object) -> None:
@@ -200,15 +207,8 @@ def _trail(picture: Picture, robot: str, now: float) -> list[tuple[float, float]
 async def _play(playing: Playing, socket: web.WebSocketResponse) -> None:
     """Answer a page that goes through a recording at its own pace."""
     await socket.send_json(playing.first())
-    async for message in socket:
-        if message.type != WSMsgType.TEXT:
-            continue
-        try:
-            asked = read_json(message.data)
-        except PayloadError as error:
-            answer: Answer = {"refused": str(error)}
-        else:
-            answer = await asyncio.to_thread(playing.answer, asked)
+    async for asked, problem in _messages(socket):
+        answer = {"refused": problem} if problem else await asyncio.to_thread(playing.answer, asked)
         await socket.send_str(json.dumps(answer, allow_nan=False, separators=(",", ":")))
 
 

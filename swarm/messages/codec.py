@@ -188,12 +188,6 @@ def _check_float(value: object, path: str) -> float:
     raise _wrong(value, path, "a finite number")
 
 
-def _check_int(value: object, path: str) -> int:
-    if type(value) is int:
-        return value
-    raise _wrong(value, path, "an integer")
-
-
 def _check_range(bounds: Between) -> _Check:
     def check(value: object, path: str) -> int:
         if type(value) is int and bounds.low <= value <= bounds.high:
@@ -203,22 +197,13 @@ def _check_range(bounds: Between) -> _Check:
     return check
 
 
-def _check_bool(value: object, path: str) -> bool:
-    if type(value) is bool:
-        return value
-    raise _wrong(value, path, "true or false")
+def _check_type(kind: type, expected: str) -> _Check:
+    def check(value: object, path: str) -> object:
+        if type(value) is kind:
+            return value
+        raise _wrong(value, path, expected)
 
-
-def _check_str(value: object, path: str) -> str:
-    if type(value) is str:
-        return value
-    raise _wrong(value, path, "a text")
-
-
-def _check_bytes(value: object, path: str) -> bytes:
-    if type(value) is bytes:
-        return value
-    raise _wrong(value, path, "bytes")
+    return check
 
 
 def _check_none(value: object, path: str) -> None:
@@ -228,10 +213,10 @@ def _check_none(value: object, path: str) -> None:
 
 _PLAIN: dict[object, _Check] = {
     float: _check_float,
-    int: _check_int,
-    bool: _check_bool,
-    str: _check_str,
-    bytes: _check_bytes,
+    int: _check_type(int, "an integer"),
+    bool: _check_type(bool, "true or false"),
+    str: _check_type(str, "a text"),
+    bytes: _check_type(bytes, "bytes"),
     type(None): _check_none,
 }
 
@@ -273,10 +258,12 @@ def _check_tuple(item: _Check) -> _Check:
 
 
 def _check_dict(item: _Check) -> _Check:
+    text = _PLAIN[str]
+
     def check(value: object, path: str) -> dict[str, Any]:
         if not isinstance(value, dict):
             raise _wrong(value, path, "a map")
-        return {_check_str(name, path): item(entry, f"{path}.{name}") for name, entry in value.items()}
+        return {text(name, path): item(entry, f"{path}.{name}") for name, entry in value.items()}
 
     return check
 
