@@ -63,7 +63,7 @@ ELSEWHERE = {
     "swarm/core/lockstep/stopping.py": "two bytes of a state of the size that the lockstep has checked",
     "swarm/messages/json_input.py": "any JSON: tests/swarm/messages/test_json_input.py",
     "sim/control/app_requests.py": "a simulation's own socket: tests/sim/control/test_orders.py",
-    "swarm/recording/journal.py": "its own file: tests/swarm/recording/test_file.py",
+    "swarm/recording/journal.py": "its own file: tests/swarm/recording/test_journal.py",
     "swarm/config/toml_input.py": "any TOML: tests/swarm/messages/test_json_input.py",
     "swarm/bus/zenoh_config.py": "a configuration of its own",
     "laptop/view/chromium.py": "its own browser",

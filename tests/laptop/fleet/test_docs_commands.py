@@ -36,12 +36,11 @@ ELSEWHERE = {
     "swarm dwm": "modules: tests/services/dwm/test_dwm_tool.py",
     "swarm calibrate": "a robot's module: tests/laptop/fleet/files/test_calibrations.py",
     "swarm flash": "avr-gcc: tests/laptop/cli/robots/body/test_flash_fleet.py",
-    "swarm commission": "bodies: tests/laptop/cli/robots/body/test_commission_ssh.py, "
-    "tests/sim/core/test_action_effects.py",
+    "swarm commission": "bodies: tests/laptop/cli/robots/body/test_commission_ssh.py, tests/sim/control/test_hands.py",
     "swarm balance": "a robot's body: tests/laptop/cli/robots/body/test_balance_ssh.py",
     "swarm drive": "a keyboard: tests/laptop/cli/robots/body/test_drive_ssh.py",
-    "swarm sim": "a simulation: tests/sim/core/test_action_effects.py, tests/sim/scenario/test_commission_report.py",
-    "swarm hand": "a simulation: tests/sim/core/test_action_effects.py",
+    "swarm sim": "a simulation: tests/sim/control/test_hands.py, tests/sim/scenario/test_commission_report.py",
+    "swarm hand": "a simulation: tests/sim/control/test_hands.py",
 }
 """Commands that are not run here: what they need, and what runs them."""
 
