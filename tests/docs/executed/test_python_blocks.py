@@ -1,15 +1,18 @@
 """The Python that stands on pages about simulation and recordings runs as it stands, block after block; the tables of
-swarm.toml on all pages are such that a configuration takes them."""
+swarm.toml on all pages are such that a configuration takes them. No page has Python that no test runs, but for blocks
+that say why."""
 
 import re
 from pathlib import Path
 
 import pytest
+from documented_path import FENCE, SHOWN
 
 from swarm import simulate
 from swarm.config import parse
 
-DOCS = Path(__file__).parents[3] / "docs"
+ROOT = Path(__file__).parents[3]
+DOCS = ROOT / "docs"
 CONFIGURATION = """
 network = "lab"
 robots = [{ name = "r0" }, { name = "r1" }, { name = "r2" }]
@@ -17,6 +20,35 @@ topology = { shape = "line" }
 """
 TOML = re.compile(r"^```toml\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+RUN_BY = {
+    "tests/docs/executed/test_python_blocks.py": ["how-to/simulation/from-python.md", "tutorials/notebook.md"],
+    "tests/docs/executed/test_tutorial.py": ["index.md", "how-to/apps/max-consensus.md", "tutorials/own-algorithm.md"],
+    "tests/docs/executed/test_connect_page.py": [
+        "how-to/runs/export.md", "how-to/tools/zenoh-client.md", "reference/overlays-client.md",
+    ],
+    "tests/services/apps/test_loader.py": [
+        "how-to/apps/react-to-events.md", "how-to/apps/talk-beyond-neighbours.md", "how-to/apps/use-arrays.md",
+        "reference/apps.md",
+    ],
+}  # fmt: skip
+"""The pages that have Python, by the tests that run it."""
+
+
+def test_no_page_has_python_that_no_test_runs() -> None:
+    for test, pages in RUN_BY.items():
+        text = (ROOT / test).read_text()
+        assert [page for page in pages if page not in text] == [], test
+    run = {page for pages in RUN_BY.values() for page in pages}
+    for page in sorted(DOCS.rglob("*.md")):
+        if str(page.relative_to(DOCS)) in run:
+            continue
+        for label in (found[1].partition(" ") for found in FENCE.finditer(page.read_text())):
+            if label[0] == "python":
+                shown = SHOWN.fullmatch(label[2])
+                assert shown is not None, f"{page}: no test runs its Python"
+                assert (ROOT / shown[2]).is_file()
 
 
 def test_the_app_with_arrays_of_the_page_about_apps_runs() -> None:
