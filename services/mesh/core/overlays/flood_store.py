@@ -87,12 +87,16 @@ class Store:
         origin = self._origins[name] = Origin(incarnation)
         return origin
 
+    def _current(self, name: str, incarnation: int) -> Origin | None:
+        """Return an origin, begun anew where `incarnation` is a newer one; None where it is an earlier one."""
+        origin = self._origins.get(name)
+        if origin is None or incarnation > origin.incarnation:
+            return self.begin(name, incarnation)
+        return origin if incarnation == origin.incarnation else None
+
     def take(self, name: str, key: str, packet: packets.Spread, priority: int) -> str:
         """Tell what a flood is: new (and noted from now on), a duplicate, or of an earlier incarnation."""
-        origin = self._origins.get(name)
-        if origin is None or packet.incarnation > origin.incarnation:
-            origin = self.begin(name, packet.incarnation)
-        elif packet.incarnation < origin.incarnation:
+        if (origin := self._current(name, packet.incarnation)) is None:
             return OLD
         unseen = origin.window.add(packet.sequence)
         if packet.latest:
@@ -110,10 +114,7 @@ class Store:
         noted."""
         if not packet.latest:
             return self.take(name, key, packet, 0)
-        origin = self._origins.get(name)
-        if origin is None or packet.incarnation > origin.incarnation:
-            origin = self.begin(name, packet.incarnation)
-        elif packet.incarnation < origin.incarnation:
+        if (origin := self._current(name, packet.incarnation)) is None:
             return OLD
         old = origin.latest.get(key)
         return NEW if packet.sequence > (old.sequence if old is not None else origin.floor) else DUPLICATE
