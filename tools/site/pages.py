@@ -84,7 +84,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
 def commands_page() -> str:
     """All commands with their help."""
-    lines = ["# Command line", "", "Every command tells its arguments with `--help`; this page is made of that."]
+    lines = ["# Command line", "", "Every command lists its arguments with `--help`. This page shows these texts."]
     for title, section in SECTIONS.items():
         lines += ["", f"## {title[:1].upper()}{title[1:]}"]
         for name, each in section.items():
