@@ -207,3 +207,5 @@ def test_the_apps_of_the_documentation_are_apps(tmp_path: Path, page: str) -> No
         name = f"page{number}"
         swarm = rehearse(write(tmp_path, lines, f"{name}.py"), robots=3)
         swarm.run(10)
+        if isinstance(swarm, EventRehearsal):
+            assert [unit.fault for unit in swarm.units.values()] == ["", "", ""]
