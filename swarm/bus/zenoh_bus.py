@@ -30,6 +30,8 @@ BINARY = "application/octet-stream"
 
 _log = logging.getLogger("bus")
 
+_MESH = "mesh"
+"""The service that all other direct ones talk to."""
 _PUBLISHERS = 256
 """Keys that a session keeps declared; above, the oldest makes room."""
 _OPENING = 2.0
@@ -106,11 +108,14 @@ class Bus:
     exit.
     """
 
-    def __init__(self, endpoint: str, direct: str | None = None) -> None:
+    def __init__(self, endpoint: str, direct: str | None = None, lasting: str = "") -> None:
         """`endpoint` as of `swarm.process.paths.bus_endpoint`. `direct`: an endpoint of its own, at which others that
-        have one reach this session without the router. Raises `BusError` where one is none."""
+        have one reach this session without the router; `lasting`: see `peer_config`. Raises `BusError` where one is
+        none."""
         self._endpoint = _checked_endpoint(endpoint)
-        self._config = client_config(endpoint) if direct is None else peer_config(endpoint, _checked_endpoint(direct))
+        self._config = (
+            client_config(endpoint) if direct is None else peer_config(endpoint, _checked_endpoint(direct), lasting)
+        )
         self.counters: Counter[str] = Counter()
         """What was dropped, by name."""
         self._packer = Packer(self.counters)
@@ -130,8 +135,11 @@ class Bus:
     @classmethod
     def of(cls, directory: Path, direct: str | None = None) -> "Bus":
         """The bus of the robot whose runtime directory is `directory`. `direct`: the name of a service whose messages
-        to others of its kind are too many to go through the router."""
-        return cls(bus_endpoint(directory), None if direct is None else bus_endpoint(directory, direct))
+        to others of its kind, the mesh above all, are too many to go through the router."""
+        if direct is None:
+            return cls(bus_endpoint(directory))
+        lasting = "" if direct == _MESH else bus_endpoint(directory, _MESH)
+        return cls(bus_endpoint(directory), bus_endpoint(directory, direct), lasting)
 
     @property
     def connected(self) -> bool:
@@ -327,6 +335,7 @@ class Bus:
     def _on_transport(self, event: Any) -> None:
         up = event.kind == zenoh.SampleKind.PUT
         if event.transport.whatami != zenoh.WhatAmI.ROUTER:
+            _log.debug("direct connection up=%s to=%s", up, event.transport.zid)
             return
         with self._lock:
             if self._closed:

@@ -84,12 +84,19 @@ def client_config(endpoint: str) -> str:
     )
 
 
-def peer_config(endpoint: str, listen: str) -> str:
+def peer_config(endpoint: str, listen: str, lasting: str = "") -> str:
     """Zenoh configuration (JSON) of a service that others of its kind reach directly, at the Unix socket `listen`. Of
-    all others it is a client, like every service."""
+    all others it is a client, like every service.
+
+    Such services learn of each other by the router's gossip. A connection made by gossip that breaks while both ends
+    live is never made again, and nothing that one of them publishes reaches the other any more (measured). So one end
+    also names the other: `lasting` is an endpoint that it connects to whenever there is no connection.
+    """
     config = json.loads(client_config(endpoint))
     config["mode"] = "peer"
     config["listen"] = {"endpoints": [listen], "exit_on_failure": False}
+    if lasting:
+        config["connect"]["endpoints"].append(lasting)
     # Without it Zenoh waits 0.5 s at the start for neighbours that it may not look for anyway.
     config["scouting"]["delay"] = 0
     config["scouting"]["gossip"] = {"enabled": True, "autoconnect": {"router": [], "peer": ["router", "peer"]}}

@@ -1,6 +1,9 @@
 """The bus adapter over its router's absence, stop, death and restart."""
 
+import contextlib
+import os
 import signal
+import socket
 import subprocess
 import threading
 import time
@@ -137,6 +140,37 @@ def test_direct_sessions_hear_each_other_through_a_routers_death_and_a_client_he
             mesh.subscribe("swarm/r0/app/x/f", again)
             talk(app, "swarm/r0/app/x/f", again)
             assert app.connected
+
+
+def break_connections(socket_name: str) -> int:
+    """Shut down all connections of this process to or from a Unix socket of that name, and return how many there
+    were."""
+    found = 0
+    for entry in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(OSError), socket.socket(fileno=os.dup(int(entry.name))) as connection:
+            ends = (connection.getsockname(), connection.getpeername())
+            if any(str(end).endswith(f"/{socket_name}") for end in ends):
+                connection.shutdown(socket.SHUT_RDWR)
+                found += 1
+    return found
+
+
+@pytest.mark.usefixtures("bus_service")
+def test_mesh_and_app_hear_each_other_again_after_their_connection_broke(runtime: Path) -> None:
+    heard, answers = Samples(), Samples()
+    with Bus.of(runtime, "mesh") as mesh, Bus.of(runtime, "app/x") as app:
+        mesh.subscribe("swarm/r0/app/x/a", heard)
+        app.subscribe("swarm/r0/mesh/a", answers)
+        for _ in range(5):
+            talk(app, "swarm/r0/app/x/a", heard)
+            talk(mesh, "swarm/r0/mesh/a", answers)
+            assert break_connections("bus.mesh.sock") > 0
+            break_connections("bus.app.x.sock")
+            heard.clear()
+            answers.clear()
+            assert app.connected
+        talk(app, "swarm/r0/app/x/a", heard)
+        talk(mesh, "swarm/r0/mesh/a", answers)
 
 
 def test_a_direct_session_without_a_router_is_closed_at_once(runtime: Path) -> None:
