@@ -268,7 +268,8 @@ class Asynchronous:
     def next_deadline(self) -> float | None:
         """Return the latest time at which the host must call `handle_timer`; None while no timer runs."""
         due = min([self._step_at, self._tell_at, *self._timers.values()])
-        return None if due == math.inf else due
+        # After a fault `handle_timer` does nothing: a time in the past would be planned again for ever.
+        return None if self.failure or due == math.inf else due
 
     def actions(self) -> list[Action]:
         """Return the actions to be done now, in this order; each is handed out once."""

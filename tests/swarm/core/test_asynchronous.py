@@ -295,6 +295,13 @@ def test_a_failed_app_is_silent() -> None:
     assert (each.phase, each.actions(), each.next_deadline()) == ("fault", [], None)
 
 
+def test_a_failed_app_plans_nothing_when_it_hears_of_its_neighbours() -> None:
+    each = started()
+    each.fail("it raised")
+    each.receive("r0", Channel(7, 0, 1, 1), frame(b"ab", all_here=False, roll=0b101), 0.5)
+    assert each.next_deadline() is None
+
+
 def test_a_handler_that_hangs_is_seen_and_its_robot_falls_silent() -> None:
     each = alone()
     assert calls(each) == [HandlerCall("step")]
