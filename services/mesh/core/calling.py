@@ -1,7 +1,8 @@
 """Calls: those that this robot makes, and those of others from their arrival until the handshake is over.
 
 A robot that has no link for a while knocks: it calls one of those that should call it. Who calls on a radio hears a
-knock as a reason to call back at once, and makes no second connection of it.
+knock as a reason to call back at once, and makes no second connection of it. Once there is a link again, it knocks at
+each of the others that still lack theirs once.
 
 `Callers` bounds what a stranger can cost us before we believe a word of it: `MAX_HALF_OPEN` handshakes at once for
 all of them and `MAX_PER_SOURCE` for one address, and an address whose handshakes we refuse is shut out for a while.
@@ -19,7 +20,7 @@ from services.mesh.core.link.session import Session
 from services.mesh.core.routing.wanted_links import Linking
 
 KNOCK = 12.0
-"""Seconds between two looks of a robot whether it has any link; up to twice that, so that robots do not look
+"""Seconds between two looks of a robot whether it lacks links; up to twice that, so that robots do not look
 together. A lost hub has a successor by then, whose radio a knock of 5 s would take."""
 
 MAX_HALF_OPEN = 16
@@ -100,6 +101,9 @@ class Calling:
         self._look_at = 0.0 if local.pages else _NEVER
         """The time of the next check whether this robot has no link."""
         self._alone = False
+        self._owed: set[str] = set()
+        """Robots at which to knock once more although there is a link again: they may have taken this one for absent
+        while it had none."""
         self._knocks = 0
 
     # -- own calls -------------------------------------------------------------------------------------------
@@ -141,22 +145,34 @@ class Calling:
         doubled = 0 if link is None else min(link.unanswered, 16)
         return min(least * 2.0**doubled, max(self._local.patience, least))
 
+    def lost(self) -> None:
+        """Note that a link has ended."""
+        if not any(link.session for link in self._links.values()):
+            self._owed = {name for name, dials in self._local.dials.items() if not dials}
+
     def to_knock_at(self, now: float) -> str | None:
-        """Return the robot at which to knock now; None while this one has a link, or need not look yet."""
+        """Return the robot at which to knock now; None where there is none, or this one need not look yet."""
         if now < self._look_at:
             return None
         self._look_at = now + KNOCK * (1.0 + self._random())
         before, self._alone = self._alone, not any(link.session or link.attempt for link in self._links.values())
-        anybody = self._linking.carried
-        callers = [
-            name
-            for name, dials in self._local.dials.items()
-            if not dials and (anybody or ((link := self._links.get(name)) is not None and link.lasting))
-        ]
-        if not (before and self._alone and callers):
+        if self._alone:
+            names = [name for name, dials in self._local.dials.items() if not dials]
+            callers = [name for name in names if self._linking.carried or self._lacks(name)] if before else []
+        else:
+            callers = [name for name in self._local.dials if name in self._owed and self._lacks(name)]
+        if not callers:
             return None
         self._knocks += 1
-        return callers[(self._knocks - 1) % len(callers)]
+        caller = callers[(self._knocks - 1) % len(callers)]
+        if not self._alone:
+            self._owed.discard(caller)
+        return caller
+
+    def _lacks(self, name: str) -> bool:
+        """Return whether there is to be a link with a robot, and is none."""
+        link = self._links.get(name)
+        return link is not None and link.lasting and link.session is None and not link.attempt
 
     # -- calls of others -------------------------------------------------------------------------------------
 

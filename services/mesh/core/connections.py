@@ -391,6 +391,7 @@ class Connections:
         self.clock.lost(link.peer)
         self._overlays.clashes.link_down(link.peer)
         link.detach(session, reason, now)
+        self._calling.lost()
         self._overlays.link_down(link.peer, now)
         self._serve()
 

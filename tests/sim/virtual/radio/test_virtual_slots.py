@@ -63,6 +63,23 @@ def test_a_robot_that_was_absent_for_long_knocks_and_is_called_back():
     assert {link.peer: link.state for link in links} == {"r1": "up", "r2": "up"}
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_robot_that_was_absent_has_all_of_its_links_again_soon(seed):
+    """Who calls it has taken it for absent. Its first link is back by a knock; it knocks at the other caller, too."""
+    options = parse(
+        ["consensus", "--virtual", "--robots", "5", "--topology", "line", "--radio", "slots", "--links", "graph",
+         "--iterations", "20000", "--seed", str(seed)]
+    )  # fmt: skip
+    world = VirtualRun(options, build(options, PLACE)).world
+    world.time.run(20.0)
+    links = {link.peer: link.role for link in world.robots["r2"].mesh.links().links}
+    assert links == {"r1": "peripheral", "r3": "peripheral"}
+    for caller in links:
+        world.air.cut(caller, "r2", 60.0)
+    world.time.run(140.0)
+    assert [link.state for link in world.robots["r2"].mesh.links().links] == ["up", "up"]
+
+
 def test_a_report_says_how_late_the_radio_of_real_processes_was():
     late = {"frames": 300, "late_mean_s": 0.0005, "late_most_s": 0.012, "stood_still_s": 2.0}
     outcome = replace(simulate(*CONSENSUS)[1], radio=late)
