@@ -153,8 +153,8 @@ class Asynchronous:
         return tuple([name for name, peer in self._peers.items() if peer.stranger])
 
     def hangs(self, now: float) -> bool:
-        """Return whether a handler takes too long to be well."""
-        return self.running is not None and now - self._since >= HANG
+        """Return whether a handler takes too long to be well. An app that has failed has another fault."""
+        return self.running is not None and not self.failure and now - self._since >= HANG
 
     def known(self, now: float) -> list[NeighbourState]:
         """The newest states of the neighbours that have told one, sorted by name."""

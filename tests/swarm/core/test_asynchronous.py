@@ -295,6 +295,13 @@ def test_a_failed_app_is_silent() -> None:
     assert (each.phase, each.actions(), each.next_deadline()) == ("fault", [], None)
 
 
+def test_a_failed_app_does_not_hang() -> None:
+    each = alone()
+    assert calls(each) == [HandlerCall("step")]
+    each.fail("it raised")
+    assert not each.hangs(100.0)
+
+
 def test_a_failed_app_plans_nothing_when_it_hears_of_its_neighbours() -> None:
     each = started()
     each.fail("it raised")
