@@ -31,10 +31,11 @@ def replaced(page: str, area: str, part: str) -> str:
 
 
 def machine() -> str:
-    """Return what the figures were measured on: processors, Python, and the load of the last minute, in words."""
+    """Return what the figures were measured on, in words: processors, Python, and the load of the last minute, which
+    is mostly the measurement's own."""
     return (
         f"{os.cpu_count()} processors {platform.machine()}, {platform.system()} {platform.release()}, "
-        f"Python {platform.python_version()}, load average {os.getloadavg()[0]:.1f}"
+        f"Python {platform.python_version()}, load average {os.getloadavg()[0]:.1f} with what is measured"
     )
 
 

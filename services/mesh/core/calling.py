@@ -102,9 +102,10 @@ class Calling:
         """The time of the next check whether this robot has no link."""
         self._alone = False
         self._owed: set[str] = set()
-        """Robots at which to knock once more although there is a link again: they may have taken this one for absent
-        while it had none."""
+        """Robots at which to knock once although there is a link: they may have taken this one for absent while it had
+        none, as at the start."""
         self._knocks = 0
+        self.lost()
 
     # -- own calls -------------------------------------------------------------------------------------------
 
@@ -146,7 +147,7 @@ class Calling:
         return min(least * 2.0**doubled, max(self._local.patience, least))
 
     def lost(self) -> None:
-        """Note that a link has ended."""
+        """Note that a link has ended, or that there was none yet."""
         if not any(link.session for link in self._links.values()):
             self._owed = {name for name, dials in self._local.dials.items() if not dials}
 
