@@ -4,6 +4,7 @@ import contextlib
 import os
 import signal
 import socket
+import stat
 import subprocess
 import threading
 import time
@@ -146,12 +147,15 @@ def break_connections(socket_name: str) -> int:
     """Shut down all connections of this process to or from a Unix socket of that name, and return how many there
     were."""
     found = 0
-    for entry in Path("/proc/self/fd").iterdir():
-        with contextlib.suppress(OSError), socket.socket(fileno=os.dup(int(entry.name))) as connection:
-            ends = (connection.getsockname(), connection.getpeername())
-            if any(str(end).endswith(f"/{socket_name}") for end in ends):
-                connection.shutdown(socket.SHUT_RDWR)
-                found += 1
+    for number in [int(entry.name) for entry in Path("/proc/self/fd").iterdir()]:
+        with contextlib.suppress(OSError):
+            if not stat.S_ISSOCK(os.fstat(number).st_mode):
+                continue
+            with socket.socket(fileno=os.dup(number)) as connection:
+                ends = (connection.getsockname(), connection.getpeername())
+                if any(str(end).endswith(f"/{socket_name}") for end in ends):
+                    connection.shutdown(socket.SHUT_RDWR)
+                    found += 1
     return found
 
 
