@@ -104,6 +104,8 @@ class Calling:
         self._owed: set[str] = set()
         """Robots at which to knock once although there is a link: they may have taken this one for absent while it had
         none, as at the start."""
+        self._lacked: set[str] = set()
+        """Those of them with which there was no link at the last look."""
         self._knocks = 0
         self.lost()
 
@@ -158,10 +160,13 @@ class Calling:
         self._look_at = now + KNOCK * (1.0 + self._random())
         before, self._alone = self._alone, not any(link.session or link.attempt for link in self._links.values())
         if self._alone:
+            self._lacked = set(self._owed) if before else set()
             names = [name for name, dials in self._local.dials.items() if not dials]
             callers = [name for name in names if self._linking.carried or self._lacks(name)] if before else []
         else:
-            callers = [name for name in self._local.dials if name in self._owed and self._lacks(name)]
+            # Who lacked it at the last look, too: a call may be under way, and a page would come between.
+            lacked, self._lacked = self._lacked, {name for name in self._owed if self._lacks(name)}
+            callers = [name for name in self._local.dials if name in lacked & self._lacked]
         if not callers:
             return None
         self._knocks += 1
