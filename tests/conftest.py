@@ -98,7 +98,10 @@ def examples(count: int) -> int:
 
 def thinned(values: Iterable[Any]) -> list[Any]:
     """Parameters of a test that takes long: every third value is for the suite, the others are for the slow rigs."""
-    return [pytest.param(value, marks=[pytest.mark.slow] if number % 3 else []) for number, value in enumerate(values)]
+    return [
+        pytest.param(*(value if isinstance(value, tuple) else (value,)), marks=[pytest.mark.slow] if number % 3 else [])
+        for number, value in enumerate(values)
+    ]
 
 
 @pytest.hookimpl(wrapper=True)

@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from conftest import thinned
 
 from services.apps import loader
 from services.apps.builtin.localization.leastsquares import refine
@@ -58,7 +59,7 @@ def test_least_squares_of_the_members(algorithm: str) -> None:
         assert (result["x"], result["y"]) == pytest.approx(best, abs=1e-3)
 
 
-@pytest.mark.parametrize(("algorithm", "iterations"), [("info", 300), ("diging", 900), ("thesis", 900)])
+@pytest.mark.parametrize(("algorithm", "iterations"), thinned([("info", 300), ("diging", 900), ("thesis", 900)]))
 def test_as_if_the_member_had_never_been_there(algorithm: str, iterations: int) -> None:
     """The same end as of a swarm of five that begins without it."""
     parameters = {"step_size": 0.02} if algorithm in ("diging", "thesis") else {}

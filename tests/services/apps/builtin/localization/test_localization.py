@@ -6,6 +6,7 @@ import statistics
 
 import numpy as np
 import pytest
+from conftest import thinned
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from localization_rig import Point, exact, measured, noisy, recorded, rounds_to_own_limit
@@ -146,7 +147,7 @@ def test_sigma_is_the_spread_of_the_estimates() -> None:
 
 @pytest.mark.parametrize(
     ("count", "shape", "rounds"),
-    [(3, "line", 5), (6, "line", 18), (6, "loop", 5), (6, "thesis-d", 4), (6, "full", 1)],
+    thinned([(3, "line", 5), (6, "line", 18), (6, "loop", 5), (6, "thesis-d", 4), (6, "full", 1)]),
 )
 def test_info_needs_few_rounds_to_its_own_limit(count: int, shape: str, rounds: int) -> None:
     """Median over draws of the noise; that limit is where all data together put the target."""
