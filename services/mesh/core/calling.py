@@ -101,13 +101,12 @@ class Calling:
         self._look_at = 0.0 if local.pages else _NEVER
         """The time of the next check whether this robot has no link."""
         self._alone = False
-        self._owed: set[str] = set()
+        self._owed = set(self._callers_of_this())
         """Robots at which to knock once although there is a link: they may have taken this one for absent while it had
         none, as at the start."""
         self._lacked: set[str] = set()
         """Those of them with which there was no link at the last look."""
         self._knocks = 0
-        self.lost()
 
     # -- own calls -------------------------------------------------------------------------------------------
 
@@ -149,9 +148,9 @@ class Calling:
         return min(least * 2.0**doubled, max(self._local.patience, least))
 
     def lost(self) -> None:
-        """Note that a link has ended, or that there was none yet."""
+        """Note that a link has ended."""
         if not any(link.session for link in self._links.values()):
-            self._owed = {name for name, dials in self._local.dials.items() if not dials}
+            self._owed = set(self._callers_of_this())
 
     def to_knock_at(self, now: float) -> str | None:
         """Return the robot at which to knock now; None where there is none, or this one need not look yet."""
@@ -159,14 +158,16 @@ class Calling:
             return None
         self._look_at = now + KNOCK * (1.0 + self._random())
         before, self._alone = self._alone, not any(link.session or link.attempt for link in self._links.values())
-        if self._alone:
-            self._lacked = set(self._owed) if before else set()
-            names = [name for name, dials in self._local.dials.items() if not dials]
-            callers = [name for name in names if self._linking.carried or self._lacks(name)] if before else []
-        else:
-            # Who lacked it at the last look, too: a call may be under way, and a page would come between.
+        callers = self._callers_of_this()
+        if not self._alone:
+            # Only those missing at the last look, too: where a call is under way, a knock would collide with it.
             lacked, self._lacked = self._lacked, {name for name in self._owed if self._lacks(name)}
-            callers = [name for name in self._local.dials if name in lacked & self._lacked]
+            callers = [name for name in callers if name in lacked & self._lacked]
+        elif before:
+            self._lacked = set(self._owed)
+            callers = [name for name in callers if self._linking.carried or self._lacks(name)]
+        else:
+            self._lacked, callers = set(), []
         if not callers:
             return None
         self._knocks += 1
@@ -174,6 +175,10 @@ class Calling:
         if not self._alone:
             self._owed.discard(caller)
         return caller
+
+    def _callers_of_this(self) -> list[str]:
+        """Return the robots that are to call this one."""
+        return [name for name, dials in self._local.dials.items() if not dials]
 
     def _lacks(self, name: str) -> bool:
         """Return whether there is to be a link with a robot, and is none."""

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from conftest import thinned
+from iteration_moments import moments_of
 
 from bench.radio.swarm import SIZE, fail_over, transfer
 from sim.scenario.options import parse
@@ -92,15 +93,7 @@ SILENT = [word for place in range(1, 6) for word in ("--cut", f"r0-r{place}@1s,1
 def test_when_the_hub_is_lost_the_others_go_on_without_it_and_with_it_when_it_is_back(lost):
     options = parse([*SIX, *DROP, "--virtual", "--latency", "100ms", "--links", "star", *lost])
     run = VirtualRun(options, build(options, PLACE))
-    moments = []
-    advanced = run.advanced
-
-    def note(source, line):
-        if source.robot == "r1":
-            moments.append(run.world.time.now)
-        advanced(source, line)
-
-    run.advanced = note
+    moments = moments_of(run, "r1")
     outcome = run.go()
     assert outcome.problems == ()
     assert 2 < max(after - before for before, after in pairwise(moments)) < 10

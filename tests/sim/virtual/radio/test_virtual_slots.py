@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import pytest
+from iteration_moments import moments_of
 
 from sim.report import summary
 from sim.report_table import table
@@ -47,15 +48,7 @@ def test_a_robot_that_was_absent_for_long_knocks_and_is_called_back():
     more = ("--radio", "slots", "--links", "star", "--absent", "drop", "--drop-after", "3", "--off", "r2@start,80s")
     options = parse([*CONSENSUS[:5], "--virtual", "--seconds", "120", *more])
     run = VirtualRun(options, build(options, PLACE))
-    moments = []
-    advanced = run.advanced
-
-    def note(source, line):
-        if source.robot == "r2":
-            moments.append(run.world.time.now)
-        advanced(source, line)
-
-    run.advanced = note
+    moments = moments_of(run, "r2")
     assert run.go().problems == ()
     # Nobody has called it since its third page, and would not before 100 s had passed. The first moment is its start.
     assert 80 < moments[1] < 110
