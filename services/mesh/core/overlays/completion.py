@@ -6,9 +6,13 @@ at once.
 
 Each SPREAD names the robots that its sender knows to have the message. A robot tells a neighbour whom it knows of, in
 one KNOWN, as soon as that includes every robot that has a shortest way to that neighbour over this one. On a tree
-these are all robots but those behind the neighbour, so completion travels both ways at once. On other graphs robots
-could wait for one another in a circle: so over each link of one tree of shortest ways to the origin a robot also tells
-when it knows of all robots on its side of that link. That gives 4E + N - 1 messages at most, for E links and N robots.
+these are all robots but those behind the neighbour, so completion travels both ways at once.
+
+On other graphs robots could wait for one another in a circle. So over the links of one tree of shortest ways to the
+origin a robot also tells its parent when it knows of all robots behind itself, and it tells a child when it knows of
+all robots but those behind the child. Two KNOWN go up such a link, one goes down beside the SPREAD, and one goes each
+way over any other link beside the two SPREAD: at most 4E messages for E links.
+
 Ways are those of the map. Where they change meanwhile, and after a second try, who knows of all tells each neighbour
 that may not.
 
@@ -229,14 +233,17 @@ class Completion:
 
     def _told_by_us(self, origin: str, peer: str) -> tuple[int, ...]:
         """The sets of robots, each of which we tell a neighbour when we know all of it: those with a shortest way to it
-        over us, and over a link of the tree those on our side."""
+        over us. Over a link of the tree to our parent also those on our side, to a child only those."""
         if (origin, peer) not in self._through:
             ours, theirs = _hops(self._map, self._me), _hops(self._map, peer)
             told = {self._bits((self._me, *(name for name, hops in ours.items() if theirs.get(name) == hops + 1)))}
             tree = _tree(self._map, origin)
             if peer in tree.get(self._me, ()):
                 rest = {name: peers - {peer} if name == self._me else peers for name, peers in tree.items()}
-                told.add(self._bits(_hops(rest, self._me)))
+                side = _hops(rest, self._me)
+                if origin in side:  # the neighbour is a child; those with a shortest way to it over us are on our side
+                    told.clear()
+                told.add(self._bits(side))
             self._through[origin, peer] = tuple(told)
         return self._through[origin, peer]
 

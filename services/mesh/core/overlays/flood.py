@@ -2,7 +2,7 @@
 
 Who sees a flood for the first time delivers it and passes it on over all links but the one it came by: it crosses
 each edge once or twice, 2E - (N - 1) messages in all. A confirmed one has its echo (`overlays.echo`), 2E messages; one
-of which all are to know that all have it needs 4E + N - 1 at most (`overlays.completion`). The origin tries a second
+of which all are to know that all have it needs 4E at most (`overlays.completion`). The origin tries a second
 time where links broke meanwhile. Of keys marked latest each robot keeps the newest value; neighbours compare checksums
 when their link comes up and every 30 s, and hand each other what is missing.
 """
