@@ -54,8 +54,8 @@ SECTIONS: Sections = {
                 "throughput": Command(
                     "laptop.cli.measure.links", ("throughput",), robot.MEASURE.commands["throughput"].help, FAR
                 ),
-                "radio": Command("laptop.cli.measure.radio", far=FAR),
-                "slots": Command("laptop.cli.measure.slots"),
+                "rssi": Command("laptop.cli.measure.rssi", far=FAR),
+                "radio": Command("laptop.cli.measure.radio"),
                 "i2c": robot.MEASURE.commands["i2c"]._replace(far=FAR),
             }
         ),

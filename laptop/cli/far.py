@@ -15,7 +15,7 @@ from swarm.process.arguments import add_json, add_robots, add_run_dir, show
 TIMEOUT_S = 600.0
 """Seconds to wait for each robot: a measurement may take minutes."""
 
-FROM_ONE = ("mesh topology", "mesh epoch", "measure rtt", "measure throughput", "measure radio")
+FROM_ONE = ("mesh topology", "mesh epoch", "measure rtt", "measure throughput", "measure rssi")
 """Commands that one robot carries out for all: the robot that is named first, else the first of the configuration."""
 OF_EACH = ("measure i2c",)
 """Commands whose arguments name the robots, each of which carries them out."""

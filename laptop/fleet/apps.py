@@ -89,7 +89,10 @@ class AppStart:
         folder = f"{APPS}/{name}-{sources.digest(files).hex()[:12]}" if files is not None else ""
         data = b"" if files is None else pack(files, dict.fromkeys(files, 0o644))
         # One number for this run on every robot: what an earlier run left behind has another.
-        words = ["--run", secrets.token_hex(8), *arguments]
+        number = secrets.token_hex(8)
+        self.run = f"{name}-{number}"
+        """The name of the folder of its recordings, on robots and for `swarm fetch`."""
+        words = ["--run", number, *arguments]
         for setting in settings:
             # systemd splits at spaces and knows quotes: what has any of them is written with % and two hex digits.
             plain = _PLAIN.fullmatch(setting) is not None
@@ -117,7 +120,7 @@ class AppStart:
         script = _FIRST.format(unit=self.unit, before=before, tries=round(WAIT_S / 0.5))
         state, *said = (await ssh.check(host, script)).splitlines() or [""]
         if state == "active":
-            return f"{self.unit} runs"
+            return f"{self.unit} runs: {self.run}"
         words = " | ".join(printable(line) for line in said if line.strip()) or "it has said nothing"
         how = "has failed" if state == "failed" else f"has no first state after {WAIT_S:g} s ({state or 'unknown'})"
         raise HostError(f"{self.unit} {how}: {words}")

@@ -28,7 +28,7 @@ MEASURE = CommandGroup(
             ("throughput",),
             "measure the throughput of links and paths, in bytes a second",
         ),
-        "radio": Command("swarm.onboard.measure.radio"),
+        "rssi": Command("swarm.onboard.measure.rssi"),
         "i2c": Command("services.balancer.measure_i2c"),
     },
 )

@@ -9,7 +9,7 @@ from swarm.bluetooth.adapter import Adapter
 from swarm.config import load
 from swarm.errors import LocalError
 from swarm.frozen import frozen
-from swarm.onboard.measure.radio import address
+from swarm.onboard.measure.rssi import address
 from swarm.process.simulations import CONFIG, is_live
 from swarm.process.terminal import columns
 

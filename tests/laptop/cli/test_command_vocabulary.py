@@ -115,4 +115,4 @@ def test_hands_and_measurements_are_complete() -> None:
     assert list(groups["hand"].commands) == [
         "press", "push", "lay", "place", "lift", "roll", "miswire", "unplug", "kill", "cut", "reboot",
     ]  # fmt: skip
-    assert list(groups["measure"].commands) == ["rtt", "throughput", "radio", "slots", "i2c"]
+    assert list(groups["measure"].commands) == ["rtt", "throughput", "rssi", "radio", "i2c"]

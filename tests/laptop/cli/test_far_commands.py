@@ -21,7 +21,7 @@ pytest_plugins = ["fleet_fixtures"]
 
 EVERYWHERE = (
     "status", "logs", "mesh show", "mesh topology show", "mesh epoch show", "measure rtt", "measure throughput",
-    "measure radio", "measure i2c", "dwm info", "dwm check", "app start", "app stop", "app param", "balance stand",
+    "measure rssi", "measure i2c", "dwm info", "dwm check", "app start", "app stop", "app param", "balance stand",
     "services start", "services stop", "services restart",
 )  # fmt: skip
 
@@ -59,7 +59,7 @@ THERE = "-n env SWARM_ROBOT={} SWARM_RUNTIME=/run/swarm /opt/swarm/current/bin/s
         ("measure rtt r1 r0 --count 3", {"r1": "measure rtt r1 r0 --count 3"}),
         ("measure i2c --robots r0", {"r0": "measure i2c"}),
         ("measure i2c r1 --sizes 4", {"r1": "measure i2c --sizes 4"}),
-        ("measure radio r1 r0", {"r1": "measure radio r1 r0"}),
+        ("measure rssi r1 r0", {"r1": "measure rssi r1 r0"}),
         ("dwm check", {"r0": "dwm check", "r1": "dwm check"}),
     ],
 )

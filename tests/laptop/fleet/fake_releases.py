@@ -1,11 +1,14 @@
 """Releases to deploy, and ssh servers that look like robots with one."""
 
+import hashlib
 import io
 import os
 import tarfile
 from pathlib import Path
 
 from fake_robots import FakeRobots
+
+from laptop.fleet.release import release
 
 INSTALL = """#!/bin/sh
 echo "$@" >> $HOME/installed
@@ -29,6 +32,16 @@ def add_python(home: Path) -> None:
     python = home / "bin/python3.11"
     python.write_text("#!/bin/sh\n")
     python.chmod(0o755)
+
+
+def make_package_cache(cache: Path) -> None:
+    """Make a user's cache folder (`$XDG_CACHE_HOME`) with the packages of a release as an earlier one has left them, so
+    that `swarm deploy` makes one without network."""
+    lock = (release.PARTS / release.LOCK).read_text()
+    key = hashlib.sha256("\n".join([os.uname().machine, "3.11", lock]).encode()).hexdigest()[:16]
+    folder = cache / "balboa-swarm/wheels" / key
+    folder.mkdir(parents=True)
+    (folder / release.LOCK).write_text(lock)
 
 
 def sent(outcome: dict[str, object]) -> int:

@@ -4,7 +4,6 @@ What ssh servers in place of robots suffice for is run here, in the order of the
 what stands within sentences. What needs a robot's system is named, with the test that runs it on one.
 """
 
-import hashlib
 import os
 import re
 import subprocess
@@ -13,11 +12,10 @@ from pathlib import Path
 
 import documented_path
 import pytest
-from fake_releases import add_python, add_robot
+from fake_releases import add_python, add_robot, make_package_cache
 from fake_robots import FakeRobots
 from needs import needs_ssh
 
-from laptop.fleet.release import release
 from swarm.config import parse
 from swarm.config.example import EXAMPLE
 
@@ -90,12 +88,7 @@ def rig(robots: FakeRobots) -> dict[str, str]:
     ):
         (tools / name).write_text(f"#!/bin/sh\n{line}\n")
         (tools / name).chmod(0o755)
-    # The packages of a release as an earlier one has left them, since this test has no network.
-    lock = (DOCS.parent / release.LOCK).read_text()
-    key = hashlib.sha256("\n".join([os.uname().machine, "3.11", lock]).encode()).hexdigest()[:16]
-    cache = robots.folder / "cache/balboa-swarm/wheels" / key
-    cache.mkdir(parents=True)
-    (cache / release.LOCK).write_text(lock)
+    make_package_cache(robots.folder / "cache")
     own = {name: value for name, value in os.environ.items() if not name.startswith("SWARM_")}
     return {
         **own,

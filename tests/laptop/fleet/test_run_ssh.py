@@ -73,7 +73,7 @@ def test_run_names_the_robot_whose_app_has_no_first_state_with_its_last_words(
         (robots.folder / name / "bin/sudo").write_text(text)
     assert run("run", "consensus", "--json") == 1
     found = outcomes(capsys)
-    assert found["r0"]["text"] == "swarm-app@consensus.service runs"
+    assert re.fullmatch(r"swarm-app@consensus\.service runs: consensus-[0-9a-f]{16}", str(found["r0"]["text"]))
     assert found["r1"]["text"] == (
         "swarm-app@consensus.service has failed: first | ModuleNotFoundError: No module named numpy"
     )

@@ -1,4 +1,4 @@
-"""`swarm measure radio`: the bytes of the HCI, a stand-in for the kernel's raw HCI sockets, and what is said where a
+"""`swarm measure rssi`: the bytes of the HCI, a stand-in for the kernel's raw HCI sockets, and what is said where a
 link has no radio. What this cannot show is a real controller's answer."""
 
 import argparse
@@ -16,13 +16,13 @@ from hci_controller import ADAPTERS, HANDLE, PEER, Controller, complete
 from hypothesis import given
 from hypothesis import strategies as st
 
-from laptop.cli.measure import radio as command
+from laptop.cli.measure import rssi as command
 from swarm.bluetooth import adapter as adapters
 from swarm.bluetooth import hci
 from swarm.bluetooth.adapter import Adapter
 from swarm.errors import FrameError, LocalError
-from swarm.onboard.measure import radio
-from swarm.onboard.measure.radio import Signal
+from swarm.onboard.measure import rssi
+from swarm.onboard.measure.rssi import Signal
 from swarm.onboard.mesh import radio as mesh_radio
 
 # -- bytes ---------------------------------------------------------------------------------------------------
@@ -78,8 +78,8 @@ def test_the_adapter_of_the_address_is_asked(controller: Controller) -> None:
     each = signal(controller)
     assert (controller.bound, controller.filtered) == (3, hci.FILTER)
     pauses: list[float] = []
-    assert radio.sample(each, 3, pauses.append) == [-60, -61, 5]
-    assert pauses == [radio.PERIOD] * 2
+    assert rssi.sample(each, 3, pauses.append) == [-60, -61, 5]
+    assert pauses == [rssi.PERIOD] * 2
 
 
 def test_what_others_ask_the_adapter_is_not_taken_for_the_answer(controller: Controller) -> None:
@@ -139,7 +139,7 @@ insecure = true
 def args(runtime: Path, monkeypatch: pytest.MonkeyPatch) -> argparse.Namespace:
     (runtime / "swarm.toml").write_text(CONFIG)
     monkeypatch.setenv("SWARM_CONFIG", str(runtime / "swarm.toml"))
-    monkeypatch.setattr(radio.links, "ends", lambda args: ("r0", args.peer, runtime / "r0"))
+    monkeypatch.setattr(rssi.links, "ends", lambda args: ("r0", args.peer, runtime / "r0"))
     return argparse.Namespace(count=3, json=True, plot=None, peer="r1")
 
 
@@ -150,9 +150,9 @@ def test_readings_of_the_signal_strength_are_printed(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(radio, "PERIOD", 0.0)
+    monkeypatch.setattr(rssi, "PERIOD", 0.0)
     own = functools.partial(Adapter, open_socket=controller.open, ioctl=controller.ioctl)
-    monkeypatch.setattr(radio, "Adapter", own)
+    monkeypatch.setattr(rssi, "Adapter", own)
     controller.values = [-60, -58, -62]
     assert command.run(args) == 0
     assert json.loads(capsys.readouterr().out)["rssi"] == [-60, -58, -62]
@@ -194,6 +194,6 @@ def test_a_kernel_without_bluetooth_is_said(
     def refuse(*_: object) -> None:
         raise OSError(errno.EAFNOSUPPORT, os.strerror(errno.EAFNOSUPPORT))
 
-    monkeypatch.setattr(radio, "Adapter", refuse)
+    monkeypatch.setattr(rssi, "Adapter", refuse)
     with pytest.raises(LocalError, match="this kernel has no Bluetooth"):
         command.run(args)

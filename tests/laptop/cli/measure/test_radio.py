@@ -1,4 +1,4 @@
-"""`swarm measure slots`: recorded runs are read, fitted and told; test_radio_page.py has the rehearsal."""
+"""`swarm measure radio`: recorded runs are read, fitted and told; test_radio_page.py has the rehearsal."""
 
 import argparse
 import json
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from laptop.cli.measure import slots
+from laptop.cli.measure import radio
 from sim.virtual.run import simulate
 from swarm.errors import LocalError
 from swarm.messages import LinkState
@@ -25,13 +25,13 @@ def test_a_loop_tells_how_long_bridges_stay_and_nothing_of_hosts(
 ) -> None:
     record(tmp_path / "loop", 40)
     args = argparse.Namespace(runs=[tmp_path / "loop"], iterations=25, json=True)
-    assert slots.run(args) == 0
+    assert radio.run(args) == 0
     found = json.loads(capsys.readouterr().out)
     assert list(found["parameters"]) == ["stay"]
     assert 0.15 < found["parameters"]["stay"]["value"] < 0.4
     assert (found["runs"][0]["links"], found["runs"][0]["piconets"]) == (4, 2)
     args.json = False
-    assert slots.run(args) == 0
+    assert radio.run(args) == 0
     text = capsys.readouterr().out
     assert "host: no run tells it" in text
     assert "simulate this radio with: --radio slots:stay=0." in text
@@ -40,7 +40,7 @@ def test_a_loop_tells_how_long_bridges_stay_and_nothing_of_hosts(
 def test_a_run_that_is_too_short_is_said(tmp_path: Path) -> None:
     record(tmp_path / "short", 12)
     with pytest.raises(LocalError, match="too short: expected 20 iterations"):
-        slots.run(argparse.Namespace(runs=[tmp_path / "short"], iterations=20, json=False))
+        radio.run(argparse.Namespace(runs=[tmp_path / "short"], iterations=20, json=False))
 
 
 def test_links_that_were_lost_are_counted_once_and_wrong_roles_are_named() -> None:
@@ -51,6 +51,6 @@ def test_links_that_were_lost_are_counted_once_and_wrong_roles_are_named() -> No
         "r0": [link("r1", "up", 3), link("r2", "down", 1), link("r3", "down", 0)],
         "r1": [link("r0", "up", 3, "peripheral")],
     }
-    found = slots._radio(0.1, told)
+    found = radio._radio(0.1, told)
     assert (found.lost, found.wrong) == (3, ("r1 r0",))
     assert (found.rtt_median, found.rtt_p99) == (0.05, 0.2)

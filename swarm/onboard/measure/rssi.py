@@ -1,4 +1,4 @@
-"""`swarm measure radio ROBOT [ROBOT]`: the signal strength of a Bluetooth link (RSSI), as its adapter sees it.
+"""`swarm measure rssi ROBOT [ROBOT]`: the signal strength of a Bluetooth link (RSSI), as its adapter sees it.
 
 The adapter is asked over a raw HCI socket, which needs neither root nor bluetoothd (`swarm.bluetooth.hci`).
 bluetoothd's own interface has no such reading, and its management socket gives it to root only.
@@ -65,7 +65,7 @@ def measured(args: argparse.Namespace) -> tuple[str, list[int]]:
             readings = sample(Signal(adapter, there), args.count)
     except OSError as error:
         raise LocalError(f"Bluetooth {own}: {hci.explained(error)}") from None
-    data = {"robot": robot, "peer": peer, "what": "radio", "period": PERIOD, "rssi": readings}
+    data = {"robot": robot, "peer": peer, "what": "rssi", "period": PERIOD, "rssi": readings}
     show(args, data, text(link, readings))
     return link, readings
 
