@@ -15,6 +15,7 @@ from swarm.app.robot import Robot
 from swarm.core.graph import Graph
 from swarm.errors import LocalError
 from swarm.messages import AppLog
+from swarm.process.simulations import claim
 
 TALKS = """
 from swarm import {kind}
@@ -89,6 +90,25 @@ def test_a_name_that_is_nothing_here_names_the_runs_that_are(tmp_path: Path, mon
         LocalError, match=r"may also be that of a service or app .*, where a swarm.toml names the robots"
     ):
         logs.run(parser.parse_args(["firts"]))
+
+
+def test_logs_beside_a_simulation_say_when_there_is_nothing_and_refuse_a_name_that_no_robot_has(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    parser = argparse.ArgumentParser()
+    logs.add_arguments(parser)
+    with claim(tmp_path / "run"):
+        with pytest.raises(LocalError, match="has no robots at this moment"):
+            logs.run(parser.parse_args(["--run-dir", str(tmp_path / "run")]))
+        (tmp_path / "run" / "swarm.toml").write_text('robots = [{ name = "r0" }]')
+        (tmp_path / "run" / "r0").mkdir()
+        for name, text in (("mesh.log", "link up\n"), ("app.talks.log", "")):
+            (tmp_path / "run" / "r0" / name).write_text(text)
+        for name, line in (("mesh", "r0: link up"), ("talks", "nothing is logged yet by talks of r0")):
+            assert logs.run(parser.parse_args([name, "--run-dir", str(tmp_path / "run")])) == 0
+            assert capsys.readouterr().out == f"{line}\n"
+        with pytest.raises(LocalError, match=r"walks: no robot of the simulation .*; there are: mesh, talks"):
+            logs.run(parser.parse_args(["walks", "--run-dir", str(tmp_path / "run")]))
 
 
 def test_a_sweep_is_not_flooded_by_what_apps_print(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

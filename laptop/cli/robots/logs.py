@@ -1,4 +1,5 @@
-"""`swarm logs [SERVICE...]`: what the services of all robots have written to their journals.
+"""`swarm logs [SERVICE...]`: what the services of all robots have written to their journals, or to the log files of a
+simulation that runs here.
 
 `swarm logs RUN` tells what apps have printed and logged in a recorded run.
 """
@@ -22,7 +23,7 @@ from swarm.process.text import printable
 from swarm.recording.reader import SUFFIX
 from swarm.recording.run import Run
 
-HELP = "show the logs of all robots over ssh, or of the apps in a recorded run"
+HELP = "show the logs of all robots, or of the apps in a recorded run"
 
 FOREVER_S = 1e9
 MOST_RUNS = 8
@@ -104,8 +105,12 @@ def _of_run(args: argparse.Namespace) -> int:
 
 
 def _simulated(args: argparse.Namespace, there: Mapping[str, Path]) -> int:
-    """Print the log files of simulated robots' services."""
-    wanted = {f"{name}.log" if name in SERVICES else f"app.{name}.log" for name in args.services}
+    """Print the log files of simulated robots' services; raises `LocalError` for one that no robot has."""
+    wanted = {f"{name}.log" if name in SERVICES else f"app.{name}.log": name for name in args.services}
+    written = {path.name for runtime in there.values() for path in runtime.glob("*.log")}
+    if odd := [name for file, name in wanted.items() if file not in written]:
+        names = ", ".join(sorted(name.removesuffix(".log").removeprefix("app.") for name in written))
+        raise LocalError(f"{odd[0]}: no robot of the simulation that runs here has such a log; there are: {names}")
     files = [
         (name, path)
         for name, runtime in there.items()
@@ -119,6 +124,8 @@ def _simulated(args: argparse.Namespace, there: Mapping[str, Path]) -> int:
         places[path] = path.stat().st_size
         found[name] += text.splitlines()[-args.lines :] if args.lines else []
     shown = [f"{name}: {printable(line)}" for name, lines in found.items() for line in lines]
+    if not shown and not args.follow:
+        shown = [f"nothing is logged yet by {', '.join(args.services) or 'any service'} of {', '.join(there)}"]
     show(args, {"robots": {name: {"ok": True, "lines": lines} for name, lines in found.items()}}, shown)
     while args.follow:
         sys.stdout.flush()

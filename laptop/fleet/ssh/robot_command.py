@@ -60,7 +60,9 @@ def simulated(args: argparse.Namespace) -> dict[str, Path] | None:
         return None
     directory = (args.run_dir or default_run_dir()).absolute()
     if is_live(directory):
-        return buses.chosen(robots(directory), args.robots or ())
+        if not (found := robots(directory)):
+            raise LocalError(f"the simulation in {directory} has no robots at this moment: it starts or ends")
+        return buses.chosen(found, args.robots or ())
     if args.run_dir is not None:
         raise LocalError(f"no simulation is running in {directory}")
     return None
