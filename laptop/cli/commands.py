@@ -17,7 +17,10 @@ SECTIONS: Sections = {
         "film": Command("laptop.cli.runs.film"),
         "export": Command("laptop.cli.runs.export"),
     },
-    "a running swarm": {
+    "a running swarm, simulated or real": {
+        "status": Command("laptop.cli.robots.status"),
+        "logs": Command("laptop.cli.robots.logs"),
+        "doctor": Command("laptop.cli.robots.doctor"),
         "hand": CommandGroup(
             "act on a simulated robot",
             {
@@ -67,21 +70,6 @@ SECTIONS: Sections = {
                 "param": Command("laptop.cli.param"),
             },
         ),
-        **robot.TOOLS,
-        "dwm": Command("services.dwm.tool", help="show, configure and check UWB modules", far=FAR),
-        "calibrate": Command("laptop.cli.calibrate", help=robot.TOOLS["calibrate"].help),
-    },
-    "real robots, over ssh": {
-        "provision": Command("laptop.cli.robots.provision"),
-        "pair": Command("laptop.cli.robots.pair"),
-        "deploy": Command("laptop.cli.robots.deploy"),
-        "run": Command("laptop.cli.robots.run"),
-        "status": Command("laptop.cli.robots.status"),
-        "logs": Command("laptop.cli.robots.logs"),
-        "fetch": Command("laptop.cli.robots.fetch"),
-        "flash": Command("laptop.cli.robots.body.flash"),
-        "doctor": Command("laptop.cli.robots.doctor"),
-        "command": Command("laptop.cli.robots.command"),
         "services": CommandGroup(
             "act on services and apps",
             {
@@ -96,6 +84,18 @@ SECTIONS: Sections = {
                 ),
             },
         ),
+        **robot.TOOLS,
+        "dwm": Command("services.dwm.tool", help="show, configure and check UWB modules", far=FAR),
+        "calibrate": Command("laptop.cli.calibrate", help=robot.TOOLS["calibrate"].help),
+    },
+    "real robots, over ssh": {
+        "provision": Command("laptop.cli.robots.provision"),
+        "pair": Command("laptop.cli.robots.pair"),
+        "deploy": Command("laptop.cli.robots.deploy"),
+        "run": Command("laptop.cli.robots.run"),
+        "fetch": Command("laptop.cli.robots.fetch"),
+        "flash": Command("laptop.cli.robots.body.flash"),
+        "command": Command("laptop.cli.robots.command"),
     },
     "safety": {
         "estop": Command("laptop.cli.halt", ("stop",), robot.ESTOP),

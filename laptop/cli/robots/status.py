@@ -26,7 +26,7 @@ from swarm.process.simulations import CONFIG
 from swarm.process.terminal import columns, steer, write_lines
 from swarm.recording.budget import shown
 
-HELP = "show services, battery, links, pose, apps and versions of all robots, over ssh"
+HELP = "show services, battery, links, pose, apps and versions of all robots"
 
 WATCH_EVERY_S = 2.0
 LISTEN_S = 1.3
