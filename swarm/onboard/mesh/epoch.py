@@ -85,9 +85,14 @@ def table(answers: Answers[AppEpoch]) -> list[str]:
 def _order(answers: Answers[AppEpoch], args: argparse.Namespace) -> str:
     """Give the order to one robot; what is wrong where its app has not followed in time."""
     known, which = answers.newest, tuple(getattr(args, "which", ()))
-    members = {name for epoch in known.values() for name in epoch.members}
-    name = next((name for name in known if name in members and name not in which), None)
-    if name is None:
+
+    def asked() -> str | None:
+        so_far = dict(known)
+        members = {name for epoch in so_far.values() for name in epoch.members}
+        return next((name for name in so_far if name in members and name not in which), None)
+
+    answers.wait(PATIENCE, lambda: asked() is not None)  # the one that is dropped may be the first to answer
+    if (name := asked()) is None:
         raise LocalError(f"none of {', '.join(known)} is in {args.app}: ask a robot that is")
     before = known[name]
     drop = which if args.verb == "drop" else ()
