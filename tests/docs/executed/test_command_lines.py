@@ -1,16 +1,14 @@
-"""Command lines of all pages: each is one that the command takes, and those of virtual time are run."""
+"""Command lines of all pages: each is one that the command takes."""
 
 import argparse
 import contextlib
 import importlib
 import re
 import shlex
-import subprocess
 from pathlib import Path
 from typing import NoReturn
 
 import pytest
-from test_tutorial import commands_on_the_path
 
 from laptop.cli import far
 from laptop.cli.commands import SECTIONS
@@ -77,22 +75,3 @@ def test_a_command_line_is_one_that_the_command_takes(page: str, line: str, monk
     monkeypatch.setattr(argparse.ArgumentParser, "error", refuse)
     with contextlib.suppress(SystemExit):  # --help
         parsed(shlex.split(line)[1:])
-
-
-def in_virtual_time(line: str) -> bool:
-    return line.startswith("swarm sim ") and "--virtual" in line and "--view" not in line and ".py" not in line
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(300)
-@pytest.mark.parametrize("page", sorted({page for page, line in TYPED if in_virtual_time(line)}))
-def test_simulations_of_a_page_in_virtual_time_run(page: str, tmp_path: Path) -> None:
-    tools, home = tmp_path / "tools", tmp_path / "home"
-    tools.mkdir()
-    (home / "docs" / "images").mkdir(parents=True)
-    environment = commands_on_the_path(tools)
-    for line in (line for where, line in TYPED if where == page and in_virtual_time(line)):
-        done = subprocess.run(
-            ["/bin/sh", "-c", line], cwd=home, env=environment, capture_output=True, text=True, check=False
-        )
-        assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
