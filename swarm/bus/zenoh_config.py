@@ -27,7 +27,7 @@ def router_config(endpoint: str) -> str:
             "connect": {"endpoints": []},
             # Without the delay of 0 Zenoh waits 0.5 s at the start for neighbours that it may not look for anyway.
             # Services that talk to each other most learn of each other by the router's gossip (`peer_config`).
-            "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": True}},
+            "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": True, "multihop": True}},
             "timestamping": {"enabled": {"router": True, "peer": False, "client": False}},
             "adminspace": {"enabled": True, "permissions": {"read": True, "write": False}},
             "transport": {
@@ -88,9 +88,10 @@ def peer_config(endpoint: str, listen: str, lasting: str = "") -> str:
     """Zenoh configuration (JSON) of a service that others of its kind reach directly, at the Unix socket `listen`. Of
     all others it is a client, like every service.
 
-    Such services learn of each other by the router's gossip. A connection made by gossip that breaks while both ends
-    live is never made again, and nothing that one of them publishes reaches the other any more (measured). So one end
-    also names the other: `lasting` is an endpoint that it connects to whenever there is no connection.
+    Such services learn of each other by the router's gossip. The router does not pass messages between them, so two
+    whose connection is broken are silent towards each other. Only with "multihop", in the router too, does the router
+    tell the one that the other has lost it, and the connection is made again (measured). `lasting` is an endpoint that
+    this one connects to by itself whenever there is no connection, which works while the router is away, too.
     """
     config = json.loads(client_config(endpoint))
     config["mode"] = "peer"
@@ -99,5 +100,9 @@ def peer_config(endpoint: str, listen: str, lasting: str = "") -> str:
         config["connect"]["endpoints"].append(lasting)
     # Without it Zenoh waits 0.5 s at the start for neighbours that it may not look for anyway.
     config["scouting"]["delay"] = 0
-    config["scouting"]["gossip"] = {"enabled": True, "autoconnect": {"router": [], "peer": ["router", "peer"]}}
+    config["scouting"]["gossip"] = {
+        "enabled": True,
+        "multihop": True,
+        "autoconnect": {"router": [], "peer": ["router", "peer"]},
+    }
     return json.dumps(config)
