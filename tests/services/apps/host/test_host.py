@@ -157,7 +157,8 @@ def test_a_silent_link_is_gone_around(make_rig: MakeRig) -> None:
     rig.silent, rig.gate = True, 20
     rig.until_phase("done")
     assert rig.values("r0") == consensus(20)["r0"]
-    wait_until(lambda: ask(rig, "r0", "consensus/status", Status).counters.get("sync_links_gone_around") == 1)
+    # More than once where the neighbour was slow before, was taken for silent, and was then heard over the link.
+    wait_until(lambda: ask(rig, "r0", "consensus/status", Status).counters.get("sync_links_gone_around", 0) >= 1)
 
 
 def test_another_run_begins_anew(make_rig: MakeRig) -> None:
