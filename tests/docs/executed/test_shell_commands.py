@@ -59,7 +59,7 @@ FIRST = {
 }
 """By page a command that its commands need before."""
 PARSED = frozenset({
-    "README.md", "docs/how-to/apps/run-several-apps.md", "docs/how-to/runs/make-films.md", "docs/how-to/runs/record.md",
+    "README.md", "docs/how-to/runs/make-films.md", "docs/how-to/runs/record.md",
     "docs/how-to/runs/watch-a-simulation.md", "docs/how-to/simulation/simulate.md", "docs/how-to/simulation/sweep.md",
     "docs/reference/apps.md", "docs/reference/overlays-client.md", "docs/reference/simulation.md",
     "docs/reference/tour.md", "docs/tutorials/first-swarm.md",
