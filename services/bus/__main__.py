@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from swarm.bus.zenoh_bus import Router
+from swarm.bus.zenoh_bus import ROUTER, Router
 from swarm.errors import BusError
 from swarm.process.locks import take_lock
 from swarm.process.paths import BUS_SOCKET, bus_endpoint, runtime_dir
@@ -18,9 +18,6 @@ from swarm.process.service import Service, die_with_parent, run
 UMASK = 0o007
 """Connecting takes write permission on the socket, which follows the umask: owner and group, nobody else."""
 
-
-ROUTER = "@/*/router"
-"""Where a Zenoh router answers queries about itself."""
 
 LOOK_PERIOD_S = 2.0
 

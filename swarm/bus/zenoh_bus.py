@@ -28,6 +28,9 @@ from swarm.process.paths import ENDPOINT_PROTOCOL, bus_endpoint
 MSGPACK = "application/msgpack"
 BINARY = "application/octet-stream"
 
+ROUTER = "@/*/router"
+"""The key on which a Zenoh router answers queries about itself."""
+
 _log = logging.getLogger("bus")
 
 _MESH = "mesh"
@@ -365,4 +368,4 @@ def _checked_endpoint(endpoint: str) -> str:
     return endpoint
 
 
-__all__ = ["BINARY", "MSGPACK", "Bus", "Router", "Subscription", "client_config", "router_config"]
+__all__ = ["BINARY", "MSGPACK", "ROUTER", "Bus", "Router", "Subscription", "client_config", "router_config"]

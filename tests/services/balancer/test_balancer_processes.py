@@ -195,6 +195,63 @@ def test_the_bridge_ends_when_the_loop_lets_go(processes: Processes, router: obj
             assert bridge.wait(60) == 0
 
 
+DEAF = """
+import threading
+from services.balancer.bridge.bus_side import BusSide
+BusSide._stop = lambda *_: threading.Event().wait()
+from services.balancer.bridge import bridge
+from swarm.process.edges import run
+bridge.ASK_S = 0.2
+run(bridge.main)
+"""
+"""A bridge that a stop makes deaf: Zenoh's thread hangs in its callback."""
+
+
+def test_a_bridge_whose_bus_thread_hangs_ends(processes: Processes, watcher: Watcher) -> None:
+    """So that the loop starts another one, which hears stops. Until then it does its work."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    our_stops, their_stops = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, theirs, our_stops, their_stops:
+        descriptors = [theirs.fileno(), their_stops.fileno()]
+        command = [sys.executable, "-c", DEAF, *descriptors]
+        with running(
+            command, env=processes.environment(), pass_fds=descriptors, stderr=subprocess.PIPE, text=True
+        ) as bridge:
+            wait_until(lambda: watcher.heard["status"], what="the bridge")
+            with pytest.raises(subprocess.TimeoutExpired):
+                bridge.wait(3.0)
+
+            def ended() -> bool:
+                watcher.bus.publish("swarm/stop", Stop(0.0, "test", "hang"))
+                return bridge.poll() is not None
+
+            wait_until(ended, what="the end of the deaf bridge")
+            assert bridge.returncode == DEFECT
+            assert "5 questions to the router were not answered" in bridge.stderr.read()
+
+
+@pytest.mark.slow
+def test_a_robot_stands_through_a_router_that_hangs_and_obeys_a_stop_afterwards(
+    processes: Processes, bus_service: subprocess.Popen[str], runtime: Path
+) -> None:
+    watcher = Watcher(runtime)
+    body = processes.start("-m", "sim.body")
+    before = watcher.wait_mode("balancing")
+    (bridge,) = children(body.pid)
+    bus_service.send_signal(signal.SIGSTOP)
+    wait_until(lambda: children(body.pid) not in ([], [bridge]), what="another bridge")
+    bus_service.send_signal(signal.SIGCONT)
+    wait_until(lambda: watcher.last().ticks > before.ticks + 100, what="the new bridge")
+    assert watcher.last().mode == "balancing"
+
+    def stopped() -> bool:
+        watcher.bus.publish("swarm/stop", Stop(0.0, "test", "enough"))
+        return watcher.last().mode == "fault"
+
+    wait_until(stopped, what="a stop")
+    watcher.bus.close()
+
+
 def test_the_bridge_is_not_for_hands(processes: Processes) -> None:
     _, error = processes.start("-m", "services.balancer.bridge.bridge").communicate(timeout=60)
     assert error == "bridge.py: the bridge is started by `python -m services.balancer`, not by hand\n"
