@@ -50,6 +50,7 @@ ELSEWHERE = {
     "services/mesh/links/sim.py": "simulated links only",
     "sim/control/app_requests_server.py": "a simulation's own socket: tests/sim/control/test_orders.py",
     "sim/processes/run.py": "makes a number of random bytes of its own",
+    "laptop/cli/measure/experiments.py": "what another command of the same program prints",
     "laptop/cli/robots/body/pad.py": "events of 8 bytes from the kernel: tests/laptop/cli/test_pad.py",
     "laptop/cli/runs/import_csv.py": "makes a number of a hash of its own",
     "laptop/fleet/release/release.py": "the project's own description of what robots carry",
