@@ -15,7 +15,7 @@ from lab.inside import PYTHON
 from lab.shapes import ROBOTS
 from lab.waiting import WaitedInVainError, until
 from swarm.bus.zenoh_bus import Bus, Router
-from swarm.messages import read
+from swarm.messages import Links, read
 from swarm.process.paths import bus_endpoint
 
 NAMES = [f"r{i}" for i in range(ROBOTS)]
@@ -46,7 +46,7 @@ class Swarm:
         self.buses: dict[str, Bus] = {}
         self.reached: dict[str, int] = dict.fromkeys(names, -1)
         """The latest iteration of each robot."""
-        self.links: dict[str, object] = {}
+        self.links: dict[str, Links] = {}
         """What each mesh has told of its links last, by key."""
         self.fork_server = processes.start(str(Path(__file__).with_name("inside_fork_server.py")), program=PYTHON)
         for name in self.names:
