@@ -49,7 +49,7 @@ def commands() -> list[str]:
     tutorial = TUTORIAL.read_text()
     found = re.findall(r"`((?:swarm|deploy/release) [^`\n]+)`", inline)
     found += [command for page in documented_path.PAGES for command in documented_path.commands(page, "ssh")]
-    found += re.findall(r"^    (swarm .*)$", tutorial[tutorial.index("On robots") :], re.M)
+    found += re.findall(r"^(swarm .*)$", tutorial[tutorial.index("On robots") :], re.M)
     return [line.partition("  #")[0].partition(" #")[0].strip() for line in found]
 
 
