@@ -31,11 +31,11 @@ def test_every_app_has_its_page(app: str) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(240)
 @pytest.mark.parametrize("app", sorted(loader.BUILT_IN))
-def test_its_pictures_are_made_by_the_commands_that_stand_there(app: str, tmp_path: Path) -> None:
+def test_its_pictures_are_made_by_the_commands_that_stand_there(app: str, tmp_path: Path, runtime: Path) -> None:
     tools, home = tmp_path / "tools", tmp_path / "home"
     tools.mkdir()
     (home / "docs" / "images").mkdir(parents=True)
-    environment = commands_on_the_path(tools)
+    environment = commands_on_the_path(tools, runtime)
     for block in PICTURE.findall((PAGES / f"{app}.md").read_text()):
         for command in block.replace("\\\n", "").splitlines():
             done = subprocess.run(

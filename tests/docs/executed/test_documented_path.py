@@ -26,14 +26,14 @@ def test_no_command_hides_in_an_indented_block(page: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(200)
-def test_what_the_tutorial_does_before_there_are_robots_works_as_it_stands(tmp_path: Path) -> None:
+def test_what_the_tutorial_does_before_there_are_robots_works_as_it_stands(tmp_path: Path, runtime: Path) -> None:
     tools, home = tmp_path / "tools", tmp_path / "home"
     tools.mkdir()
     home.mkdir()
     for page, name in ((TUTORIAL, "swarm.toml"), ("tutorials/own-algorithm.md", "descent.py")):
         (text,) = [each.text for each in blocks(page) if each.label == name]
         (home / name).write_text(text)
-    environment = commands_on_the_path(tools)
+    environment = commands_on_the_path(tools, runtime)
     tried = commands(TUTORIAL, "laptop")
     assert len(tried) == 4
     for command in tried:

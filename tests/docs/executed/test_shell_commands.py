@@ -42,7 +42,7 @@ BESIDE = {
     "docs/how-to/network/inspect-the-mesh.md": "swarm sim consensus --robots 4 --topology loop --seconds 300",
     "docs/how-to/robots/set-up-uwb.md": "swarm sim localization --robots 2 --seconds 300",
     "docs/how-to/runs/act-from-the-page.md": "swarm sim consensus --robots 2 --seconds 300",
-    "docs/how-to/runs/find-who-waits.md": "swarm sim consensus --robots 5 --seconds 300",
+    "docs/how-to/runs/find-who-waits.md": "swarm sim consensus --robots 5 --topology loop --seconds 300",
     "docs/how-to/tools/motion-capture.md": "swarm sim localization --robots 2 --seconds 300",
     "docs/explanation/epochs.md": "swarm sim consensus --robots 4 --topology full --seconds 300",
     "docs/reference/keys.md": "swarm sim consensus --robots 2 --seconds 300",
@@ -218,10 +218,10 @@ def played(page: str) -> list[Typed]:
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("page", [page for page in TYPED if played(page)])
 def test_commands_of_a_page_run_as_they_stand(page: str, tmp_path: Path, runtime: Path) -> None:
-    tools, home = tmp_path / "tools", tmp_path / "home"
+    tools, home = tmp_path / "tools", runtime / "home"  # a simulation of a page may have its folder there
     tools.mkdir()
     (home / "docs" / "images").mkdir(parents=True)
-    environment = {**commands_on_the_path(tools), "XDG_RUNTIME_DIR": str(runtime), "BROWSER": "true"}
+    environment = {**commands_on_the_path(tools, runtime), "BROWSER": "true"}
     if page in FILES:
         name, source = FILES[page]
         found = re.search(r"^```python\n(.*?)^```$", (ROOT / source).read_text(), re.MULTILINE | re.DOTALL)

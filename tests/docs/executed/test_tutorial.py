@@ -28,8 +28,9 @@ def blocks(page: str) -> list[tuple[str, str, str]]:
     return [(m[1], m[2], m[3]) for m in BLOCK.finditer((DOCS / page).read_text())]
 
 
-def commands_on_the_path(folder: Path) -> dict[str, str]:
-    """An environment in which `swarm`, `z_sub`, `pytest` and `python` are this checkout's."""
+def commands_on_the_path(folder: Path, runtime: Path) -> dict[str, str]:
+    """An environment in which `swarm`, `z_sub`, `pytest` and `python` are this checkout's, and simulations no other
+    test's."""
     programs = (
         ("swarm", "-m laptop.cli"), ("z_sub", "-m laptop.cli.z_sub"), ("python", ""),
         ("pytest", "-m pytest -p no:cacheprovider"),
@@ -39,15 +40,16 @@ def commands_on_the_path(folder: Path) -> dict[str, str]:
         script.write_text(f'#!/bin/sh\nexec {sys.executable} {module} "$@"\n')
         script.chmod(script.stat().st_mode | stat.S_IXUSR)
     root = str(DOCS.parent)
-    return {**os.environ, "PATH": f"{folder}:{os.environ['PATH']}", "PYTHONPATH": root, "MPLBACKEND": "Agg"}
+    own = {"PATH": f"{folder}:{os.environ['PATH']}", "PYTHONPATH": root, "MPLBACKEND": "Agg"}
+    return {**os.environ, **own, "XDG_RUNTIME_DIR": str(runtime)}
 
 
-def work_through(page: str, tmp_path: Path, *, slow: bool) -> int:
+def work_through(page: str, tmp_path: Path, runtime: Path, *, slow: bool) -> int:
     """Write its files and run its commands; returns how many commands were run."""
     tools, home = tmp_path / "tools", tmp_path / "home"
     tools.mkdir()
     home.mkdir()
-    environment = commands_on_the_path(tools)
+    environment = commands_on_the_path(tools, runtime)
     count = 0
     for language, beside, text in blocks(page):
         if language == "python":
@@ -69,17 +71,17 @@ def work_through(page: str, tmp_path: Path, *, slow: bool) -> int:
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("page", PAGES)
-def test_a_page_works_as_it_stands(page: str, tmp_path: Path) -> None:
+def test_a_page_works_as_it_stands(page: str, tmp_path: Path, runtime: Path) -> None:
     fewest, pictures = PAGES[page]
-    assert work_through(page, tmp_path, slow=False) >= fewest
+    assert work_through(page, tmp_path, runtime, slow=False) >= fewest
     for picture in pictures:
         assert (tmp_path / "home" / picture).stat().st_size > 5000
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", WITH_PROCESSES)
-def test_its_swarm_of_real_processes_works(page: str, tmp_path: Path) -> None:
-    assert work_through(page, tmp_path, slow=True) == 1
+def test_its_swarm_of_real_processes_works(page: str, tmp_path: Path, runtime: Path) -> None:
+    assert work_through(page, tmp_path, runtime, slow=True) == 1
 
 
 @pytest.mark.parametrize("page", PAGES)

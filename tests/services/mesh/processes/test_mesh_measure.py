@@ -122,7 +122,7 @@ def test_links_and_paths_are_measured_over_each_overlay(
         (("rtt", "r1", "r2"), "this is r0"),
         (("rtt", "r0"), "expected two robots"),
         (("rtt", "r1", "r2", "r3"), "from which robot to which"),
-        (("radio", "r1"), "this link has no radio"),
+        (("rssi", "r1"), "this link has no radio"),
     ):
         code, text = swarm("measure", *wrong, "--count", "1")
         assert code == 2, text
