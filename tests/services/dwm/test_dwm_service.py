@@ -73,7 +73,10 @@ def board(processes, runtime):
 
 def test_ranges_and_pose_come_calibrated_at_10_hz(processes, board, ear):
     process = processes.start_ready("-m", "services.dwm")
-    wait_until(lambda: len(ear.ranges) >= 40 and ear.state()[0] == "ready", what="40 reports")
+    wait_until(
+        lambda: len(ear.ranges) >= 40 and ear.state()[0] == "ready",
+        what=lambda: f"40 reports and ready: {len(ear.ranges)} reports, {len(ear.poses)} poses, {ear.states[-3:]}",
+    )
     ranges, poses = ear.ranges[:], ear.poses[:]
     # 10 Hz at most, whatever the machine's load makes of it
     assert (len(ranges) - 1) / (ranges[-1].t - ranges[0].t) < 10.5
