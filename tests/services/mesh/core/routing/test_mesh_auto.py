@@ -11,11 +11,14 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 from topology_world import TopologyWorld, names_of
 
-from services.mesh.core.link.calls import LONGEST_FAR, LONGEST_NEAR, Search
+from services.mesh.core.link.calls import JITTER, LONGEST_FAR, LONGEST_NEAR, Search
 from services.mesh.core.routing.automatic_topology import plan
 from services.mesh.core.routing.topology import MAX_LINKS
 
 Edges = set[tuple[str, str]]
+
+FOUND_S = (1.0 + JITTER) * LONGEST_NEAR + 30.0
+"""Seconds in which robots that hear each other have called each other, and settled on a topology."""
 
 
 def network(names: list[str], edges: object) -> "nx.Graph[str]":
@@ -236,13 +239,13 @@ class Mending(RuleBasedStateMachine):
 
     def teardown(self) -> None:
         if hasattr(self, "world"):
-            self.world.run(400.0)
+            self.world.run(FOUND_S)
             check(self.world, self.reach)
             self.world.blocked.clear()
             for name in self.names:
                 if name not in self.world.bots:
                     self.world.start(name)
-            self.world.run(400.0)
+            self.world.run(FOUND_S)
             check(self.world, self.reach)
 
 
