@@ -11,7 +11,6 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 from swarm.config import Config
@@ -20,6 +19,7 @@ from swarm.config.types import GRAPH, MAX_RFCOMM_LINKS, STAR
 from swarm.core.graph import Graph
 from swarm.errors import LocalError
 from swarm.frozen import frozen
+from swarm.onboard.command_line import complain
 
 APP = "consensus"
 LEAST = 3
@@ -80,13 +80,12 @@ class Laboratory:
         self._iterations: int = args.iterations
         self._way = [] if args.ssh_config is None else ["--ssh-config", str(args.ssh_config)]
 
-    def go(self) -> Iterator[Path]:
-        """Carry out each experiment, and return the folder of its recording. Raises `LocalError`."""
+    def go(self) -> list[Path]:
+        """Carry out all experiments, and return the folders of their recordings. Raises `LocalError`."""
         planned = experiments(len(self._config.robots))
         self._folder.mkdir(parents=True, exist_ok=True)
         try:
-            for experiment in planned:
-                yield self._one(experiment)
+            return [self._one(experiment) for experiment in planned]
         finally:
             self._give_back()
 
@@ -96,7 +95,8 @@ class Laboratory:
         try:
             self._swarm("deploy", self._config.path)
         except LocalError as error:
-            sys.stderr.write(f"swarm: {error}swarm: robots still have the configuration of an experiment\n")
+            complain("swarm", str(error))
+            complain("swarm", "robots still have the configuration of an experiment")
 
     def _one(self, experiment: Experiment) -> Path:
         path = self._folder / f"{experiment.name}.toml"

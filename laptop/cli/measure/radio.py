@@ -90,7 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    paths = args.runs or list(Laboratory(args, load(args.config)).go())
+    paths = args.runs or Laboratory(args, load(args.config)).go()
     runs = [_read(path) for path in paths]
     found: dict[str, FittedValue] = {}
     known: dict[str, float] = {}

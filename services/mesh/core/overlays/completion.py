@@ -241,9 +241,8 @@ class Completion:
             if peer in tree.get(self._me, ()):
                 rest = {name: peers - {peer} if name == self._me else peers for name, peers in tree.items()}
                 side = _hops(rest, self._me)
-                if origin in side:  # the neighbour is a child; those with a shortest way to it over us are on our side
-                    told.clear()
-                told.add(self._bits(side))
+                # Towards a child those with a shortest way to it over us are all on our side.
+                told = {self._bits(side)} if origin in side else told | {self._bits(side)}
             self._through[origin, peer] = tuple(told)
         return self._through[origin, peer]
 

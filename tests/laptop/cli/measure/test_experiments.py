@@ -24,21 +24,9 @@ from swarm.errors import LocalError
 pytest_plugins = ["fleet_fixtures"]
 
 ROOT = Path(__file__).parents[4]
-ODD = """network = "test"
-
-[[robots]]
-name = "r0"
-bluetooth = "B8:27:EB:00:00:10"
-[[robots]]
-name = "r1"
-bluetooth = "B8:27:EB:00:00:11"
-[[robots]]
-name = "r2"
-bluetooth = "B8:27:EB:00:00:12"
-[[robots]]
-name = "r3"
-bluetooth = "B8:27:EB:00:00:13"
-[topology]
+ROBOTS = "".join(f'[[robots]]\nname = "r{n}"\nbluetooth = "B8:27:EB:00:00:1{n}"\n' for n in range(4))
+ODD = f"""network = "test"
+{ROBOTS}[topology]
 shape = "line"
 [body.robots.r3]
 wheel_radius = 0.041
@@ -112,7 +100,7 @@ def test_robots_that_take_no_part_are_silent_and_all_get_their_configuration_bac
 ) -> None:
     commands = Commands("running", "", *["done"] * 4)
     folder = tmp_path / "radio"
-    found = list(laboratory(tmp_path, monkeypatch, commands).go())
+    found = laboratory(tmp_path, monkeypatch, commands).go()
     names = ("line-3", "loop-3", "star-4", "loop-4")
     assert found == [folder / name / "consensus-00ab" for name in names]
     own = f"--config {tmp_path / 'swarm.toml'}"
@@ -132,11 +120,11 @@ def test_a_run_that_fails_is_named_and_robots_get_their_configuration_back(
 ) -> None:
     commands = Commands("running", "fault")
     with pytest.raises(LocalError, match=r"not ended on all robots: r0 fault, r1 fault; swarm logs consensus --config"):
-        list(laboratory(tmp_path, monkeypatch, commands).go())
+        laboratory(tmp_path, monkeypatch, commands).go()
     assert commands.lines[-1] == f"deploy --config {tmp_path / 'swarm.toml'}"
     monkeypatch.setattr(experiments, "PATIENCE_S", 0.0)
     with pytest.raises(LocalError, match="not ended on all robots: r0 running, r1 running"):
-        list(laboratory(tmp_path, monkeypatch, Commands("running")).go())
+        laboratory(tmp_path, monkeypatch, Commands("running")).go()
 
 
 RESTART = """case "$1 $*" in restart*swarm-app@consensus*)
