@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NoReturn
 
 import pytest
+from documented_path import FENCE
 
 from laptop.cli import far
 from laptop.cli.commands import SECTIONS
@@ -17,7 +18,6 @@ from swarm.onboard.command_line import Command, CommandGroup, commands_of, parse
 
 ROOT = Path(__file__).parents[3]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 INDENTED = re.compile(r"^ {4}((?:\./run )?swarm (?:.*\\\n)*.*)$", re.MULTILINE)
 COMMANDS = commands_of(SECTIONS)
 PLACEHOLDER = re.compile(r"\b(?:NAME_OR_FILE|RUN|DIR|HOST|ID|KIND)\b|\[--|<\w+>|\.\.\.")
@@ -26,7 +26,9 @@ PLACEHOLDER = re.compile(r"\b(?:NAME_OR_FILE|RUN|DIR|HOST|ID|KIND)\b|\[--|<\w+>|
 def lines_of(page: Path) -> list[str]:
     """The commands `swarm` of a page as they are typed, in their order, each without what comes before `swarm`."""
     text = page.read_text(encoding="utf-8")
-    blocks = [m[2] for m in FENCE.finditer(text) if m[1] == "sh"] + INDENTED.findall(FENCE.sub("", text))
+    blocks = [m[2] for m in FENCE.finditer(text) if m[1].partition(" ")[0] == "sh"] + INDENTED.findall(
+        FENCE.sub("", text)
+    )
     lines = "\n".join(blocks).replace("\\\n", " ").splitlines()
     parts = [part.strip() for line in lines for part in re.split(r";|&&|\|", re.sub(r"(^|\s)#.*", "", line))]
     typed = [part.removeprefix("./run ").rstrip("& ") for part in parts]

@@ -17,14 +17,12 @@ import pytest
 from conftest import wait_until
 from documented_path import FENCE, LABELS, SHOWN
 from documented_path import PAGES as ROBOTS
-from test_command_lines import PLACEHOLDER
+from test_command_lines import PAGES, PLACEHOLDER, ROOT
 from test_tutorial import PAGES as TUTORIALS
 from test_tutorial import commands_on_the_path
 
 from bench.rigs.running import end
 
-ROOT = Path(__file__).parents[3]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 OWN = {
     "docs/how-to/network/fit-the-radio.md": "tests/docs/executed/test_radio_page.py",
     **dict.fromkeys([f"docs/{page}" for page in ROBOTS], "tests/docs/executed/test_documented_path.py"),
