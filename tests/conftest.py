@@ -29,8 +29,9 @@ with contextlib.suppress(ImportError):  # a machine of the lab has none
     from hypothesis import settings
 
     # A property is about values; how long an example takes is the machine's matter (a busy one made good tests fail).
-    settings.register_profile("swarm", deadline=None)
-    settings.load_profile("swarm")
+    settings.register_profile("suite", deadline=None, max_examples=50)
+    settings.register_profile("thorough", deadline=None)
+    settings.load_profile("suite")
 
 try:
     from fork_server import start
@@ -80,6 +81,8 @@ def pytest_configure(config: pytest.Config) -> None:
     """Before any test module is read."""
     global _thorough
     _thorough = config.option.markexpr == "slow"
+    if _thorough:
+        settings.load_profile("thorough")
     # A shell that starts the tests in the background has Ctrl-C ignored, and so would every process that they start.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -135,9 +138,10 @@ def pytest_make_collect_report(
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Tests that may take longest begin first, or all would wait for them in the end. All test processes need the same
-    order, whatever they have begun with."""
+    order, whatever they have begun with. Properties run among the slow rigs once more, with more examples."""
     for item in items:
-        if _thorough and item.get_closest_marker("costly"):
+        is_property = getattr(getattr(item, "obj", None), "is_hypothesis_test", False)
+        if _thorough and (is_property or item.get_closest_marker("costly")):
             item.add_marker("slow")
 
     def allowed(item: pytest.Item) -> float:
