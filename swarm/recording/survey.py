@@ -99,7 +99,7 @@ def _last_checkpoint(file: int, known: ExistingContent, at: int, size: int) -> E
     chain: list[int] = []
     while (after := mcap.next_checkpoint(at, os.pread(file, mcap.CHECKPOINT_HEAD, at))) is not None:
         chain.append(at)
-        if after <= at:
+        if not at < after < size:
             break
         at = after
     while chain:

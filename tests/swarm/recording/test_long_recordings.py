@@ -193,6 +193,20 @@ def test_a_link_that_leads_past_a_checkpoint_leaves_no_index_that_lacks_chunks(k
     assert not reader.finished
 
 
+@pytest.mark.parametrize("link", [1 << 62, (1 << 63) - 1, 1 << 63, (1 << 64) - 1])
+def test_a_link_out_of_the_file_leads_nowhere(killed, tmp_path, link):
+    linked, _ = killed
+    whole = surveyed(linked)
+    for number, (at, _) in enumerate(checkpoints(linked)):
+        damaged = bytearray(linked.read_bytes())
+        place, data = mcap.link(at, link)
+        damaged[place : place + len(data)] = data
+        path = tmp_path / f"{number}.mcap"
+        path.write_bytes(damaged)
+        found = surveyed(path)
+        assert (found.position, found.counts, found.chunks) == (whole.position, whole.counts, whole.chunks)
+
+
 @settings(max_examples=40)
 @given(st.data())
 def test_a_damaged_checkpoint_costs_no_message(killed, tmp_path_factory, data):
