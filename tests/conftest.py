@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from swarm.bus.zenoh_bus import Bus
 
 with contextlib.suppress(ImportError):  # a machine of the lab has none
-    from hypothesis import settings
+    from hypothesis import is_hypothesis_test, settings
 
     # A property is about values; how long an example takes is the machine's matter (a busy one made good tests fail).
     settings.register_profile("suite", deadline=None, max_examples=50)
@@ -89,9 +89,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def costly(count: int) -> Callable[[Any], Any]:
-    """Decorates a property whose examples take long: a third of `count` in the suite, all of them among the slow rigs,
-    where it runs once more."""
-    return lambda test: pytest.mark.costly(settings(max_examples=examples(count))(test))
+    """Decorates a property whose examples take long: a third of `count` in the suite, all among the slow rigs."""
+    return settings(max_examples=examples(count))
 
 
 def examples(count: int) -> int:
@@ -138,10 +137,10 @@ def pytest_make_collect_report(
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Tests that may take longest begin first, or all would wait for them in the end. All test processes need the same
-    order, whatever they have begun with. Properties run among the slow rigs once more, with more examples."""
-    for item in items:
-        is_property = getattr(getattr(item, "obj", None), "is_hypothesis_test", False)
-        if _thorough and (is_property or item.get_closest_marker("costly")):
+    order, whatever they have begun with. Properties run once more among the slow rigs, where most try more examples."""
+    for item in items if _thorough else ():
+        is_property = isinstance(item, pytest.Function) and is_hypothesis_test(item.obj)
+        if is_property or item.get_closest_marker("costly"):
             item.add_marker("slow")
 
     def allowed(item: pytest.Item) -> float:

@@ -95,7 +95,8 @@ _NOTED = frozenset((mcap.METADATA, mcap.SCHEMA, mcap.CHANNEL))
 
 def _last_checkpoint(file: int, known: ExistingContent, at: int, size: int) -> ExistingContent | None:
     """Return the content up to the last checkpoint to which the one at `at` leads; None where `at` has none that is
-    whole. A link is only a hint: it may lead to data that was cut off when a process was started again."""
+    whole. A link is only a hint: it may be damaged, or lead to data that was cut off when a process was started
+    again."""
     chain: list[int] = []
     while (after := mcap.next_checkpoint(at, os.pread(file, mcap.CHECKPOINT_HEAD, at))) is not None:
         chain.append(at)

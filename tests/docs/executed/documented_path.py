@@ -63,10 +63,10 @@ class Block(NamedTuple):
         return LABELS.get(self.label)
 
 
-def blocks(page: str) -> list[Block]:
-    """All fenced blocks of a page, in their order."""
+def blocks(page: str | Path) -> list[Block]:
+    """All fenced blocks of a page, in their order. A relative path begins in `docs`."""
     text = (DOCS / page).read_text(encoding="utf-8")
-    return [Block(page, *found[1].partition(" ")[::2], found[2]) for found in FENCE.finditer(text)]
+    return [Block(str(page), *found[1].partition(" ")[::2], found[2]) for found in FENCE.finditer(text)]
 
 
 def commands(page: str, label: str) -> list[str]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NoReturn
 
 import pytest
-from documented_path import FENCE
+from documented_path import FENCE, blocks
 
 from laptop.cli import far
 from laptop.cli.commands import SECTIONS
@@ -25,11 +25,9 @@ PLACEHOLDER = re.compile(r"\b(?:NAME_OR_FILE|RUN|DIR|HOST|ID|KIND)\b|\[--|<\w+>|
 
 def lines_of(page: Path) -> list[str]:
     """The commands `swarm` of a page as they are typed, in their order, each without what comes before `swarm`."""
-    text = page.read_text(encoding="utf-8")
-    blocks = [m[2] for m in FENCE.finditer(text) if m[1].partition(" ")[0] == "sh"] + INDENTED.findall(
-        FENCE.sub("", text)
-    )
-    lines = "\n".join(blocks).replace("\\\n", " ").splitlines()
+    fenced = [block.text for block in blocks(page) if block.language == "sh"]
+    indented = INDENTED.findall(FENCE.sub("", page.read_text(encoding="utf-8")))
+    lines = "\n".join(fenced + indented).replace("\\\n", " ").splitlines()
     parts = [part.strip() for line in lines for part in re.split(r";|&&|\|", re.sub(r"(^|\s)#.*", "", line))]
     typed = [part.removeprefix("./run ").rstrip("& ") for part in parts]
     return [line for line in typed if line.startswith("swarm ") and not PLACEHOLDER.search(line)]

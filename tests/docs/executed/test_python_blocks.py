@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
-from documented_path import FENCE, SHOWN
+from documented_path import SHOWN, blocks
 
 from swarm import simulate
 from swarm.config import parse
@@ -44,9 +44,9 @@ def test_no_page_has_python_that_no_test_runs() -> None:
     for page in sorted(DOCS.rglob("*.md")):
         if str(page.relative_to(DOCS)) in run:
             continue
-        for label in (found[1].partition(" ") for found in FENCE.finditer(page.read_text())):
-            if label[0] == "python":
-                shown = SHOWN.fullmatch(label[2])
+        for block in blocks(page):
+            if block.language == "python":
+                shown = SHOWN.fullmatch(block.label)
                 assert shown is not None, f"{page}: no test runs its Python"
                 assert (ROOT / shown[2]).is_file()
 

@@ -15,7 +15,7 @@ from typing import IO, NamedTuple
 
 import pytest
 from conftest import wait_until
-from documented_path import FENCE, LABELS, SHOWN
+from documented_path import FENCE, LABELS, SHOWN, blocks
 from documented_path import PAGES as ROBOTS
 from test_command_lines import PAGES, PLACEHOLDER, ROOT
 from test_tutorial import PAGES as TUTORIALS
@@ -91,16 +91,16 @@ class Typed(NamedTuple):
 def commands(page: Path) -> Iterator[str]:
     """The commands of a page that are run here, each as it is typed but for `./run`."""
     name, text = str(page.relative_to(ROOT)), page.read_text(encoding="utf-8")
-    blocks = []
+    texts = []
     if name not in OWN:
         for found in FENCE.finditer(text):
             language, _, label = found[1].partition(" ")
             if language == "sh" and label not in BY_OTHERS and SHOWN.fullmatch(label) is None:
                 tutorial = name.removeprefix("docs/") in TUTORIALS
-                blocks += [] if tutorial else [(found.start(), found[2])]
+                texts += [] if tutorial else [(found.start(), found[2])]
         plain = FENCE.sub(lambda found: " " * len(found[0]), text)
-        blocks += [(found.start(), found[1]) for found in INDENTED.finditer(plain)]
-    for _, block in sorted(blocks):
+        texts += [(found.start(), found[1]) for found in INDENTED.finditer(plain)]
+    for _, block in sorted(texts):
         for line in block.replace("\\\n", " ").splitlines():
             for part in re.split(r"; ", re.sub(r"(^|\s)#.*", "", line)):
                 typed = part.strip().removeprefix("./run ").rstrip("& ")
@@ -121,8 +121,8 @@ def test_every_command_of_a_page_is_of_a_program_that_is_run_here(page: str) -> 
 
 def test_blocks_that_are_only_shown_name_a_test_that_is_there() -> None:
     for page in PAGES:
-        for found in FENCE.finditer(page.read_text(encoding="utf-8")):
-            if (shown := SHOWN.fullmatch(found[1].partition(" ")[2])) is not None:
+        for block in blocks(page):
+            if (shown := SHOWN.fullmatch(block.label)) is not None:
                 assert (ROOT / shown[2]).is_file(), (page, shown[2])
 
 

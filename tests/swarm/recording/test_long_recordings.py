@@ -58,6 +58,12 @@ def checkpoints(path):
     ]
 
 
+def relinked(data, at, after):
+    """A recording in which the checkpoint at `at` says that the next one stands at `after`."""
+    place, link = mcap.link(at, after)
+    return data[:place] + link + data[place + len(link) :]
+
+
 def check_with_the_other_reader(path, seconds):
     """The index names every message, the checksums are right: read by the package of the format's authors."""
     reader = pytest.importorskip("mcap.reader")
@@ -145,10 +151,9 @@ def killed(tmp_path_factory):
         patch.setattr(writer, "INDEX_SIZE", SMALL)
         path = tmp_path_factory.mktemp("killed") / "x.mcap"
         written(path, range(60), end=False)
-        unlinked = bytearray(path.read_bytes())
+        unlinked = path.read_bytes()
         for at, _ in checkpoints(path):
-            place, data = mcap.link(at, 0)
-            unlinked[place : place + len(data)] = data
+            unlinked = relinked(unlinked, at, 0)
         other = path.with_name("unlinked.mcap")
         other.write_bytes(unlinked)
         return path, other
@@ -183,10 +188,8 @@ def test_a_checkpoint_that_says_it_stands_elsewhere_costs_no_entry_of_the_index(
 def test_a_link_that_leads_past_a_checkpoint_leaves_no_index_that_lacks_chunks(killed, tmp_path):
     linked, _ = killed
     places = [at for at, _ in checkpoints(linked)]
-    damaged = bytearray(linked.read_bytes())
-    damaged[places[0] + mcap.HEAD.size : places[0] + mcap.HEAD.size + 8] = places[2].to_bytes(8, "little")
     path = tmp_path / "x.mcap"
-    path.write_bytes(damaged)
+    path.write_bytes(relinked(linked.read_bytes(), places[0], places[2]))
     written(path, range(60, 70), append=True)
     reader = RecordingReader(path)
     assert [sample.message["i"] for sample in reader.samples(TOPICS[0].__eq__)] == list(range(70))
@@ -198,11 +201,8 @@ def test_a_link_out_of_the_file_leads_nowhere(killed, tmp_path, link):
     linked, _ = killed
     whole = surveyed(linked)
     for number, (at, _) in enumerate(checkpoints(linked)):
-        damaged = bytearray(linked.read_bytes())
-        place, data = mcap.link(at, link)
-        damaged[place : place + len(data)] = data
         path = tmp_path / f"{number}.mcap"
-        path.write_bytes(damaged)
+        path.write_bytes(relinked(linked.read_bytes(), at, link))
         found = surveyed(path)
         assert (found.position, found.counts, found.chunks) == (whole.position, whole.counts, whole.chunks)
 

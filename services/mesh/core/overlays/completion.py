@@ -241,8 +241,9 @@ class Completion:
             if peer in tree.get(self._me, ()):
                 rest = {name: peers - {peer} if name == self._me else peers for name, peers in tree.items()}
                 side = _hops(rest, self._me)
-                # Towards a child those with a shortest way to it over us are all on our side.
-                told = {self._bits(side)} if origin in side else told | {self._bits(side)}
+                own_side = {self._bits(side)}
+                # Towards a child, the robots with a shortest way to it over us are all on our side.
+                told = own_side if origin in side else told | own_side
             self._through[origin, peer] = tuple(told)
         return self._through[origin, peer]
 

@@ -249,7 +249,7 @@ class Mending(RuleBasedStateMachine):
             check(self.world, self.reach)
 
 
-TestMending = pytest.mark.costly(Mending.TestCase)
+TestMending = Mending.TestCase
 TestMending.settings = settings(max_examples=examples(25), stateful_step_count=15, deadline=None)
 
 pytestmark = pytest.mark.timeout(120)

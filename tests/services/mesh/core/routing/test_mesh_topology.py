@@ -325,5 +325,5 @@ class Machine(RuleBasedStateMachine):
         assert self.world.links() == set(value.edges)
 
 
-TestMachine = pytest.mark.costly(Machine.TestCase)
+TestMachine = Machine.TestCase
 TestMachine.settings = settings(max_examples=examples(40), stateful_step_count=25, deadline=None)
