@@ -90,7 +90,9 @@ def end_with(program: str, run: Callable[[], int], *, interrupted: int = 130, un
             raise
         complain(program, f"this command needs Linux (on Windows: WSL): Python has no {error.name} here")
         code = 2
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, RuntimeError) as error:
+        if not _is_interrupt(error):
+            raise
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second one must not disturb the end
         code = interrupted
         _leave_output()
@@ -109,6 +111,17 @@ def _is_of_linux(error: ModuleNotFoundError | AttributeError) -> bool:
     if isinstance(error, ModuleNotFoundError):
         return error.name in UNIX_MODULES
     return getattr(error.obj, "__name__", "") in ("os", "signal", "socket", "time")
+
+
+def _is_interrupt(error: BaseException | None) -> bool:
+    """Return whether Ctrl-C was pressed.
+
+    Where it comes while a `Condition`, an `Event` or a `Queue` of Python takes its lock back after a wait, leaving it
+    raises `RuntimeError` over the interrupt: the lock is not held.
+    """
+    while isinstance(error, RuntimeError):
+        error = error.__context__
+    return isinstance(error, KeyboardInterrupt)
 
 
 def complain(program: str, text: str) -> None:
