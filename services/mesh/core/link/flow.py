@@ -160,7 +160,7 @@ BUSY_FOR = 1.0
 """Seconds after a sync message for which the link counts as busy."""
 
 LARGER, SMALLER = 1.25, 0.8
-"""What is tried."""
+"""What is tried; a larger window has room for another fragment at least."""
 
 GAIN, LOSS = 1.07, 0.95
 """A larger window is kept where the rate becomes more than this times what it was, a smaller one likewise."""
@@ -291,12 +291,16 @@ class SendWindow:
         new = (count - self.acknowledged) % _MODULUS
         if new > self.in_flight:
             raise FrameError(f"ACK of {new} bytes where {self.in_flight} are under way")
+        # The end of a write with so few bytes before it was acknowledged with what followed, a heartbeat mostly: that
+        # says how long that took, not the link.
+        at_once = self.acknowledged + ACK_EVERY
         self.acknowledged += new
         marked = None
         while self._marks and self._marks[0][0] <= self.acknowledged:
-            marked = self._marks.pop(0)[1]
-        if marked is not None and new >= ACK_EVERY:
-            # Fewer bytes are acknowledged only with a heartbeat: they say how long that took, not the link.
+            end, written = self._marks.pop(0)
+            if end >= at_once:
+                marked = written
+        if marked is not None:
             self._on_round_trip(now - marked, now)
         if self._since is not None and now >= self._since + max(PERIOD, ROUND_TRIPS * self._round_trips.smoothed):
             self._judge((self.acknowledged - self._from) / (now - self._since))
@@ -319,7 +323,7 @@ class SendWindow:
             if rate > self._rate * (GAIN if self._trial > 1.0 else LOSS):
                 # As good as hoped, or not as bad as feared: keep it, and go on in that direction.
                 self._rate = rate
-                self._try(self._trial)
+                self._try(LARGER if self._trial > 1.0 else SMALLER)
                 return
             self._set(self.limit / self._trial)
             self._next_trial = SMALLER if self._trial > 1.0 else LARGER
@@ -336,7 +340,7 @@ class SendWindow:
 
     def _try(self, factor: float) -> None:
         before = self.limit
-        self._set(before * factor)
+        self._set(max(before * factor, before + LARGE_FRAGMENT) if factor > 1.0 else before * factor)
         self._trial = self.limit / before if self.limit != before else 0.0
         if not self._trial:
             self._next_trial = SMALLER if factor > 1.0 else LARGER

@@ -1,5 +1,6 @@
 """Flow on one link: acknowledged bytes, the window, shares of the classes, and pushing back."""
 
+import random
 import statistics
 from collections import Counter
 from typing import cast
@@ -118,6 +119,28 @@ def test_a_link_that_becomes_slower_gets_a_smaller_window() -> None:
     link.b.line._model = type(link.b.line._model)(0.03, 0.0, 8_000.0)
     link.run(20.0)
     assert link.a.session.window.limit < 2500
+
+
+def test_small_messages_on_a_quiet_link_leave_its_window_alone() -> None:
+    """They are acknowledged with what follows them: that time says nothing of the link."""
+    link, chance = Link(), random.Random(1)
+
+    def send() -> None:
+        for side in (link.a, link.b):
+            link.send(side, chance.choice((BULK, CONTROL)), "small", bytes(chance.randrange(50, 400)))
+        link.at(link.now + chance.uniform(0.05, 0.5), send)
+
+    send()
+    link.run(120.0)
+    assert [side.session.window.limit for side in (link.a, link.b)] == [flow.FIRST_WINDOW] * 2
+
+
+def test_the_smallest_window_grows_again() -> None:
+    """A quarter more of one write is no further write under way: what is tried must be one at least."""
+    link = Link()
+    link.run(1.0)
+    link.a.session.window.limit = float(flow.MIN_WINDOW)
+    assert MIB / transfer(link) >= 0.8 * BANDWIDTH
 
 
 def test_lockstep_alone_costs_almost_no_acknowledgements() -> None:
