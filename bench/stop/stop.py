@@ -122,16 +122,14 @@ def _loads(robots: RobotsOnALine, what: str, count: int = 1) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _transfer(robots: RobotsOnALine) -> Iterator[None]:
-    """A megabyte after the other from r3 to r0, so that one is under way at any time."""
+    """A megabyte after the other from r3 to r0, so that one is under way at any time; none is, afterwards."""
     overlays, ended = Overlays(robots.buses["r3"], "r3", "bench"), threading.Event()
     Overlays(robots.buses["r0"], "r0", "bench").on_message(lambda sender, data: None)
 
     def run() -> None:
         while not ended.is_set():
             with contextlib.suppress(LocalError, TimeoutError):
-                handle = overlays.send("r0", bytes(TRANSFER.size), timeout=60.0)
-                while not handle.done and not ended.wait(0.05):
-                    pass
+                overlays.send("r0", bytes(TRANSFER.size), timeout=60.0).result(timeout=60.0)
 
     thread = threading.Thread(target=run, name="transfer")
     thread.start()
