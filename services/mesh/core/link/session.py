@@ -34,7 +34,7 @@ from swarm.errors import FrameError
 
 CONNECTING, UP, SUSPECT, DOWN = "connecting", "up", "suspect", "down"
 
-BULK_WRITE = 1000
+BULK_WRITE = 500
 """Bytes at which a write with bulk in it ends: what is handed over cannot be overtaken, and acknowledgements come one
 for each."""
 
