@@ -12,7 +12,7 @@ under way are fewer than a window. Control is never held back; sync is let `SYNC
 of it cannot fill the queue either.
 
 The window looks for the knee: the smallest one that still gives nearly all of the link's rate, since above it bytes
-only wait. While bulk keeps it full, it is tried a quarter larger and a fifth smaller in turn, and the change is kept
+only wait. While bulk keeps it full, it is tried an eighth larger and a tenth smaller in turn, and the change is kept
 where the rate says so. Round trips are no guide here: with the thesis' jitter (10 ms each way, in order) they grow by
 half as soon as a link is busy, without a byte in any queue, and a window steered by them shrank to its floor.
 """
@@ -160,10 +160,13 @@ SYNC_EXTRA = 8 * 1024
 BUSY_FOR = 1.0
 """Seconds after a sync message for which the link counts as busy."""
 
-LARGER, SMALLER = 1.25, 0.8
+LARGER, SMALLER = 1.12, 0.9
 """What is tried; a larger window has room for another fragment at least."""
 
-GAIN, LOSS = 1.07, 0.95
+FASTER = 1.25
+"""What is tried after a larger window that was kept."""
+
+GAIN, LOSS = 1.05, 0.95
 """A larger window is kept where the rate becomes more than this times what it was, a smaller one likewise."""
 
 COLLAPSE = 0.6
@@ -324,7 +327,7 @@ class SendWindow:
             if rate > self._rate * (GAIN if self._trial > 1.0 else LOSS):
                 # As good as hoped, or not as bad as feared: keep it, and go on in that direction.
                 self._rate = rate
-                self._try(LARGER if self._trial > 1.0 else SMALLER)
+                self._try(FASTER if self._trial > 1.0 else SMALLER)
                 return
             self._set(self.limit / self._trial)
             self._next_trial = SMALLER if self._trial > 1.0 else LARGER
