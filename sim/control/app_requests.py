@@ -19,8 +19,9 @@ from swarm.process.paths import socket_path
 SOCKET = "orders.sock"
 ACTS = ("start", "stop")
 MAX_DATAGRAM = 65536
-ANSWER_S = 3.0
-"""Seconds that a simulation may take to answer; it looks for requests twenty times a second."""
+ANSWER_S = 20.0
+"""Seconds that a simulation may take to answer; it looks for requests twenty times a second, and starts a process for
+each robot."""
 
 
 class AppRequest(NamedTuple):
