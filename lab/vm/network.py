@@ -5,6 +5,7 @@ The interface is there as long as the machine is switched on, and so is nobody e
 
 import errno
 import socket
+from pathlib import Path
 
 from lab.vm.shell import sh
 from swarm.errors import LocalError
@@ -12,28 +13,18 @@ from swarm.errors import LocalError
 MOST = 64
 """Machines of a host at once."""
 
+INTERFACES = Path("/sys/class/net")
+"""All interfaces of this host by name."""
+
 
 class Wire:
     """Two addresses of 10.78.0.0/16, the host's and the machine's, that are no other machine's until it is closed."""
 
     def __init__(self) -> None:
-        self._lock = socket.socket(socket.AF_UNIX)
-        self._number = self._take()
-        self.interface = f"lab{self._number}"
+        self._lock, self._number = _take()
+        self.interface = _interface(self._number)
         """The host's end of it, made by the machine when it is switched on."""
         self.host, self.machine = f"10.78.{self._number}.1", f"10.78.{self._number}.2"
-
-    def _take(self) -> int:
-        """The lowest number that no process of this host has: a name of a socket goes with the process that has it."""
-        for number in range(MOST):
-            try:
-                self._lock.bind(f"\0balboa-swarm-lab-{number}")
-            except OSError as error:
-                if error.errno != errno.EADDRINUSE:
-                    raise
-            else:
-                return number
-        raise LocalError(f"{MOST} machines of the lab are switched on already")
 
     def up(self) -> None:
         """Once the machine has switched its end on.
@@ -48,3 +39,29 @@ class Wire:
     def close(self) -> None:
         """Another machine may have the addresses."""
         self._lock.close()
+
+
+def _interface(number: int) -> str:
+    return f"lab{number}"
+
+
+def _take() -> tuple[socket.socket, int]:
+    """The lowest number that no process of this host has, and what holds it: a name of a socket goes with the process
+    that has it.
+
+    A machine that was killed has its interface until its last process is gone, which takes a while on a busy host. No
+    other machine could have that interface, and would boot without a network.
+    """
+    for number in range(MOST):
+        lock = socket.socket(socket.AF_UNIX)
+        try:
+            lock.bind(f"\0balboa-swarm-lab-{number}")
+        except OSError as error:
+            lock.close()
+            if error.errno != errno.EADDRINUSE:
+                raise
+            continue
+        if not (INTERFACES / _interface(number)).exists():
+            return lock, number
+        lock.close()
+    raise LocalError(f"{MOST} machines of the lab are switched on already")

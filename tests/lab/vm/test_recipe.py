@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lab import __main__ as command
-from lab.vm import build, kernel, recipe
+from lab.vm import build, kernel, network, recipe
 from lab.vm.network import Wire
 from swarm.errors import LocalError
 
@@ -79,6 +79,17 @@ def test_no_two_machines_have_the_same_addresses() -> None:
     assert again.machine != other.machine
     again.close()
     other.close()
+
+
+def test_no_machine_takes_an_interface_that_a_killed_one_has_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for number in range(10):
+        (tmp_path / f"lab{number}").mkdir()
+    monkeypatch.setattr(network, "INTERFACES", tmp_path)
+    wire = Wire()
+    assert not (tmp_path / wire.interface).exists()
+    wire.close()
 
 
 packet = st.one_of(
