@@ -4,6 +4,7 @@ Any one member takes the order; the robots agree on it among themselves (docs/ex
 """
 
 import argparse
+from collections.abc import Mapping
 from dataclasses import asdict
 from functools import partial
 
@@ -22,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """`show`, `drop ROBOT...`, `add ROBOT...` or `renew`, then options."""
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="show|drop|add|renew")
     verb = partial(add_verb, verbs, epilog=parser.epilog)
-    look = verb("show", "show the members of the run as each robot knows them; exit code 1 if they differ")
+    look = verb("show", "show the members of the run as each robot knows them; exit code 1 if members differ")
     drop = verb("drop", "continue the run without these robots until they are added again")
     add = verb("add", "admit robots again that `drop` has removed")
     renew = verb("renew", "form a new epoch of all robots that are present, with the links in force")
@@ -45,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Code 1 where robots tell different epochs, or the change has not come about in time."""
+    """Code 1 where members tell different epochs, or the change has not come about in time."""
     if not is_name(args.app):
         raise LocalError(f"--app {args.app}: expected the name of an app")
     with opened(buses.find(args)) as found:
@@ -60,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
             answers.wait(PATIENCE, lambda: len(answers.newest) == len(found))
         else:
             problem = _order(answers, args)
-    done = not problem and len({epoch.frames for epoch in answers.newest.values()}) == 1
+    done = not problem and _agree(answers.newest)
     told = {name: asdict(answers.newest[name]) if name in answers.newest else None for name in found}
     lines = [*([problem] if problem else []), *table(answers)]
     show(args, {"done": done, "problem": problem, "robots": told}, lines)
@@ -109,5 +110,11 @@ def _order(answers: Answers[AppEpoch], args: argparse.Namespace) -> str:
     if not answers.wait(args.timeout, done, order):
         most = f"more than half of its {len(before.members)} members must agree"
         return f"{name} has not followed within {args.timeout:g} s: {most}"
-    answers.wait(PATIENCE, lambda: len({known[n].frames for n in known if n in known[name].members}) == 1)
+    answers.wait(PATIENCE, lambda: _agree(known))
     return ""
+
+
+def _agree(told: Mapping[str, AppEpoch]) -> bool:
+    """Return whether all robots that count themselves in tell the same epoch; who knows that it was sent away need not
+    hear of later ones."""
+    return len({epoch.frames for name, epoch in dict(told).items() if name in epoch.members}) <= 1
