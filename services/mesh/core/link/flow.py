@@ -295,8 +295,8 @@ class SendWindow:
         new = (count - self.acknowledged) % _MODULUS
         if new > self.in_flight:
             raise FrameError(f"ACK of {new} bytes where {self.in_flight} are under way")
-        # The end of a write with so few bytes before it was acknowledged with what followed, a heartbeat mostly: that
-        # says how long that took, not the link.
+        # A write that ends closer to the last acknowledgement is acknowledged with what follows it, a heartbeat mostly:
+        # that time says nothing of the link.
         at_once = self.acknowledged + ACK_EVERY
         self.acknowledged += new
         marked = None

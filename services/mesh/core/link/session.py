@@ -35,8 +35,8 @@ from swarm.errors import FrameError
 CONNECTING, UP, SUSPECT, DOWN = "connecting", "up", "suspect", "down"
 
 BULK_WRITE = 500
-"""Bytes at which a write with bulk in it ends: what is handed over cannot be overtaken, and acknowledgements come one
-for each."""
+"""Bytes at which a write with bulk in it ends: what is handed over cannot be overtaken, and smaller writes cost more
+work and more of the radio's time."""
 
 _NEVER = float("inf")
 
