@@ -12,6 +12,7 @@ from bench.rows import Row
 from swarm.errors import SwarmError
 
 PAGE = Path(__file__).parents[1] / "docs/reference/benchmarks.md"
+ANY_MACHINE = "virtual time, so the machine and its load do not matter"
 HEAD = "| figure | value | unit | limit | ratio | goal | verdict |\n|---|---|---|---|---|---|---|"
 
 

@@ -40,6 +40,7 @@ def command(words: str) -> str:
 def run_tests(machine: Machine, words: str, seconds: float = 900.0) -> str:
     """Run pytest inside with these words, with six adapters of its kernel: what it said. AssertionError if it fails."""
     furnish(machine)
+    # A test inside ends later than its own waits (lab.waiting.PATIENCE_S), which say what they have waited for in vain.
     options = "-p no:cacheprovider -p inside_radio -v -s --durations=20 --tb=short --timeout=700"
     output = run_logged(machine, f"pytest inside: {words}", command(f"-m pytest {options} {words}"), seconds)
     sys.stdout.write(output)

@@ -46,11 +46,11 @@ def _interface(number: int) -> str:
 
 
 def _take() -> tuple[socket.socket, int]:
-    """The lowest number that no process of this host has, and what holds it: a name of a socket goes with the process
-    that has it.
+    """Return a socket and the lowest free number. The number is taken as long as the socket is open: its name goes with
+    the process that has it.
 
-    A machine that was killed has its interface until its last process is gone, which takes a while on a busy host. No
-    other machine could have that interface, and would boot without a network.
+    A machine whose test was killed may leave a process that holds its interface. Another machine cannot have that
+    interface, and would boot without a network: its number is not free.
     """
     for number in range(MOST):
         lock = socket.socket(socket.AF_UNIX)

@@ -116,8 +116,8 @@ def _is_of_linux(error: ModuleNotFoundError | AttributeError) -> bool:
 def _is_interrupt(error: BaseException | None) -> bool:
     """Return whether Ctrl-C was pressed.
 
-    Where it comes while a `Condition`, an `Event` or a `Queue` of Python takes its lock back after a wait, leaving it
-    raises `RuntimeError` over the interrupt: the lock is not held.
+    It may come while a `Condition`, an `Event` or a `Queue` of Python takes its lock back after a wait. Python then
+    releases a lock that is not held, and its `RuntimeError` hides the interrupt.
     """
     while isinstance(error, RuntimeError):
         error = error.__context__

@@ -115,6 +115,9 @@ def _order(answers: Answers[AppEpoch], args: argparse.Namespace) -> str:
 
 
 def _agree(told: Mapping[str, AppEpoch]) -> bool:
-    """Return whether all robots that count themselves in tell the same epoch; who knows that it was sent away need not
-    hear of later ones."""
-    return len({epoch.frames for name, epoch in dict(told).items() if name in epoch.members}) <= 1
+    """Return whether all robots that count themselves among the members tell the same epoch.
+
+    A robot that knows that it was sent away need not hear of later epochs.
+    """
+    so_far = dict(told)  # answers come on another thread
+    return len({epoch.frames for name, epoch in so_far.items() if name in epoch.members}) <= 1

@@ -12,9 +12,10 @@ under way are fewer than a window. Control is never held back; sync is let `SYNC
 of it cannot fill the queue either.
 
 The window looks for the knee: the smallest one that still gives nearly all of the link's rate, since above it bytes
-only wait. While bulk keeps it full, it is tried an eighth larger and a tenth smaller in turn, and the change is kept
-where the rate says so. Round trips are no guide here: with the thesis' jitter (10 ms each way, in order) they grow by
-half as soon as a link is busy, without a byte in any queue, and a window steered by them shrank to its floor.
+only wait. While bulk keeps it full, a window of an eighth more and one of a tenth less are tried in turn, and the
+change is kept where the rate says so. Round trips are no guide here: with the thesis' jitter (10 ms each way, in order)
+they grow by half as soon as a link is busy, without a byte in any queue, and a window steered by them shrank to its
+floor.
 """
 
 import struct
@@ -164,7 +165,7 @@ LARGER, SMALLER = 1.12, 0.9
 """What is tried; a larger window has room for another fragment at least."""
 
 FASTER = 1.25
-"""What is tried after a larger window that was kept."""
+"""What is tried next where a larger window was kept."""
 
 GAIN, LOSS = 1.05, 0.95
 """A larger window is kept where the rate becomes more than this times what it was, a smaller one likewise."""
@@ -295,8 +296,8 @@ class SendWindow:
         new = (count - self.acknowledged) % _MODULUS
         if new > self.in_flight:
             raise FrameError(f"ACK of {new} bytes where {self.in_flight} are under way")
-        # A write that ends closer to the last acknowledgement is acknowledged with what follows it, a heartbeat mostly:
-        # that time says nothing of the link.
+        # A write that ends less than `ACK_EVERY` bytes after the last acknowledgement gets none of its own. It is
+        # acknowledged with what follows it, a heartbeat mostly, and that time says nothing of the link.
         at_once = self.acknowledged + ACK_EVERY
         self.acknowledged += new
         marked = None

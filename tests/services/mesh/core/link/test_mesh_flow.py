@@ -136,7 +136,7 @@ def test_small_messages_on_a_quiet_link_leave_its_window_alone() -> None:
 
 
 def test_the_smallest_window_grows_again() -> None:
-    """A quarter more of one write is no further write under way: what is tried must be one at least."""
+    """An eighth more than one write has no room for a second one: a larger window must have it."""
     link = Link()
     link.run(1.0)
     link.a.session.window.limit = float(flow.MIN_WINDOW)
