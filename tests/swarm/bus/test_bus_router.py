@@ -213,3 +213,67 @@ def test_close_ends_at_once_where_no_router_has_come(tmp_path: Path) -> None:
     bus = Bus(f"{ENDPOINT_PROTOCOL}/{tmp_path / 'bus.sock'}")
     bus.close()
     assert not bus._opener.is_alive()
+
+
+def test_a_client_opens_its_session_anew_with_all_that_it_has_declared(
+    open_bus: Open, bus_service: subprocess.Popen[str]
+) -> None:
+    alice, bob = open_bus(), open_bus()
+    samples, back, replies, tokens, closed = Samples(), Samples(), Samples(), Samples(), Samples()
+    changes: list[bool] = []
+    bob.subscribe(["swarm/r0/test/x", "swarm/r0/test/y"], samples)
+    bob.subscribe("swarm/r0/test/z", closed).close()
+    bob.serve("swarm/r0/test/question", lambda *_: b"answer")
+    bob.announce("swarm/r0/test/alive")
+    bob.on_change(changes.append)
+    alice.subscribe("swarm/r0/test/back", back)
+    alice.watch("swarm/*/*/alive", tokens)
+    talk(alice, "swarm/r0/test/x", samples)
+    talk(bob, "swarm/r0/test/back", back)
+    wait_until(lambda: tokens and tokens[-1][1], what="token")
+    for round_ in range(3):
+        text = b"after %d" % round_
+        replies.clear()
+        bob.renew()
+        talk(alice, "swarm/r0/test/x", samples, text)
+        talk(alice, "swarm/r0/test/y", samples, text)
+        talk(bob, "swarm/r0/test/back", back, text)
+
+        def answered() -> bool:
+            alice.ask("swarm/r0/test/question", replies, timeout_s=0.2)
+            return bool(replies)
+
+        wait_until(answered)
+        wait_until(lambda: tokens[-1][1], what="token again")
+        wait_until(lambda: changes[-1], what="the router found again")
+    assert changes == [True] + [False, True] * 3
+    alice.publish("swarm/r0/test/z", b"to nobody")
+    alice.publish("swarm/r0/test/x", b"last")
+    wait_until(lambda: ("swarm/r0/test/x", b"last") in samples)
+    assert samples.count(("swarm/r0/test/x", b"last")) == 1
+    assert not closed
+
+
+@pytest.mark.usefixtures("bus_service")
+def test_a_direct_session_that_is_opened_anew_is_met_again(runtime: Path) -> None:
+    heard, answers = Samples(), Samples()
+    with Bus.of(runtime, "mesh") as mesh, Bus.of(runtime, "app/x") as app:
+        mesh.subscribe("swarm/r0/app/x/a", heard)
+        app.subscribe("swarm/r0/mesh/a", answers)
+        for number in range(4):
+            talk(app, "swarm/r0/app/x/a", heard, b"%d" % number)
+            talk(mesh, "swarm/r0/mesh/a", answers, b"%d" % number)
+            app.renew()
+
+
+def test_a_client_that_is_closed_while_it_opens_anew_stays_closed(
+    open_bus: Open, bus_service: subprocess.Popen[str]
+) -> None:
+    alice = open_bus()
+    assert alice.wait_connected(60)
+    alice.renew()
+    alice.renew()  # while it does
+    alice.close()
+    alice.renew()
+    assert not alice.connected
+    assert not alice.wanted("swarm/r0/test/x")
