@@ -11,6 +11,10 @@ from swarm.errors import FrameError, LocalError
 TIMEOUT = 1.0
 """Seconds for an answer of the adapter."""
 
+SWITCH_TIMEOUT = 6.0
+"""Seconds for a switch of roles, of which the other adapter has to hear: a page of a robot that is not there takes its
+time, or ours, for 5 s."""
+
 Open = Callable[[], socket.socket]
 Ioctl = Callable[[Any, int, bytearray], object]
 Answer = TypeVar("Answer")
@@ -73,7 +77,8 @@ class Adapter:
     def be_central(self, peer: str) -> None:
         """Ask for a switch of roles and wait for its end; `LocalError` where the other adapter or this one refuses."""
         address = hci.packed_address(peer)
-        check(self.ask(hci.switch_role(address, hci.CENTRAL), lambda packet: hci.switched_role(packet, address)))
+        command = hci.switch_role(address, hci.CENTRAL)
+        check(self.ask(command, lambda packet: hci.switched_role(packet, address), SWITCH_TIMEOUT))
 
     def read(self, what: int, peer: str) -> int | None:
         """Read a status parameter of the connection with `peer` by its opcode; None where the adapter does not know
@@ -100,12 +105,14 @@ class Adapter:
             raise LocalError(f"there is no Bluetooth connection to {peer}") from None
         return info
 
-    def ask(self, command: bytes, answer: Callable[[bytes], Answer | None]) -> Answer:
-        """Send a command; the first packet that `answer` makes something of. `LocalError` where none comes: others ask
-        the adapter, too, and hear our answers as we hear theirs."""
+    def ask(self, command: bytes, answer: Callable[[bytes], Answer | None], timeout: float | None = None) -> Answer:
+        """Send a command; the first packet that `answer` makes something of. `LocalError` where none comes within
+        `timeout` s, by default `TIMEOUT`: others ask the adapter, too, and hear our answers as we hear theirs."""
+        timeout = TIMEOUT if timeout is None else timeout
         self._socket.send(command)
-        end = clock.now() + TIMEOUT
-        while clock.now() < end:
+        end = clock.now() + timeout
+        while (left := end - clock.now()) > 0:
+            self._socket.settimeout(left)
             try:
                 found = answer(self._socket.recv(260))
             except TimeoutError:
@@ -114,7 +121,7 @@ class Adapter:
                 continue
             if found is not None:
                 return found
-        raise LocalError(f"the adapter does not answer ({TIMEOUT:g} s)")
+        raise LocalError(f"the adapter does not answer ({timeout:g} s)")
 
     def _number(self, address: bytes, text: str) -> int:
         listed = hci.device_list()

@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.mesh.links import role, supervision
+from swarm.bluetooth import adapter as adapters
 from swarm.bluetooth import hci
 from swarm.bluetooth.adapter import Adapter
 from swarm.errors import LocalError
@@ -102,6 +103,23 @@ def test_a_switch_of_roles_that_is_refused_is_said(adapter: Controller, caplog: 
     supervision.try_limit(OWN, PEER, 3.0)
     assert "HCI status 0x21" in warnings(caplog)[0]
     assert len(adapter.asked) == 1
+
+
+def test_a_switch_of_roles_has_a_patience_of_its_own(
+    adapter: Controller, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It waits for the other adapter, which a page may keep away for longer than an own adapter needs to answer."""
+    monkeypatch.setattr(adapters, "TIMEOUT", 0.0)
+    adapter.central = False
+    supervision.try_limit(OWN, PEER, 3.0)
+    assert adapter.central
+    assert "(0 s)" in warnings(caplog)[0]
+    monkeypatch.setattr(adapters, "SWITCH_TIMEOUT", 0.0)
+    monkeypatch.setattr(supervision, "_told", set())
+    adapter.central, adapter.switches = False, None
+    supervision.try_limit(OWN, PEER, 3.0)
+    assert len(warnings(caplog)) == 2
+    assert not adapter.central
 
 
 def test_golden_bytes_of_a_switch_of_roles() -> None:
