@@ -28,9 +28,9 @@ def config(shape: str, key: str, extra: str = "") -> str:
     return _config(ROBOTS, SHAPES[shape], key) + extra
 
 
-def hasty(shape: str, key: str) -> str:
-    """The same with the robots' own times: a link that is silent ends after two seconds."""
-    return _config(ROBOTS, SHAPES[shape], key, times="")
+def patient(shape: str, key: str) -> str:
+    """The same with longer times: a link that is silent ends after eight seconds, two thirds of `dead`."""
+    return _config(ROBOTS, SHAPES[shape], key, times="suspect = 3.0\ndead = 12.0\n")
 
 
 def star(shape: str, key: str) -> str:
