@@ -28,11 +28,6 @@ def config(shape: str, key: str, extra: str = "") -> str:
     return _config(ROBOTS, SHAPES[shape], key) + extra
 
 
-def patient(shape: str, key: str) -> str:
-    """The same with longer times: a link that is silent ends after eight seconds, two thirds of `dead`."""
-    return _config(ROBOTS, SHAPES[shape], key, times="suspect = 3.0\ndead = 12.0\n")
-
-
 def star(shape: str, key: str) -> str:
     """The same over a hub: the first robot calls all others."""
     return _config(ROBOTS, SHAPES[shape], key, links="star")
@@ -48,9 +43,9 @@ def line(robots: int, key: str, extra: str = "") -> str:
     return _config(robots, LINE[: robots - 1], key) + extra
 
 
-def _config(count: int, pairs: list[tuple[int, int]], key: str, times: str = TIMES, links: str = "graph") -> str:
+def _config(count: int, pairs: list[tuple[int, int]], key: str, links: str = "graph") -> str:
     robots = "".join(f'[[robots]]\nname = "r{i}"\nbluetooth = "{address(i)}"\n' for i in range(count))
     values = "".join(f"[apps.consensus.robots.r{i}]\nvalue = {(7 * i + 3) / 9!r}\n" for i in range(count))
     edges = [[f"r{i}", f"r{j}"] for i, j in pairs]
-    text = f'network = "lab"\n{robots}[topology]\nedges = {edges}\n[mesh]\nlinks = "{links}"\n{key}\n{times}{values}'
+    text = f'network = "lab"\n{robots}[topology]\nedges = {edges}\n[mesh]\nlinks = "{links}"\n{key}\n{TIMES}{values}'
     return text.replace("'", '"')

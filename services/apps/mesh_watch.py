@@ -1,7 +1,7 @@
-"""Notices that an app's process hears nothing of the mesh although the mesh runs, and has its bus opened anew.
+"""An app's process that hears nothing of its robot's mesh, although the mesh runs, opens its session of the bus anew.
 
-Zenoh connects the two directly, and the router passes nothing between them. Where such a connection broke on an
-overloaded machine and Zenoh made no other, a lockstep stood still for ever.
+Zenoh connects the two processes directly, and the router passes no messages between them. On an overloaded machine such
+a connection once broke and Zenoh made no other one: the lockstep stood still for good.
 """
 
 import contextlib
@@ -9,22 +9,22 @@ import socket
 from collections.abc import Callable
 
 from swarm.messages.keys import key
-from swarm.process.paths import ENDPOINT_PROTOCOL
+from swarm.process.paths import socket_of
 from swarm.process.runtime import Runtime
 
 LOOK_S = 1.0
 """Seconds between two looks; the mesh tells of its links as often."""
 
 SILENT = 10
-"""Looks in a row without a word of the mesh after which the bus is opened anew. Counted, not timed: a process that got
-no processor time has heard nothing meanwhile."""
+"""If nothing of the mesh has arrived before so many looks in a row, the session is opened anew. Looks are counted, not
+seconds: a process that got no processor time could hear nothing."""
 
 MOST_SILENT = 320
-"""The same after many times in a row in vain: each one doubles it."""
+"""Each new session in which nothing arrives either doubles the number of looks, up to this one."""
 
 
 class MeshWatch:
-    """The watch of one process."""
+    """Watches over the connection of one process with the mesh."""
 
     def __init__(self, runtime: Runtime, is_there: Callable[[], bool], renew: Callable[[], None]) -> None:
         """`is_there()` says whether the mesh's process runs; `renew` is `Bus.renew`."""
@@ -53,12 +53,12 @@ class MeshWatch:
 
 
 def is_listening(endpoint: str) -> bool:
-    """Return whether a process listens at this endpoint of the bus: the socket of one that was killed is still there,
-    but refuses."""
+    """Return whether a process listens at this endpoint of the bus. The socket of a killed process is still there, but
+    refuses connections."""
     with contextlib.closing(socket.socket(socket.AF_UNIX)) as probe:
         probe.setblocking(False)
         try:
-            probe.connect(endpoint.removeprefix(f"{ENDPOINT_PROTOCOL}/"))
+            probe.connect(str(socket_of(endpoint)))
         except OSError:
             return False
         return True

@@ -12,8 +12,8 @@ TIMEOUT = 1.0
 """Seconds for an answer of the adapter."""
 
 SWITCH_TIMEOUT = 6.0
-"""Seconds for a switch of roles, of which the other adapter has to hear: a page of a robot that is not there takes its
-time, or ours, for 5 s."""
+"""Seconds for a switch of roles. Both adapters must hear each other, and one that pages an absent robot hears nobody
+for 5 s."""
 
 Open = Callable[[], socket.socket]
 Ioctl = Callable[[Any, int, bytearray], object]

@@ -23,7 +23,7 @@ from swarm.bus.zenoh_config import client_config, peer_config, router_config
 from swarm.bus.zenoh_runtime import direct, guard, text, zenoh
 from swarm.errors import BusError, LocalError
 from swarm.messages.keys import MAX_KEY_LENGTH
-from swarm.process.paths import ENDPOINT_PROTOCOL, bus_endpoint
+from swarm.process.paths import ENDPOINT_PROTOCOL, bus_endpoint, socket_of
 
 MSGPACK = "application/msgpack"
 BINARY = "application/octet-stream"
@@ -71,7 +71,7 @@ class Router:
 
 
 class Subscription:
-    """One subscription of a client, until it is closed. Called with a session, it begins to hear its keys there."""
+    """One subscription of a client, until it is closed. A call with a session declares its keys there."""
 
     def __init__(self, keys: Iterable[str], handle: Callable[[zenoh.Sample], None], kept: "_Declarations") -> None:
         """`kept`: the declarations of its client, of which it is one until it is closed."""
@@ -106,7 +106,7 @@ class Subscription:
 
 
 _Declarations = dict[Callable[[zenoh.Session], object], None]
-"""What a client has declared, in order; the values mean nothing."""
+"""The declarations of a client, in their order: the keys of the dictionary. Each is called with a session."""
 
 
 class Bus:
@@ -132,7 +132,7 @@ class Bus:
         self._lock = threading.Lock()
         self._declarations: _Declarations = {}
         self._kept: list[object] = []
-        """What Zenoh has made of them: it undeclares what nobody holds."""
+        """The objects that Zenoh returned for them: it undeclares what nobody holds."""
         self._publishers: dict[tuple[str, bool], Publisher] = {}
         self._watchers: list[Callable[[bool], None]] = []
         self._closed = False
@@ -325,8 +325,8 @@ class Bus:
             before.close()  # type: ignore[no-untyped-call]
             self._kept.clear()
             if self._connected.is_set():
-                self._router_is(False)
-        socket = Path(self._endpoint.removeprefix(f"{ENDPOINT_PROTOCOL}/"))
+                self._set_connected(False)
+        socket = socket_of(self._endpoint)
         while not socket.exists():
             if self._ended.wait(_LOOK_S):
                 return
@@ -361,10 +361,10 @@ class Bus:
         if event.transport.whatami != zenoh.WhatAmI.ROUTER:
             _log.debug("direct connection up=%s to=%s", up, event.transport.zid)
         else:
-            self._router_is(up)
+            self._set_connected(up)
 
-    def _router_is(self, up: bool) -> None:
-        """Take in whether the router is there, and tell it."""
+    def _set_connected(self, up: bool) -> None:
+        """Note whether the router is there, and tell all who watch for it."""
         with self._lock:
             if self._closed:
                 return

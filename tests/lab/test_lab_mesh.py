@@ -9,7 +9,7 @@ import pytest
 
 from lab import waiting
 from lab.inside import run_tests
-from lab.shapes import ENDLESS, ITERATIONS, LONG, auto, config, patient, star
+from lab.shapes import ENDLESS, ITERATIONS, LONG, auto, config, star
 from lab.vm.build import Image
 from lab.vm.machine import PLAIN, Machine
 from swarm.config.keyfile import new_key_file
@@ -70,7 +70,7 @@ def test_nothing_is_lost_or_doubled_by_faults_in_mid_run(robots: Machine) -> Non
 
 
 def test_a_silent_link_is_gone_around(robots: Machine) -> None:
-    simulate("loop", robots.share, patient, "around")
+    simulate("loop", robots.share, config, "around")
     run_tests(robots, "tests/lab/inside/inside_consensus.py -k around")
 
 
