@@ -59,5 +59,5 @@ def run_logged(machine: Machine, what: str, words: str, seconds: float) -> str:
     number = machine.spawn(f"({words}) >/share/{log.name} 2>&1", seconds)
     code = machine.wait(number, seconds + 30, what, last_line).code
     output = log.read_text(errors="replace")
-    assert code == 0, f"{machine.name}: {what}: exit code {code}: {output[-8000:]}"
+    assert code == 0, f"{machine.name}: {what}: exit code {code}: {output[-30000:]}"
     return output

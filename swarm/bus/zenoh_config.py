@@ -11,6 +11,14 @@ _MAX_MESSAGE = 2 * MAX_BINARY
 """Size in bytes of a message at which Zenoh closes a connection. Our messages are far smaller, so this only affects a
 broken sender."""
 
+_HANDSHAKE_MS = 3_600_000
+"""Time limit for making a connection, ms, at both of its ends. None is needed, since the end of a process closes its
+Unix sockets. With Zenoh's default of 10 s it could pass, on an overloaded machine, after the connection was entered and
+before the task that reads from it was started. Nobody ever read from it then. Its keep-alives went on, and all others
+were refused (MAX_LINKS), so the service stayed deaf (Zenoh 1.10, `init_new_transport_unicast`)."""
+
+_HANDSHAKE = {"open_timeout": _HANDSHAKE_MS, "accept_timeout": _HANDSHAKE_MS}
+
 
 _BATCHES = 16
 """Batches of 64 KiB that a session's queue of normal messages holds, the most Zenoh allows. With its default of 2 a
@@ -31,7 +39,7 @@ def router_config(endpoint: str) -> str:
             "timestamping": {"enabled": {"router": True, "peer": False, "client": False}},
             "adminspace": {"enabled": True, "permissions": {"read": True, "write": False}},
             "transport": {
-                "unicast": {"max_sessions": 64},
+                "unicast": {"max_sessions": 64, **_HANDSHAKE},
                 "link": {
                     "protocols": ["unixsock-stream"],
                     "tx": {
@@ -68,6 +76,7 @@ def client_config(endpoint: str) -> str:
             "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
             "queries_default_timeout": 1000,
             "transport": {
+                "unicast": _HANDSHAKE,
                 "link": {
                     "protocols": ["unixsock-stream"],
                     "rx": {"max_message_size": _MAX_MESSAGE},
