@@ -20,7 +20,6 @@ from services.apps.event_runner import EventRunner
 from services.apps.host import topology
 from services.apps.host.event_host import EventHost
 from services.apps.host.host import LockstepHost, Part
-from services.apps.mesh_watch import MeshWatch, is_listening
 from services.apps.persistence.claim import AppLock
 from services.apps.persistence.recording import AppRecording, place_of
 from services.apps.persistence.storage import FileStorage
@@ -34,7 +33,6 @@ from swarm.config import Config
 from swarm.core.lockstep.frames import MAX_ITERATION
 from swarm.errors import AppError, LocalError
 from swarm.process.arguments import whole
-from swarm.process.paths import bus_endpoint
 from swarm.process.service import Service, run
 from swarm.process.threads import ThreadedRuntime
 
@@ -59,8 +57,6 @@ def main() -> int:
         seed = _number("SWARM_SEED", os.environ.get("SWARM_SEED") or str(number), 10)
         instance = app.make(service.config, service.robot, seed)  # what is wrong with it is said at once
         runtime = ThreadedRuntime(service)
-        mesh = bus_endpoint(service.runtime, "mesh")
-        MeshWatch(runtime, lambda: is_listening(mesh), service.bus.renew)
         measured = isinstance(instance, SyncApp) and instance.measured
         measurements = source_of(runtime, service.config, options.iterations) if measured else None
         links = topology.of_run(service, app.name, number)

@@ -36,7 +36,6 @@ class Publisher:
         """Raises `zenoh.ZError` where the bus does not take the key."""
         # Zenoh holds what it calls, so that must not be this: nothing would ever let go of it.
         self.audience = Audience()
-        self.session = session
         self._publisher = session.declare_publisher(
             key,
             congestion_control=zenoh.CongestionControl.DROP,

@@ -71,42 +71,36 @@ class Router:
 
 
 class Subscription:
-    """One subscription of a client, until it is closed. A call with a session declares its keys there."""
+    """One subscription of a client, until it is closed."""
 
-    def __init__(self, keys: Iterable[str], handle: Callable[[zenoh.Sample], None], kept: "_Declarations") -> None:
-        """`kept`: the declarations of its client, of which it is one until it is closed."""
-        self._keys = tuple(keys)
-        self._handle = handle
+    def __init__(self, kept: "set[Subscription]") -> None:
+        """`kept`: where it is held until then; what nobody holds, Zenoh undeclares."""
+        kept.add(self)
         self._kept = kept
         self._lock = threading.Lock()
         self._closed = False
         self._subscribers: list[zenoh.Subscriber[None]] = []
 
-    def __call__(self, session: zenoh.Session) -> None:
+    def declare(self, session: zenoh.Session, key: str, handle: Callable[[zenoh.Sample], None]) -> None:
+        """Begin to hear a key, unless it has been closed meanwhile."""
         if self._closed:
             return
-        remote = zenoh.Locality.REMOTE
-        found = [session.declare_subscriber(key, direct(self._handle), allowed_origin=remote) for key in self._keys]
+        subscriber = session.declare_subscriber(key, direct(handle), allowed_origin=zenoh.Locality.REMOTE)
         with self._lock:
             if not self._closed:
-                self._subscribers = found
+                self._subscribers.append(subscriber)
                 return
-        for subscriber in found:
-            subscriber.undeclare()
+        subscriber.undeclare()
 
     def close(self) -> None:
         """Hear no more; safe to call twice, not from within a callback."""
         with self._lock:
             self._closed = True
             subscribers, self._subscribers = self._subscribers, []
-        self._kept.pop(self, None)
+        self._kept.discard(self)
         for subscriber in subscribers:
             with contextlib.suppress(zenoh.ZError):  # with its session, or before it
                 subscriber.undeclare()  # type: ignore[no-untyped-call]
-
-
-_Declarations = dict[Callable[[zenoh.Session], object], None]
-"""The declarations of a client, in their order: the keys of the dictionary. Each is called with a session."""
 
 
 class Bus:
@@ -130,9 +124,9 @@ class Bus:
         self._packer = Packer(self.counters)
         self._session: zenoh.Session | None = None
         self._lock = threading.Lock()
-        self._declarations: _Declarations = {}
+        self._pending: list[Callable[[zenoh.Session], object]] = []
         self._kept: list[object] = []
-        """The objects that Zenoh returned for them: it undeclares what nobody holds."""
+        self._subscriptions: set[Subscription] = set()
         self._publishers: dict[tuple[str, bool], Publisher] = {}
         self._watchers: list[Callable[[bool], None]] = []
         self._closed = False
@@ -203,7 +197,7 @@ class Bus:
     def _publisher_of(self, session: zenoh.Session, key: str, urgent: bool) -> Publisher:
         publishers = self._publishers
         publisher = publishers.get((key, urgent))
-        if publisher is None or publisher.session is not session:
+        if publisher is None:
             for oldest in list(publishers)[: max(0, len(publishers) + 1 - _PUBLISHERS)]:
                 publishers.pop(oldest, None)
             publisher = publishers[key, urgent] = Publisher(session, key, urgent=urgent)
@@ -212,13 +206,13 @@ class Bus:
     def subscribe(self, keys: str | Iterable[str], callback: OnSample) -> Subscription:
         """Call `callback(key, payload)` for every sample of other sessions, until what is returned, or this client, is
         closed; see above for callbacks."""
+        subscription = Subscription(self._subscriptions)
 
         def handle(sample: zenoh.Sample) -> None:
             callback(str(sample.key_expr), sample.payload.to_bytes())
 
-        checked = map(_checked_key, (keys,) if isinstance(keys, str) else keys)
-        subscription = Subscription(checked, handle, self._declarations)
-        self._declare(subscription)
+        for key in map(_checked_key, (keys,) if isinstance(keys, str) else keys):
+            self._declare(lambda session, key=key: subscription.declare(session, key, handle))  # type: ignore[misc]
         return subscription
 
     def serve(self, key: str, answer: OnQuery) -> None:
@@ -269,15 +263,6 @@ class Bus:
 
         self._declare(lambda session: session.liveliness().declare_subscriber(key, direct(handle), history=True))
 
-    def renew(self) -> None:
-        """Close the session and open another one in the background, in which all is declared again: for a client that
-        Zenoh has left deaf. What is published meanwhile is lost. Does nothing while no session is open."""
-        with self._lock:
-            session, self._session = self._session, None
-            if session is not None:
-                self._opener = threading.Thread(target=self._open, args=(session,), name="bus-open", daemon=True)
-                self._opener.start()
-
     def close(self) -> None:
         """Undeclare everything and close; safe to call twice and while still waiting for a router."""
         with self._lock:
@@ -294,7 +279,7 @@ class Bus:
             # back in a moment, even where the session is there and it still declares; without one it is not in Zenoh.
             self._opener.join(_OPENING)
         self._kept.clear()
-        self._declarations.clear()
+        self._subscriptions.clear()
 
     def __enter__(self) -> "Bus":
         return self
@@ -304,8 +289,9 @@ class Bus:
 
     def _declare(self, declaration: Callable[[zenoh.Session], object]) -> None:
         with self._lock:
-            self._declarations[declaration] = None
             session = self._session
+            if session is None:
+                self._pending.append(declaration)
         # Outside the lock: what is declared may call back at once, and the callback may declare in its turn.
         if session is not None:
             self._keep(session, declaration)
@@ -318,14 +304,9 @@ class Bus:
             if not self._closed:
                 _log.error("the bus refused a declaration: %s", text(error))
 
-    def _open(self, before: zenoh.Session | None = None) -> None:
-        """Open a session in place of one before. Runs in its own thread: `zenoh.open` waits without end, and no signal
-        would interrupt it. So it is called when there is a socket."""
-        if before is not None:
-            before.close()  # type: ignore[no-untyped-call]
-            self._kept.clear()
-            if self._connected.is_set():
-                self._set_connected(False)
+    def _open(self) -> None:
+        """Runs in its own thread: `zenoh.open` waits without end, and no signal would interrupt it. So it is called
+        when there is a socket."""
         socket = socket_of(self._endpoint)
         while not socket.exists():
             if self._ended.wait(_LOOK_S):
@@ -335,18 +316,16 @@ class Bus:
         except zenoh.ZError as error:
             _log.error("the bus cannot be opened endpoint=%s error=%s", self._endpoint, text(error))
             return
-        declared: set[object] = set()
         while True:
             with self._lock:
-                missing = [each for each in tuple(self._declarations) if each not in declared]
+                pending, self._pending = self._pending, []
                 if self._closed:
                     break
-                if not missing:
+                if not pending:
                     self._session = session
                     break
-            for declaration in missing:
+            for declaration in pending:
                 self._keep(session, declaration)
-            declared.update(missing)
         if self._closed:
             session.close()  # type: ignore[no-untyped-call]
             return
@@ -360,11 +339,7 @@ class Bus:
         up = event.kind == zenoh.SampleKind.PUT
         if event.transport.whatami != zenoh.WhatAmI.ROUTER:
             _log.debug("direct connection up=%s to=%s", up, event.transport.zid)
-        else:
-            self._set_connected(up)
-
-    def _set_connected(self, up: bool) -> None:
-        """Note whether the router is there, and tell all who watch for it."""
+            return
         with self._lock:
             if self._closed:
                 return
