@@ -61,7 +61,7 @@ class Router:
         A client whose connection is just being accepted is forgotten by Zenoh but not cut off: it stays connected to
         nothing until this process ends. The bus service ends at once after this.
         """
-        self._session.close()  # type: ignore[no-untyped-call]
+        _close(self._session)
 
     def __enter__(self) -> "Router":
         return self
@@ -273,7 +273,7 @@ class Bus:
         self._ended.set()
         self._connected.clear()
         if session is not None:
-            session.close()  # type: ignore[no-untyped-call]
+            _close(session)
         if self._opener is not threading.current_thread():
             # A thread that comes back from Zenoh while the interpreter ends aborts the process. With a router it is
             # back in a moment, even where the session is there and it still declares; without one it is not in Zenoh.
@@ -327,7 +327,7 @@ class Bus:
             for declaration in pending:
                 self._keep(session, declaration)
         if self._closed:
-            session.close()  # type: ignore[no-untyped-call]
+            _close(session)
             return
         # Last, so that whoever is told of the connection can publish over it.
         self._keep(
@@ -349,6 +349,15 @@ class Bus:
             watchers = tuple(self._watchers)
         for watcher in watchers:
             watcher(up)
+
+
+def _close(session: zenoh.Session) -> None:
+    """Close a session. Zenoh waits at most 10 s for a connection that is just being made, to a stopped process say, and
+    then raises: the connection ends with this process."""
+    try:
+        session.close()  # type: ignore[no-untyped-call]
+    except zenoh.ZError as error:
+        _log.warning("a connection of the bus is left to the end of this process: %s", text(error))
 
 
 def _checked_key(key: str) -> str:

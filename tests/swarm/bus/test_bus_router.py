@@ -213,3 +213,18 @@ def test_close_ends_at_once_where_no_router_has_come(tmp_path: Path) -> None:
     bus = Bus(f"{ENDPOINT_PROTOCOL}/{tmp_path / 'bus.sock'}")
     bus.close()
     assert not bus._opener.is_alive()
+
+
+@pytest.mark.slow
+def test_clients_and_router_close_beside_connections_that_never_get_done(runtime: Path) -> None:
+    """Zenoh gives up waiting for them after 10 s, and says so; both close well all the same."""
+    with socket.socket(socket.AF_UNIX) as stopped_mesh, socket.socket(socket.AF_UNIX) as stopped_client:
+        stopped_mesh.bind(str(runtime / "bus.mesh.sock"))
+        stopped_mesh.listen()
+        with zenoh_bus.Router(bus_endpoint(runtime)), Bus.of(runtime, "app-a") as app:
+            stopped_client.connect(str(runtime / "bus.sock"))
+            samples = Samples()
+            app.subscribe("swarm/r0/test/x", samples)
+            with Bus.of(runtime) as other:
+                assert other.wait_connected(60)
+                talk(other, "swarm/r0/test/x", samples)
