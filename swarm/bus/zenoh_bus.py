@@ -23,7 +23,7 @@ from swarm.bus.zenoh_config import client_config, peer_config, router_config
 from swarm.bus.zenoh_runtime import direct, guard, text, zenoh
 from swarm.errors import BusError, LocalError
 from swarm.messages.keys import MAX_KEY_LENGTH
-from swarm.process.paths import ENDPOINT_PROTOCOL, bus_endpoint, socket_of
+from swarm.process.paths import ENDPOINT_PROTOCOL, bus_endpoint
 
 MSGPACK = "application/msgpack"
 BINARY = "application/octet-stream"
@@ -74,7 +74,7 @@ class Subscription:
     """One subscription of a client, until it is closed."""
 
     def __init__(self, kept: "set[Subscription]") -> None:
-        """`kept`: where it is held until then; what nobody holds, Zenoh undeclares."""
+        """`kept`: the set that holds it until it is closed. Zenoh undeclares what nobody holds."""
         kept.add(self)
         self._kept = kept
         self._lock = threading.Lock()
@@ -126,6 +126,7 @@ class Bus:
         self._lock = threading.Lock()
         self._pending: list[Callable[[zenoh.Session], object]] = []
         self._kept: list[object] = []
+        """The objects that Zenoh returned for declarations: it undeclares what nobody holds."""
         self._subscriptions: set[Subscription] = set()
         self._publishers: dict[tuple[str, bool], Publisher] = {}
         self._watchers: list[Callable[[bool], None]] = []
@@ -307,7 +308,7 @@ class Bus:
     def _open(self) -> None:
         """Runs in its own thread: `zenoh.open` waits without end, and no signal would interrupt it. So it is called
         when there is a socket."""
-        socket = socket_of(self._endpoint)
+        socket = Path(self._endpoint.removeprefix(f"{ENDPOINT_PROTOCOL}/"))
         while not socket.exists():
             if self._ended.wait(_LOOK_S):
                 return
@@ -352,8 +353,8 @@ class Bus:
 
 
 def _close(session: zenoh.Session) -> None:
-    """Close a session. Zenoh waits at most 10 s for a connection that is just being made, to a stopped process say, and
-    then raises: the connection ends with this process."""
+    """Close a session. Zenoh waits for a connection that is being made, for example to a stopped process. After 10 s it
+    gives up and raises; that connection then ends with this process."""
     try:
         session.close()  # type: ignore[no-untyped-call]
     except zenoh.ZError as error:

@@ -11,14 +11,11 @@ _MAX_MESSAGE = 2 * MAX_BINARY
 """Size in bytes of a message at which Zenoh closes a connection. Our messages are far smaller, so this only affects a
 broken sender."""
 
-_HANDSHAKE_MS = 3_600_000
-"""Time limit for making a connection, ms, at both of its ends. None is needed, since the end of a process closes its
-Unix sockets. With Zenoh's default of 10 s it could pass, on an overloaded machine, after the connection was entered and
-before the task that reads from it was started. Nobody ever read from it then. Its keep-alives went on, and all others
+_HANDSHAKE = {"open_timeout": 3_600_000, "accept_timeout": 3_600_000}
+"""Time limits for making a connection, ms, at its two ends. None is needed, since the end of a process closes its Unix
+sockets. Zenoh's default of 10 s could pass on an overloaded machine after the connection was registered and before the
+task that reads from it was started. Then nobody ever read from it. Its keep-alives went on, and all further connections
 were refused (MAX_LINKS), so the service stayed deaf (Zenoh 1.10, `init_new_transport_unicast`)."""
-
-_HANDSHAKE = {"open_timeout": _HANDSHAKE_MS, "accept_timeout": _HANDSHAKE_MS}
-
 
 _BATCHES = 16
 """Batches of 64 KiB that a session's queue of normal messages holds, the most Zenoh allows. With its default of 2 a

@@ -54,8 +54,3 @@ def bus_endpoint(directory: Path, service: str = "") -> str:
         # Zenoh would cut the path there and listen somewhere else.
         raise BusError(f"{path}: a runtime directory cannot have {odd.pop()!r} in its path; use another directory")
     return f"{ENDPOINT_PROTOCOL}/{path}"
-
-
-def socket_of(endpoint: str) -> Path:
-    """Return the path of the Unix socket of a Zenoh endpoint."""
-    return Path(endpoint.removeprefix(f"{ENDPOINT_PROTOCOL}/"))
