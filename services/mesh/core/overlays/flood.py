@@ -270,6 +270,8 @@ class FloodOverlay:
         verdict = self._store.take(origin, key, packet, priority)
         if verdict == OLD:
             self._counters["flood_old"] += 1
+            if origin == peer:
+                self._neighbours.on_old(peer, now)
             return
         id = FloodId(origin, packet.incarnation, packet.sequence)
         first = id._replace(sequence=packet.first or packet.sequence)

@@ -276,6 +276,10 @@ class CatchUp:
         if total != self._store.summary():
             self._answer(peer, now, answer=True)
 
+    def on_old(self, peer: str, now: float) -> None:
+        """Tell a neighbour whose own flood was taken for an old one by which incarnation it is known here."""
+        self._answer(peer, now, answer=False)
+
     def on_digest(self, peer: str, digest: packets.Digest, now: float) -> None:
         """Compare a neighbour's digest with our own."""
         theirs, _ = digest.origins.get(peer, (0, 0))

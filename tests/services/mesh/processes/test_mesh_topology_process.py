@@ -134,11 +134,14 @@ def test_robots_find_their_neighbours_and_mend_the_swarm(build: Build) -> None:
         found = [topology(swarm, name) for name in names]
         return len({each.edges for each in found}) == 1 and all(len(each.up) >= 2 and not each.kept for each in found)
 
-    wait_until(lambda: whole("r0", "r1", "r2", "r3"), what="all have two neighbours")
+    def what(*names: str) -> Callable[[], str]:
+        return lambda: f"two neighbours each: {[(name, topology(swarm, name)) for name in names]}"
+
+    wait_until(lambda: whole("r0", "r1", "r2", "r3"), what=what("r0", "r1", "r2", "r3"))
     mesh = swarm["r1"].mesh
     assert mesh is not None
     mesh.kill()
     mesh.wait()
-    wait_until(lambda: whole("r0", "r2", "r3"), what="three have two neighbours each")
+    wait_until(lambda: whole("r0", "r2", "r3"), what=what("r0", "r2", "r3"))
     swarm["r1"].start()
-    wait_until(lambda: whole("r0", "r1", "r2", "r3"), what="r1 is back")
+    wait_until(lambda: whole("r0", "r1", "r2", "r3"), what=what("r0", "r1", "r2", "r3"))
