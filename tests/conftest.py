@@ -176,6 +176,15 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
     return outcome
 
 
+def open_files(pid: int) -> set[str]:
+    """What the descriptors of a process stand for: paths of files, `socket:[INODE]` and the like."""
+    found = set()
+    for descriptor in Path(f"/proc/{pid}/fd").iterdir():
+        with contextlib.suppress(FileNotFoundError):  # it was closed meanwhile
+            found.add(str(descriptor.readlink()))
+    return found
+
+
 def wait_until(condition: Callable[[], object], timeout: float = 60.0, what: str | Callable[[], str] = "") -> None:
     """Poll until `condition()` is true; the deadline only bounds a failure, which tells `what` was awaited (a function
     is asked for it then)."""

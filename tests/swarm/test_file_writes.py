@@ -1,12 +1,12 @@
 """Files are whole after a kill, a power cut at any call, and on a full disk."""
 
-import contextlib
 import errno
 import os
 import stat
 from pathlib import Path
 
 import pytest
+from conftest import open_files
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from power_cut import Disk, Killed
@@ -168,9 +168,4 @@ def test_a_disk_without_room_for_a_reserved_file_is_found_when_it_is_opened(
     monkeypatch.setattr(os, "posix_fallocate", full)
     with pytest.raises(OSError, match="No space left"):
         open_reserved(tmp_path / "file", 8192, 0o600)
-    open_files = []
-    for descriptor in Path("/proc/self/fd").iterdir():
-        # What other tests have left to the garbage collector closes at any time.
-        with contextlib.suppress(FileNotFoundError):
-            open_files.append(descriptor.readlink())
-    assert tmp_path / "file" not in open_files
+    assert str(tmp_path / "file") not in open_files(os.getpid())

@@ -8,7 +8,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from conftest import Processes, stop, wait_until
+from conftest import Processes, open_files, stop, wait_until
 
 from swarm.bus.zenoh_bus import Bus
 from swarm.messages import Status
@@ -27,13 +27,7 @@ def refused(processes: Processes, **environment: str) -> str:
 
 def inodes(pid: int) -> set[str]:
     """Inode numbers of the sockets a process holds."""
-    links = []
-    for entry in Path(f"/proc/{pid}/fd").iterdir():
-        try:
-            links.append(str(entry.readlink()))
-        except FileNotFoundError:
-            continue
-    return {link[len("socket:[") : -1] for link in links if link.startswith("socket:[")}
+    return {file[len("socket:[") : -1] for file in open_files(pid) if file.startswith("socket:[")}
 
 
 def test_nothing_listens_on_the_network(bus_service: subprocess.Popen[str], runtime: Path) -> None:

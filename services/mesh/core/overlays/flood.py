@@ -271,6 +271,7 @@ class FloodOverlay:
         if verdict == OLD:
             self._counters["flood_old"] += 1
             if origin == peer:
+                # All its floods are dropped here until it chooses a higher incarnation.
                 self._neighbours.on_old(peer, now)
             return
         id = FloodId(origin, packet.incarnation, packet.sequence)

@@ -277,7 +277,7 @@ class CatchUp:
             self._answer(peer, now, answer=True)
 
     def on_old(self, peer: str, now: float) -> None:
-        """Tell a neighbour whose own flood was taken for an old one by which incarnation it is known here."""
+        """Tell a neighbour which incarnation of it is known here: its own flood has an earlier one."""
         self._answer(peer, now, answer=False)
 
     def on_digest(self, peer: str, digest: packets.Digest, now: float) -> None:

@@ -130,18 +130,23 @@ def test_robots_find_their_neighbours_and_mend_the_swarm(build: Build) -> None:
     for robot in swarm.robots.values():
         robot.start()
 
-    def whole(*names: str) -> bool:
-        found = [topology(swarm, name) for name in names]
-        return len({each.edges for each in found}) == 1 and all(len(each.up) >= 2 and not each.kept for each in found)
+    def await_whole(*names: str) -> None:
+        def told() -> list[Topology]:
+            return [topology(swarm, name) for name in names]
 
-    def what(*names: str) -> Callable[[], str]:
-        return lambda: f"two neighbours each: {[(name, topology(swarm, name)) for name in names]}"
+        def whole() -> bool:
+            found = told()
+            if len({each.edges for each in found}) > 1:
+                return False
+            return all(len(each.up) >= 2 and not each.kept for each in found)
 
-    wait_until(lambda: whole("r0", "r1", "r2", "r3"), what=what("r0", "r1", "r2", "r3"))
+        wait_until(whole, what=lambda: f"{names} have two neighbours each, and tell now: {told()}")
+
+    await_whole("r0", "r1", "r2", "r3")
     mesh = swarm["r1"].mesh
     assert mesh is not None
     mesh.kill()
     mesh.wait()
-    wait_until(lambda: whole("r0", "r2", "r3"), what=what("r0", "r2", "r3"))
+    await_whole("r0", "r2", "r3")
     swarm["r1"].start()
-    wait_until(lambda: whole("r0", "r1", "r2", "r3"), what=what("r0", "r1", "r2", "r3"))
+    await_whole("r0", "r1", "r2", "r3")
