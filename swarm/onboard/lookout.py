@@ -54,6 +54,8 @@ TOLD = (
 """Keys below a robot's name that are for people too: all but what apps send to each other, which would cost the bus
 more than the rest together (`swarm.onboard.traffic`)."""
 
+_BUS_S = 5.0
+"""Seconds for which the first command waits for the bus, since the program may be called for that command alone."""
 _ANSWER_S = 2.0
 _END_S = 1.0
 """Seconds for which the end waits for the thread that writes."""
@@ -169,6 +171,7 @@ def main() -> None:
         telling = threading.Thread(target=tell, name="telemetry", daemon=True)
         telling.start()
         try:
+            bus.wait_connected(_BUS_S)
             for command in _commands(ended):
                 publish(bus, command)
         except (ValueError, TypeError, msgpack.UnpackException) as error:

@@ -204,4 +204,4 @@ def test_whatever_happens_the_trajectory_is_the_undisturbed_one():
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_whatever_happens_in_many_examples():
-    run_state_machine_as_test(Swarm, settings=settings(EXAMPLES, max_examples=1500, stateful_step_count=60))
+    run_state_machine_as_test(Swarm, settings=settings(EXAMPLES, max_examples=500, stateful_step_count=60))

@@ -51,7 +51,7 @@ def kind_of(packet: Transmit) -> int:
     [
         30,
         pytest.param(100, marks=pytest.mark.slow),
-        pytest.param(1000, marks=[pytest.mark.slow, pytest.mark.timeout(900)]),
+        pytest.param(300, marks=[pytest.mark.slow, pytest.mark.timeout(300)]),
     ],
 )
 def test_messages_and_bytes_follow_the_formulas(count: int) -> None:
@@ -106,7 +106,7 @@ def test_messages_and_bytes_follow_the_formulas(count: int) -> None:
     assert all(world.got(name, "/rule/x") == [b"v"] for name in world.names if name != "r0")
 
     if count > 100:
-        return  # three million messages a minute would follow
+        return  # hundreds of thousands of messages a minute would follow
     # Quiet: everybody repeats its LSA once a minute, neighbours compare checksums twice a minute and find them equal.
     world.run(REFRESH / 2)
     world.clear()
