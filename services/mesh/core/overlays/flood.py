@@ -264,15 +264,15 @@ class FloodOverlay:
         if origin == self._me:
             self._on_own(peer, key, packet, priority, now)
             return
-        if packet.size:
-            self.large.announced(peer, origin, key, packet, now)
-            return
         verdict = self._store.take(origin, key, packet, priority)
         if verdict == OLD:
             self._counters["flood_old"] += 1
             if origin == peer:
                 # All its floods are dropped here until it chooses a higher incarnation.
                 self._neighbours.on_old(peer, now)
+            return
+        if packet.size:
+            self.large.announced(peer, origin, key, packet, verdict, now)
             return
         id = FloodId(origin, packet.incarnation, packet.sequence)
         first = id._replace(sequence=packet.first or packet.sequence)

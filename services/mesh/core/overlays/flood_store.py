@@ -95,29 +95,21 @@ class Store:
         return origin if incarnation == origin.incarnation else None
 
     def take(self, name: str, key: str, packet: packets.Spread, priority: int) -> str:
-        """Tell what a flood is: new (and noted from now on), a duplicate, or of an earlier incarnation."""
+        """Tell what a flood is: new (and noted from now on), a duplicate, or of an earlier incarnation. A latest value
+        that is only announced is not noted: it is taken when it has come."""
         if (origin := self._current(name, packet.incarnation)) is None:
             return OLD
-        unseen = origin.window.add(packet.sequence)
+        announced = packet.latest and packet.size > 0
+        unseen = announced or origin.window.add(packet.sequence)
         if packet.latest:
             # Whatever the window knows: a value is new if it is newer than the one that is kept. So repair can bring
             # what was missed long ago, and an older value never takes the place of a newer one.
             old = origin.latest.get(key)
             if packet.sequence <= (old.sequence if old is not None else origin.floor):
                 unseen = False
-            elif self._keep(origin, key, Kept(packet.sequence, priority, packet.payload)):
+            elif not announced and self._keep(origin, key, Kept(packet.sequence, priority, packet.payload)):
                 unseen = True
         return NEW if unseen else DUPLICATE
-
-    def sight(self, name: str, key: str, packet: packets.Spread) -> str:
-        """Tell what an announced message is, as `take` will tell unless it has come meanwhile. Latest values are not
-        noted."""
-        if not packet.latest:
-            return self.take(name, key, packet, 0)
-        if (origin := self._current(name, packet.incarnation)) is None:
-            return OLD
-        old = origin.latest.get(key)
-        return NEW if packet.sequence > (old.sequence if old is not None else origin.floor) else DUPLICATE
 
     def payload(self, name: str, incarnation: int, sequence: int) -> bytes | None:
         """The latest value of that number."""

@@ -19,7 +19,7 @@ from services.mesh.core.bulk.transfers import Transfers
 from services.mesh.core.overlays.completion import Completion
 from services.mesh.core.overlays.echo import MAX_WAVES, Waves
 from services.mesh.core.overlays.echo import FloodId as WaveId
-from services.mesh.core.overlays.flood_store import NEW, OLD, Store
+from services.mesh.core.overlays.flood_store import NEW, Store
 from services.mesh.core.wire.frames import BULK
 from services.mesh.core.wire.packets import Spread
 
@@ -126,15 +126,11 @@ class LargeFloods:
         held = self._held.get(id)
         return min(min(held.have.values(), default=0) * SIZE, len(held.payload)) if held is not None else 0
 
-    def announced(self, peer: str, origin: str, key: str, packet: Spread, now: float) -> None:
-        """Take a neighbour's announcement of a message."""
+    def announced(self, peer: str, origin: str, key: str, packet: Spread, verdict: str, now: float) -> None:
+        """Take a neighbour's announcement of a message; `verdict`: `NEW` or `DUPLICATE`, by the store."""
         id = MessageId(origin, packet.incarnation, packet.first or packet.sequence, flood=True)
         wave = WaveId(origin, packet.incarnation, packet.sequence)
         first = wave._replace(sequence=id.number)
-        verdict = self._store.sight(origin, key, packet)
-        if verdict == OLD:
-            self._counters["flood_old"] += 1
-            return
         if verdict != NEW or (packet.latest and self._newer_comes(key, packet)):
             self._counters["flood_duplicates"] += 1
             self.exchange.add_source(id, peer, now)
