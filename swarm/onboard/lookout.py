@@ -55,7 +55,8 @@ TOLD = (
 more than the rest together (`swarm.onboard.traffic`)."""
 
 _BUS_S = 5.0
-"""Seconds for which the first command waits for the bus, since the program may be called for that command alone."""
+"""Seconds for which commands wait for the bus at the start: the program may be called for a single command, which would
+be lost without a bus."""
 _ANSWER_S = 2.0
 _END_S = 1.0
 """Seconds for which the end waits for the thread that writes."""

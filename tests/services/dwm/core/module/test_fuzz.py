@@ -1,6 +1,6 @@
 """Mutated byte streams through each parser: nothing but the remote-error leaf, and in step again within one frame.
 
-The short run is part of every test run, the long one of `-m slow`.
+The short run is part of every test run, the long one is run by `-m slow`.
 """
 
 import contextlib
