@@ -9,7 +9,7 @@ from services.dwm.core.estimation.truth import TruthComparison
 from services.dwm.line import BusLine
 from swarm import clock
 from swarm.config import Config
-from swarm.errors import PayloadError
+from swarm.errors import BusError, PayloadError
 from swarm.messages import ExternalReport, Pose, Ranges, Truth
 from swarm.messages.codec import decode
 from swarm.messages.keys import key
@@ -25,7 +25,7 @@ def key_of(text: str, robot: str) -> str:
 
 
 def compare(line: BusLine, config: Config, truth: str, seconds: float, wait: Callable[[float], None]) -> dict[str, Any]:
-    """Listen for some seconds and return `TruthComparison.result`."""
+    """Listen for some seconds and return `TruthComparison.result`. Raises `BusError` where the bus does not answer."""
     robot = line.name
     anchors = {each.address: (each.x, each.y, each.z - config.dwm.height) for each in config.anchors}
     comparison, lock = TruthComparison(anchors), threading.Lock()
@@ -41,7 +41,8 @@ def compare(line: BusLine, config: Config, truth: str, seconds: float, wait: Cal
                 comparison.ranges(decode(Ranges, payload, name))
 
     line.bus.subscribe([source, key(robot, "dwm", "pose"), key(robot, "dwm", "ranges")], take)
-    line.bus.wait_connected(PATIENCE_S)
+    if not line.bus.wait_connected(PATIENCE_S):
+        raise BusError(f"{robot}: its bus does not answer: does its bus service run?")
     wait(seconds)
     with lock:
         return comparison.result()

@@ -107,6 +107,12 @@ def test_without_a_service_it_says_so(run, router, config):
     assert "its dwm service does not answer" in finding["text"]
 
 
+def test_a_comparison_with_the_truth_says_that_a_bus_does_not_answer(run, config):
+    code, _, error = run("check", "--truth", "sim", "--seconds", 1)
+    assert code == 2
+    assert "r0: its bus does not answer: does its bus service run?" in error
+
+
 def test_a_calibration_of_other_anchors_is_named_though_the_service_does_not_run(run, router, processes, runtime):
     text = DWM.replace("target =", 'calibration = "of/{{robot}}.toml"\ntarget =', 1).format(directory=runtime)
     processes.config.write_text(ROBOTS.format(runtime=runtime) + ANCHORS + text)
