@@ -102,10 +102,12 @@ class Laptop:
         return waiting.run(command, self.words(command), PATIENCE_S + 10)
 
     @contextmanager
-    def watch(self, robot: str, keys: str) -> Iterator[Callable[[str, Callable[[Any], object]], Any]]:
-        """Watch by `z_sub --robots`. What this gives waits for a payload for which the condition is true."""
+    def watch(self, robot: str, app: str) -> Iterator[Callable[[str, str, Callable[[Any], object]], Any]]:
+        """Watch what an app says by `z_sub --robots`. What this gives waits for a payload of a topic for which the
+        condition is true. It hears nothing that was said before it was connected, which may take many seconds."""
+        keys = f"swarm/{robot}/app/{app}"
         process = subprocess.Popen(
-            self.words(f"z_sub {keys} --robots {robot} --json"),
+            self.words(f"z_sub {keys}/* --robots {robot} --json"),
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             text=True,
@@ -116,14 +118,14 @@ class Laptop:
         reader.start()
         last: Any = None
 
-        def until(what: str, condition: Callable[[Any], object]) -> Any:
+        def until(what: str, topic: str, condition: Callable[[Any], object]) -> Any:
             nonlocal last
-            wait = Wait(f"{keys} of {robot}: {what}", state=lambda: last)
+            wait = Wait(f"{keys}/{topic} of {robot}: {what}", state=lambda: last)
             while True:
                 with suppress(queue.Empty):
-                    last = json.loads(lines.get(timeout=wait.look()))["value"]
-                    if condition(last):
-                        return last
+                    last = json.loads(lines.get(timeout=wait.look()))
+                    if last["key"] == f"{keys}/{topic}" and condition(last["value"]):
+                        return last["value"]
 
         try:
             yield until
@@ -175,8 +177,8 @@ def test_three_machines_find_the_target_and_one_comes_back_from_a_power_cut(
             laptop.knows(machines)
             booted = time.monotonic() - began
             laptop.do(f"swarm run localization --absent drop --drop-after {DROP_AFTER_S} --timeout {PATIENCE_S:.0f}")
-            with laptop.watch("r0", "swarm/r0/app/localization/state") as until:
-                found = until("the target is found", lambda state: state["k"] > 50 and off(state) <= simulated)
+            with laptop.watch("r0", "localization") as until:
+                found = until("the target is found", "state", lambda state: state["k"] > 50 and off(state) <= simulated)
             cold_start = float(machines[0].run("cat /proc/uptime").split()[0])
             rejoined = power_cut(laptop, machines)
             laptop.do(f"swarm services stop localization --timeout {PATIENCE_S:.0f}")
@@ -195,16 +197,16 @@ def test_three_machines_find_the_target_and_one_comes_back_from_a_power_cut(
 
 def power_cut(laptop: Laptop, machines: list[Machine]) -> float:
     """r2 goes off and on again; s from its power until it is a member again."""
-    epochs = "swarm/r0/app/localization/epoch"
-    with laptop.watch("r0", epochs) as until:
+    with laptop.watch("r0", "localization") as until:
+        until("the watch is connected", "state", lambda state: True)
         machines[2].kill()
-        without = until("the members are r0 and r1", lambda epoch: epoch["members"] == ["r0", "r1"])
+        without = until("the members are r0 and r1", "epoch", lambda epoch: epoch["members"] == ["r0", "r1"])
         began = time.monotonic()
         boot(machines[2])
         laptop.knows(machines)
         laptop.do(f"swarm services start localization --robots r2 --timeout {PATIENCE_S:.0f}")
-        again = until("the members are all three", lambda epoch: epoch["members"] == list(NAMES))
+        again = until("the members are all three", "epoch", lambda epoch: epoch["members"] == list(NAMES))
     assert again["epoch"] > without["epoch"]
-    with laptop.watch("r2", "swarm/r2/app/localization/state") as until:
-        until("r2 finds the target again", lambda state: state["k"] > again["k"] + 20 and off(state) < 0.3)
+    with laptop.watch("r2", "localization") as until:
+        until("r2 finds the target again", "state", lambda state: state["k"] > again["k"] + 20 and off(state) < 0.3)
     return time.monotonic() - began
