@@ -1,15 +1,20 @@
 """Large messages between any two robots: who needs one fetches it piece by piece, who has it answers.
 
-The receiver asks, so it decides how much it takes in, repeats what was lost, and paces the way (`bulk.pieces`); who
-answers keeps nothing but the message. A robot that is still fetching a flood's message hands its pieces on as they
-come: one that asks for a piece which is not there yet gets it when it is.
+The receiver asks, so it decides how much it takes in, and asks again for what was lost; who answers keeps nothing but
+the message. A robot that is still fetching a flood's message hands its pieces on as they come: one that asks for a
+piece which is not there yet gets it when it is.
+
+**Repair.** Pieces come in the order in which they were asked for, mostly. So those that were asked for before another
+one that has come are lost. Where none comes for a while, they may be late in a long queue or lost. Then one further
+piece is asked for: where it comes first the others are lost, and where they come first nothing was asked for twice.
+Where there is no further piece all are asked for again.
 """
 
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
 
 from services.mesh.core.bulk import pieces
-from services.mesh.core.bulk.pieces import GONE, PIECE, SIZE, WANT, Fetch, MessageId, Pace, Packet
+from services.mesh.core.bulk.pieces import ASKED, GONE, PIECE, SIZE, WANT, Fetch, MessageId, Packet, RetransmissionTimer
 
 PATIENCE = 30.0
 """Seconds without a new piece after which a message is given up."""
@@ -32,9 +37,8 @@ _NEVER = float("inf")
 class _Source:
     """A robot that we fetch from."""
 
-    pace: Pace = field(default_factory=Pace)
+    timer: RetransmissionTimer = field(default_factory=RetransmissionTimer)
     fetches: dict[MessageId, Fetch] = field(default_factory=dict)
-    timeouts: int = 0
 
     @property
     def asked(self) -> int:
@@ -43,8 +47,8 @@ class _Source:
 
     @property
     def deadline(self) -> float:
-        """Return the time at which the oldest of them counts as lost."""
-        return min((fetch.asked_since for fetch in self.fetches.values()), default=_NEVER) + self.pace.patience
+        """Return the time at which one of its messages is overdue."""
+        return min((fetch.waiting_since for fetch in self.fetches.values()), default=_NEVER) + self.timer.timeout
 
 
 class BulkExchange:
@@ -111,9 +115,10 @@ class BulkExchange:
                 self._next_source(fetch, now)
         for name in tuple(self._sources):
             source = self._sources.get(name)
-            if source is not None and source.timeouts:
+            if source is not None and source.timer.timeouts:
                 # What was asked for went into the void; what was in the void's way need not wait for the next try.
-                self._again(source)
+                for fetch in source.fetches.values():
+                    self._repeat(fetch)
             self._ask(name, now)
 
     # -- packets -----------------------------------------------------------------------------------------------
@@ -138,13 +143,9 @@ class BulkExchange:
             return
         rtt, lost = taken
         source = self._sources.get(sender)
+        self._counters["pieces_repeated"] += lost
         if source is not None:
-            source.timeouts = 0
-            if rtt:
-                source.pace.arrived(rtt, now)
-            if lost:
-                self._counters["pieces_repeated"] += lost
-                source.pace.lost(now)
+            source.timer.arrived(rtt, now)
         for peer, indexes in self._waiting.get(id, {}).items():
             if index in indexes:
                 del indexes[index]
@@ -199,21 +200,27 @@ class BulkExchange:
         for name in tuple(self._sources):
             source = self._sources.get(name)
             if source is not None and now >= source.deadline:
-                source.timeouts += 1
-                source.pace.silent(now)
-                self._again(source)
-                if source.timeouts >= TRIED:
-                    for fetch in tuple(source.fetches.values()):
-                        if fetch.sources:
-                            fetch.sources.append(name)
-                            self._next_source(fetch, now)
-                self._ask(name, now)
+                self._on_timeout(name, source, now)
         if now >= self._look_at:
             self._look_at = _NEVER
             for fetch in self._fetches.values():
                 if fetch.source is None:
                     fetch.sources.extend(name for name in self._others() if name not in fetch.sources)
                     self._next_source(fetch, now)
+
+    def _on_timeout(self, name: str, source: _Source, now: float) -> None:
+        overdue = [fetch for fetch in source.fetches.values() if now >= fetch.waiting_since + source.timer.timeout]
+        source.timer.timeouts += 1
+        for fetch in overdue:
+            if source.timer.timeouts >= TRIED and fetch.sources:
+                fetch.sources.append(name)
+                self._next_source(fetch, now)
+                continue
+            if fetch.all_asked:
+                self._repeat(fetch)
+            index = fetch.pick(now)
+            if index is not None:
+                self._want(name, fetch, [index], now)
 
     def next_deadline(self) -> float:
         """Return the time at which `handle_timer` must be called."""
@@ -226,10 +233,9 @@ class BulkExchange:
 
     # -- inside ------------------------------------------------------------------------------------------------
 
-    def _again(self, source: _Source) -> None:
-        self._counters["pieces_repeated"] += source.asked
-        for fetch in source.fetches.values():
-            fetch.ask_again()
+    def _repeat(self, fetch: Fetch) -> None:
+        self._counters["pieces_repeated"] += fetch.asked
+        fetch.ask_again()
 
     def _assign(self, fetch: Fetch, robot: str, now: float) -> None:
         fetch.source = robot
@@ -254,15 +260,14 @@ class BulkExchange:
             self._look_at = min(self._look_at, now + LOOK_AGAIN)
 
     def _ask(self, name: str, now: float) -> None:
-        """Ask a robot for as much as its window lets, its messages in turns."""
+        """Ask a robot for as many pieces as may be under way, its messages in turns."""
         source = self._sources.get(name)
         if source is None:
             return  # nothing is fetched from it any more
-        room = int(source.pace.window / SIZE) - source.asked
-        waiting = list(source.fetches.values())
+        room = ASKED - source.asked
         if room < 2 and source.asked:
-            source.pace.full()
-            return
+            return  # a WANT for two pieces at least
+        waiting = list(source.fetches.values())
         picked: dict[MessageId, list[int]] = {}
         while room > 0 and waiting:
             fetch = waiting.pop(0)
@@ -271,17 +276,17 @@ class BulkExchange:
                 picked.setdefault(fetch.id, []).append(index)
                 room -= 1
                 waiting.append(fetch)
-        if room <= 0:
-            source.pace.full()
         for id, indexes in picked.items():
-            fetch = source.fetches[id]
-            for at in range(0, len(indexes), pieces.MAX_RANGES):
-                body = pieces.encode_want(fetch.have, indexes[at : at + pieces.MAX_RANGES])
-                if not self._emit(Packet(WANT, self._me, name, id, body)):
-                    fetch.ask_again()
-                    if id.flood:
-                        self._next_source(fetch, now)
-                    break  # else `ways_changed` comes when there is a way
+            self._want(name, source.fetches[id], indexes, now)
+
+    def _want(self, name: str, fetch: Fetch, indexes: list[int], now: float) -> None:
+        for at in range(0, len(indexes), pieces.MAX_RANGES):
+            body = pieces.encode_want(fetch.have, indexes[at : at + pieces.MAX_RANGES])
+            if not self._emit(Packet(WANT, self._me, name, fetch.id, body)):
+                fetch.ask_again()
+                if fetch.id.flood:
+                    self._next_source(fetch, now)
+                break  # else `ways_changed` comes when there is a way
 
 
 def total_of(fetches: Iterable[Fetch]) -> int:

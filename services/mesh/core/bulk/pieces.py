@@ -8,11 +8,9 @@ nothing else.
     PIECE   one of them                                               STATE  delivered, refused, or: ask later
     GONE    I do not have it (any more)
 
-**Pace.** A robot asks for enough pieces to keep the way busy, and too few to fill its queues. Each piece comes one
-round trip after it was asked for, and longer where it waited behind others. From the shortest round trip and the mean
-of the last ones follows how many of the bytes asked for stand in some queue on the way (TCP Vegas, Brakmo and
-Peterson 1995): fewer than `QUEUED_LEAST` and the window grows, more than `QUEUED_MOST` and it shrinks. Who shares a
-way thus gets a share, and whatever else uses it waits for some `QUEUED_MOST` of each at most.
+**Pace.** A robot has at most `ASKED` pieces of another robot under way, as a BitTorrent peer has a fixed number of
+requests. Those that a link cannot carry yet wait in the queue of a robot on the way, where all else overtakes them.
+Only a link's window (`link.flow`) follows the rate of the link.
 """
 
 import struct
@@ -188,91 +186,42 @@ def decode_state(body: bytes) -> int:
     return body[0]
 
 
-FIRST_WINDOW = 12 * SIZE
-"""Bytes asked for at first; three of the thesis' links hold 14 kB, 78 kB/s x 180 ms."""
+ASKED = 32
+"""Pieces of one robot that may be under way. Their 60 kB keep nine of the thesis' links in a row busy (78 kB/s, 30 ms
+each way, and 24 ms until a piece has passed a link), and the pieces of 20 robots fit into the queue of one link."""
 
-LEAST_WINDOW = 2 * SIZE
-MOST_WINDOW = 128 * 1024
+FIRST_TIMEOUT = 1.0
+"""Seconds, before a round trip was measured."""
 
-QUEUED_LEAST = 8 * SIZE
-QUEUED_MOST = 14 * SIZE
+LEAST_TIMEOUT = 0.3
+"""Seconds, once one was."""
 
-LOSS = 0.7
-"""Factor of the window after pieces were lost, once a round trip."""
-
-FIRST_PATIENCE = 1.0
-"""Seconds until pieces are asked for again, before a round trip was measured;"""
-
-LEAST_PATIENCE = 0.3
-MOST_PATIENCE = 4.0
-"""and the bounds once one was; it doubles each time."""
+MOST_TIMEOUT = 4.0
+"""Seconds up to which it doubles with each timeout."""
 
 
-class Pace:
-    """The window towards one robot."""
+class RetransmissionTimer:
+    """How long one robot may take to answer (RFC 6298, section 2)."""
 
     def __init__(self) -> None:
-        self.window = float(FIRST_WINDOW)
+        self.timeouts = 0
+        """In a row."""
         self._round_trips = RoundTrips()
-        self._timeouts = 0
-        self._began = 0.0
-        """The time at which the present round began: it ends with the first piece that was asked for later."""
-        self._sum = 0.0
-        self._count = 0
-        self._full = False
-        self._starting = True
 
     @property
-    def patience(self) -> float:
-        """s after which a piece that was asked for is taken for lost (RFC 6298, section 2)."""
-        if not self._round_trips.smoothed:
-            first = FIRST_PATIENCE
-        else:
+    def timeout(self) -> float:
+        """Seconds without a piece of a message after which it is overdue."""
+        first = FIRST_TIMEOUT
+        if self._round_trips.smoothed:
             late = self._round_trips.smoothed + 4 * self._round_trips.deviation
-            first = max(LEAST_PATIENCE, late + LEAST_PATIENCE / 2)
-        return min(MOST_PATIENCE, first * 2.0 ** min(self._timeouts, 8))
-
-    def full(self) -> None:
-        """The window kept a piece from being asked for."""
-        self._full = True
+            first = max(LEAST_TIMEOUT, late + LEAST_TIMEOUT / 2)
+        return max(first, min(MOST_TIMEOUT, first * 2.0 ** min(self.timeouts, 8)))
 
     def arrived(self, rtt: float, now: float) -> None:
-        """Take the round trip of a piece, s."""
-        self._timeouts = 0
-        self._round_trips.add(rtt, now)
-        self._sum += rtt
-        self._count += 1
-        if now - rtt >= self._began:
-            self._judge()
-            self._begin(now)
-
-    def lost(self, now: float) -> None:
-        """Pieces behind one that came are missing."""
-        if now >= self._began + self._round_trips.smoothed / 2:
-            self._starting = False
-            self.window = max(float(LEAST_WINDOW), self.window * LOSS)
-            self._begin(now)
-
-    def silent(self, now: float) -> None:
-        """Take a timeout: nothing came for `patience`."""
-        self._timeouts += 1
-        self._starting = False
-        self.window = max(float(LEAST_WINDOW), self.window / 2)
-        self._begin(now)
-
-    def _begin(self, now: float) -> None:
-        self._began, self._sum, self._count, self._full = now, 0.0, 0, False
-
-    def _judge(self) -> None:
-        mean = self._sum / self._count
-        queued = self.window * (1.0 - self._round_trips.least / mean) if mean else 0.0
-        if queued > QUEUED_MOST:
-            self._starting = False
-            self.window = max(float(LEAST_WINDOW), self.window - (queued - QUEUED_MOST) / 2)
-        elif queued < QUEUED_LEAST and self._full:
-            self.window = min(float(MOST_WINDOW), self.window * 1.5 if self._starting else self.window + 2 * SIZE)
-        elif queued >= QUEUED_LEAST:
-            self._starting = False
+        """Take the round trip of a piece, s; 0 where it is not known."""
+        self.timeouts = 0
+        if rtt:
+            self._round_trips.add(rtt, now)
 
 
 REORDERED = 3
@@ -300,6 +249,7 @@ class Fetch:
         self._asked: OrderedDict[int, tuple[float, int]] = OrderedDict()
         self._repeated: set[int] = set()
         self._serial = 0
+        self._since = now
 
     @property
     def asked(self) -> int:
@@ -307,12 +257,18 @@ class Fetch:
         return len(self._asked)
 
     @property
-    def asked_since(self) -> float:
-        """Return the time at which the oldest of them was asked for."""
-        return next(iter(self._asked.values()))[0] if self._asked else float("inf")
+    def waiting_since(self) -> float:
+        """Return the time since which none of them has come, and no more were asked for; infinite where none is."""
+        return self._since if self._asked else float("inf")
+
+    @property
+    def all_asked(self) -> bool:
+        """Return whether each piece was asked for once at least."""
+        return self._next >= self.count
 
     def pick(self, now: float) -> int | None:
         """The next piece to ask for, noted as asked for; None where all are."""
+        self._since = now
         while self._again:
             index = self._again.popleft()
             if index not in self._parts:
@@ -328,8 +284,8 @@ class Fetch:
 
     def take(self, index: int, data: bytes, now: float) -> tuple[float, int] | None:
         """Take a piece. Return the s since it was asked for, and how many other pieces it shows to be lost. The s
-        are 0 for a piece that was asked for more than once. None where it is not new, or was not asked for. Raises
-        `FrameError`."""
+        are 0 for a piece that was asked for more than once: nobody knows which time has brought it. None where it is
+        not new, or was not asked for. Raises `FrameError`."""
         if index >= self.count or len(data) != min(SIZE, self.total - index * SIZE):
             raise FrameError(f"PIECE {index} of {len(data)} bytes: not one of {self.total} bytes in all")
         if index in self._parts:
@@ -339,15 +295,15 @@ class Fetch:
             return None
         self._parts[index] = data
         self.have += 1
-        self.heard = now
-        if asked is None:
-            return 0.0, 0  # taken for lost, and here after all
+        self.heard = self._since = now
+        if asked is None or index in self._repeated:
+            return 0.0, 0
         lost = [each for each, (_, serial) in self._asked.items() if serial + REORDERED < asked[1]]
         for each in lost:
             del self._asked[each]
         self._again += lost
         self._repeated.update(lost)
-        return 0.0 if index in self._repeated else now - asked[0], len(lost)
+        return now - asked[0], len(lost)
 
     def ask_again(self) -> None:
         """Give up the pieces that were asked for, and ask for them again later."""

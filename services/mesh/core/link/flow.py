@@ -11,11 +11,11 @@ holds. So the other end acknowledges bytes (ACK: taken off the stream so far), a
 under way are fewer than a window. Control is never held back; sync is let `SYNC_EXTRA` bytes further, so that a flood
 of it cannot fill the queue either.
 
-The window looks for the knee: the smallest one that still gives nearly all of the link's rate, since above it bytes
-only wait. While bulk keeps it full, a window of an eighth more and one of a tenth less are tried in turn, and the
-change is kept where the rate says so. Round trips are no guide here: with the thesis' jitter (10 ms each way, in order)
-they grow by half as soon as a link is busy, without a byte in any queue, and a window steered by them shrank to its
-floor.
+The window looks for the knee (Jain 1989): the smallest one that still gives nearly all of the link's rate, since above
+it bytes only wait. While bulk keeps it full, a window of an eighth more and one of a tenth less are tried in turn, and
+the change is kept where the rate says so (as in PCC, Dong et al. 2015). Round trips are no guide here: with the thesis'
+jitter (10 ms each way, in order) they grow by half as soon as a link is busy, without a byte in any queue, and a window
+steered by them shrank to its floor.
 """
 
 import struct

@@ -91,6 +91,7 @@ def test_a_fetch_ends_with_every_piece_once(count: int, steps: list[tuple[int, i
             fetch.pick(0.0)
         elif what == 1:
             fetch.ask_again()
+            assert fetch.waiting_since == float("inf")
         elif index < count:
             size = SIZE - 7 * (index == count - 1)
             fetch.take(index, bytes([index]) * size, 1.0)

@@ -59,7 +59,7 @@ def test_a_receiver_without_room_takes_them_one_after_the_other(monkeypatch: pyt
     for name in world.names[1:]:
         for count in range(3):
             world.send(name, "r0", large(count), priority="bulk")
-    world.run(0.15)
+    world.run(0.08)
     coming = world.bots["r0"].overlays._large._exchange.fetching
     assert 0 < sum(fetch.total for fetch in coming) <= 130_000
     world.run(60.0)

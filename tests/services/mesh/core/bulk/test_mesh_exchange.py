@@ -1,0 +1,121 @@
+"""What a robot asks for when pieces of a large message are late or lost."""
+
+from collections import Counter
+from collections.abc import Sequence
+from random import Random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from large_world import large
+from mesh_world import World
+
+from services.mesh.core.bulk import pieces
+from services.mesh.core.bulk.exchange import COUNTERS, BulkExchange
+from services.mesh.core.bulk.pieces import ASKED, FIRST_TIMEOUT, PIECE, REORDERED, SIZE, MessageId, Packet
+from swarm.messages import SendRequest
+
+ID = MessageId("r1", 1, 1, flood=False)
+
+
+class Fetching:
+    """r0 fetches a message from r1, whose answers the test decides about."""
+
+    def __init__(self, count: int) -> None:
+        self.counters = dict.fromkeys(COUNTERS, 0)
+        self.finished: list[bytes | None] = []
+        self._wants: list[int] = []
+        self.exchange = BulkExchange(
+            "r0",
+            emit=self._emit,
+            has=lambda id, peer: None,
+            finished=lambda id, payload, now: self.finished.append(payload),
+            others=lambda: (),
+            counters=self.counters,
+        )
+        self.exchange.fetch(ID, count * SIZE, "r1", 0.0)
+
+    def _emit(self, packet: Packet) -> bool:
+        self._wants += pieces.decode_want(packet.body).indexes
+        return True
+
+    def wants(self) -> list[int]:
+        """The pieces that were asked for since the last call."""
+        wants, self._wants = self._wants, []
+        return wants
+
+    def come(self, indexes: Sequence[int], now: float) -> None:
+        for index in indexes:
+            body = pieces.encode_piece(index, bytes([index % 256]) * SIZE)
+            self.exchange.receive(Packet(PIECE, "r1", "r0", ID, body), now)
+
+
+def test_pieces_that_were_late_are_asked_for_once() -> None:
+    fetching = Fetching(40)
+    assert fetching.wants() == list(range(ASKED))
+    fetching.exchange.handle_timer(FIRST_TIMEOUT)
+    assert fetching.wants() == [ASKED]
+    fetching.come(range(ASKED + 1), 1.5)
+    assert fetching.wants() == list(range(ASKED + 1, 40))
+    fetching.come(range(ASKED + 1, 40), 2.0)
+    assert [len(payload or b"") for payload in fetching.finished] == [40 * SIZE]
+    assert fetching.counters["pieces_repeated"] == 0
+
+
+def test_pieces_that_were_lost_are_asked_for_when_a_later_one_comes() -> None:
+    fetching = Fetching(40)
+    fetching.wants()
+    fetching.exchange.handle_timer(FIRST_TIMEOUT)
+    fetching.come(fetching.wants(), 1.1)
+    lost = list(range(ASKED - REORDERED))
+    assert fetching.wants()[: len(lost)] == lost
+    assert fetching.counters["pieces_repeated"] == len(lost)
+
+
+def test_the_last_pieces_are_asked_for_again_after_silence() -> None:
+    fetching = Fetching(3)
+    assert fetching.wants() == [0, 1, 2]
+    fetching.exchange.handle_timer(FIRST_TIMEOUT)
+    assert fetching.wants() == [0]
+    fetching.come([0], 1.1)
+    assert fetching.wants() == [1, 2]
+    fetching.come([1, 2], 1.2)
+    assert fetching.finished
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.3])
+@given(st.integers(0, 10_000), st.integers(1, 100), st.floats(0.01, 3.0))
+def test_a_message_arrives_whatever_is_lost_or_late(lost: float, seed: int, count: int, late: float) -> None:
+    """Each piece comes up to `late` seconds after it was asked for, in order, if it was not lost, which happens to a
+    piece twice at most. Without losses none is asked for twice but at the end of the message, after silence."""
+    fetching, now, under_way = Fetching(count), 0.0, list[tuple[float, int]]()
+    random, asked = Random(seed), Counter[int]()
+    while not fetching.finished and now < 300.0:
+        for index in fetching.wants():
+            asked[index] += 1
+            if random.random() >= lost or asked[index] > 2:
+                under_way.append((max([now + random.uniform(0.0, late), *(at for at, _ in under_way)]), index))
+        next_at = min((at for at, _ in under_way), default=now + 60.0)
+        now = min(next_at, max(now, fetching.exchange.next_deadline()))
+        fetching.exchange.handle_timer(now)
+        while under_way and under_way[0][0] <= now:
+            fetching.come([under_way.pop(0)[1]], now)
+    assert fetching.finished == [b"".join(bytes([index % 256]) * SIZE for index in range(count))]
+    if not lost:
+        assert all(asked[index] == 1 for index in range(count - ASKED))
+
+
+def test_many_robots_send_to_one_at_the_rate_of_its_link_and_nothing_is_asked_for_twice() -> None:
+    """Their pieces wait for 9 s in the queue of the last link."""
+    senders = [f"s{number}" for number in range(12)]
+    world = World([("hub", "r0"), *((name, "hub") for name in senders)], bandwidth=78_000.0)
+    world.run(5.0)
+    began = world.now
+    for name in senders:
+        request = SendRequest("t", "x", "r0", large(1, 120_000), "bulk", 100.0)
+        world.step(name, lambda node, request=request: node.ask(lambda o, now: o.request(request, now), world.now))
+    got = lambda: sum("/send/" in key for key, _ in world.bots["r0"].inbox) == len(senders)  # noqa: E731
+    assert world.run(60.0, until=got)
+    assert 12 * 120_000 / (world.now - began) > 0.9 * 78_000.0
+    counters = sum((Counter(bot.node._counters) for bot in world.bots.values()), Counter[str]())
+    assert counters["pieces_repeated"] == 0
