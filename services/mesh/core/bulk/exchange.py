@@ -4,20 +4,26 @@ The receiver asks, so it decides how much it takes in, and asks again for what w
 the message. A robot that is still fetching a flood's message hands its pieces on as they come: one that asks for a
 piece which is not there yet gets it when it is.
 
-**Repair.** Pieces come in the order in which they were asked for, mostly. So those that were asked for before another
-one that has come are lost. Where none comes for a while, they may be late in a long queue or lost. Then one further
-piece is asked for: where it comes first the others are lost, and where they come first nothing was asked for twice.
-Where there is no further piece all are asked for again.
+**Repair.** Pieces mostly come in the order in which they were asked for. So those that were asked for before another
+one that has come are lost. Where none comes for a while, or ways have changed, they may be late in a long queue or
+lost. Then one piece more is asked for. Where it comes first, the others are lost. Where they come first, nothing was
+asked for twice.
 """
 
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
 
 from services.mesh.core.bulk import pieces
-from services.mesh.core.bulk.pieces import ASKED, GONE, PIECE, SIZE, WANT, Fetch, MessageId, Packet, RetransmissionTimer
+from services.mesh.core.bulk.pieces import ASKED, GONE, PIECE, SIZE, WANT, Fetch, MessageId, Packet
 
 PATIENCE = 30.0
 """Seconds without a new piece after which a message is given up."""
+
+TIMEOUT = 2.0
+"""Seconds without a piece of a message after which one more is asked for; it doubles"""
+
+MOST_TIMEOUT = 8.0
+"""up to this as long as none comes."""
 
 TRIED = 2
 """Timeouts in a row after which another robot is asked, where one may have the message."""
@@ -37,8 +43,9 @@ _NEVER = float("inf")
 class _Source:
     """A robot that we fetch from."""
 
-    timer: RetransmissionTimer = field(default_factory=RetransmissionTimer)
     fetches: dict[MessageId, Fetch] = field(default_factory=dict)
+    timeouts: int = 0
+    """In a row."""
 
     @property
     def asked(self) -> int:
@@ -46,9 +53,14 @@ class _Source:
         return sum(fetch.asked for fetch in self.fetches.values())
 
     @property
+    def timeout(self) -> float:
+        """Seconds without a piece of a message after which the message is overdue."""
+        return min(MOST_TIMEOUT, TIMEOUT * 2.0 ** min(self.timeouts, 8))
+
+    @property
     def deadline(self) -> float:
         """Return the time at which one of its messages is overdue."""
-        return min((fetch.waiting_since for fetch in self.fetches.values()), default=_NEVER) + self.timer.timeout
+        return min((fetch.waiting_since for fetch in self.fetches.values()), default=_NEVER) + self.timeout
 
 
 class BulkExchange:
@@ -115,10 +127,10 @@ class BulkExchange:
                 self._next_source(fetch, now)
         for name in tuple(self._sources):
             source = self._sources.get(name)
-            if source is not None and source.timer.timeouts:
-                # What was asked for went into the void; what was in the void's way need not wait for the next try.
-                for fetch in source.fetches.values():
-                    self._repeat(fetch)
+            if source is not None:
+                for fetch in tuple(source.fetches.values()):
+                    if fetch.has_further or source.timeouts:
+                        self._probe(name, fetch, now)
             self._ask(name, now)
 
     # -- packets -----------------------------------------------------------------------------------------------
@@ -137,15 +149,13 @@ class BulkExchange:
 
     def _on_piece(self, sender: str, id: MessageId, index: int, data: bytes, now: float) -> None:
         fetch = self._fetches.get(id)
-        taken = fetch.take(index, data, now) if fetch is not None else None
-        if fetch is None or taken is None:
+        before = fetch.repeated if fetch is not None else 0
+        if fetch is None or not fetch.take(index, data, now):
             self._counters["pieces_useless"] += 1
             return
-        rtt, lost = taken
-        source = self._sources.get(sender)
-        self._counters["pieces_repeated"] += lost
-        if source is not None:
-            source.timer.arrived(rtt, now)
+        self._counters["pieces_repeated"] += fetch.repeated - before
+        if (source := self._sources.get(sender)) is not None:
+            source.timeouts = 0
         for peer, indexes in self._waiting.get(id, {}).items():
             if index in indexes:
                 del indexes[index]
@@ -209,18 +219,14 @@ class BulkExchange:
                     self._next_source(fetch, now)
 
     def _on_timeout(self, name: str, source: _Source, now: float) -> None:
-        overdue = [fetch for fetch in source.fetches.values() if now >= fetch.waiting_since + source.timer.timeout]
-        source.timer.timeouts += 1
+        overdue = [fetch for fetch in source.fetches.values() if now >= fetch.waiting_since + source.timeout]
+        source.timeouts += 1
         for fetch in overdue:
-            if source.timer.timeouts >= TRIED and fetch.sources:
+            if source.timeouts >= TRIED and fetch.sources:
                 fetch.sources.append(name)
                 self._next_source(fetch, now)
-                continue
-            if fetch.all_asked:
-                self._repeat(fetch)
-            index = fetch.pick(now)
-            if index is not None:
-                self._want(name, fetch, [index], now)
+            else:
+                self._probe(name, fetch, now)
 
     def next_deadline(self) -> float:
         """Return the time at which `handle_timer` must be called."""
@@ -233,9 +239,11 @@ class BulkExchange:
 
     # -- inside ------------------------------------------------------------------------------------------------
 
-    def _repeat(self, fetch: Fetch) -> None:
-        self._counters["pieces_repeated"] += fetch.asked
-        fetch.ask_again()
+    def _probe(self, name: str, fetch: Fetch, now: float) -> None:
+        before, index = fetch.repeated, fetch.probe(now)
+        self._counters["pieces_repeated"] += fetch.repeated - before
+        if index is not None:
+            self._want(name, fetch, [index], now)
 
     def _assign(self, fetch: Fetch, robot: str, now: float) -> None:
         fetch.source = robot

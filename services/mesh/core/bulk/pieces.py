@@ -1,4 +1,4 @@
-"""The pieces of a large message: their packets, which of them a robot lacks, and how many it asks for at a time.
+"""The pieces of a large message: their packets, which of them a robot lacks, and which it asks for next.
 
 **Packets**, byte by byte in docs/reference/network/overlay-packets.md. They travel as unicast does, hop by hop; a robot
 on the way reads no more than the head. Every decoder raises `FrameError` for bytes that are none of its packets, and
@@ -14,11 +14,10 @@ Only a link's window (`link.flow`) follows the rate of the link.
 """
 
 import struct
-from collections import OrderedDict, deque
-from collections.abc import Iterable
+from collections import deque
+from collections.abc import Collection, Iterable
 from typing import NamedTuple
 
-from services.mesh.core.link.round_trips import RoundTrips
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import MAX_MESSAGE
 from services.mesh.core.wire.packets import PacketReader, packed
@@ -190,40 +189,6 @@ ASKED = 32
 """Pieces of one robot that may be under way. Their 60 kB keep nine of the thesis' links in a row busy (78 kB/s, 30 ms
 each way, and 24 ms until a piece has passed a link), and the pieces of 20 robots fit into the queue of one link."""
 
-FIRST_TIMEOUT = 1.0
-"""Seconds, before a round trip was measured."""
-
-LEAST_TIMEOUT = 0.3
-"""Seconds, once one was."""
-
-MOST_TIMEOUT = 4.0
-"""Seconds up to which it doubles with each timeout."""
-
-
-class RetransmissionTimer:
-    """How long one robot may take to answer (RFC 6298, section 2)."""
-
-    def __init__(self) -> None:
-        self.timeouts = 0
-        """In a row."""
-        self._round_trips = RoundTrips()
-
-    @property
-    def timeout(self) -> float:
-        """Seconds without a piece of a message after which it is overdue."""
-        first = FIRST_TIMEOUT
-        if self._round_trips.smoothed:
-            late = self._round_trips.smoothed + 4 * self._round_trips.deviation
-            first = max(LEAST_TIMEOUT, late + LEAST_TIMEOUT / 2)
-        return max(first, min(MOST_TIMEOUT, first * 2.0 ** min(self.timeouts, 8)))
-
-    def arrived(self, rtt: float, now: float) -> None:
-        """Take the round trip of a piece, s; 0 where it is not known."""
-        self.timeouts = 0
-        if rtt:
-            self._round_trips.add(rtt, now)
-
-
 REORDERED = 3
 """Number of pieces, requested later, after whose arrival an earlier piece counts as lost."""
 
@@ -237,6 +202,8 @@ class Fetch:
         self.count = count_of(total)
         self.have = 0
         """Pieces that are there."""
+        self.repeated = 0
+        """Pieces that were given up, or asked for again without that."""
         self.heard = now
         """The time at which the last new piece came."""
         self.source: str | None = None
@@ -246,10 +213,14 @@ class Fetch:
         self._parts: dict[int, bytes] = {}
         self._next = 0
         self._again: deque[int] = deque()
-        self._asked: OrderedDict[int, tuple[float, int]] = OrderedDict()
-        self._repeated: set[int] = set()
-        self._serial = 0
+        self._asked: dict[int, int] = {}
+        """The place of each piece in the order in which they were asked for."""
+        self._places = 0
+        self._given_up: set[int] = set()
+        """Pieces that were given up once. What has come of them may be from before, so it says nothing of others."""
         self._since = now
+        self._doubted = False
+        """Whether `probe` was called since the last piece came."""
 
     @property
     def asked(self) -> int:
@@ -262,13 +233,12 @@ class Fetch:
         return self._since if self._asked else float("inf")
 
     @property
-    def all_asked(self) -> bool:
-        """Return whether each piece was asked for once at least."""
-        return self._next >= self.count
+    def has_further(self) -> bool:
+        """Return whether there are pieces that were not asked for yet."""
+        return self._next < self.count
 
     def pick(self, now: float) -> int | None:
         """The next piece to ask for, noted as asked for; None where all are."""
-        self._since = now
         while self._again:
             index = self._again.popleft()
             if index not in self._parts:
@@ -278,38 +248,59 @@ class Fetch:
                 return None
             index = self._next
             self._next += 1
-        self._serial += 1
-        self._asked[index] = (now, self._serial)
+        self._places += 1
+        self._asked[index] = self._places
+        self._since = now
         return index
 
-    def take(self, index: int, data: bytes, now: float) -> tuple[float, int] | None:
-        """Take a piece. Return the s since it was asked for, and how many other pieces it shows to be lost. The s
-        are 0 for a piece that was asked for more than once: nobody knows which time has brought it. None where it is
-        not new, or was not asked for. Raises `FrameError`."""
+    def probe(self, now: float) -> int | None:
+        """One more piece to ask for, since those that were asked for may be lost: a further one, or else the last of
+        them again, or where that was in vain the first, and all others when it comes. None where none is asked for. The
+        next piece that comes shows all before it to be lost."""
+        if not self._asked:
+            return None
+        self._since = now
+        index = self.pick(now)
+        if index is None and self._doubted:
+            self.ask_again()
+            index = self.pick(now)
+        elif index is None:
+            index = next(reversed(self._asked))
+            self.repeated += 1
+        self._doubted = True
+        return index
+
+    def take(self, index: int, data: bytes, now: float) -> bool:
+        """Take a piece, and give up those that it shows to be lost. False where it is not new, or was not asked for.
+        Raises `FrameError`."""
         if index >= self.count or len(data) != min(SIZE, self.total - index * SIZE):
             raise FrameError(f"PIECE {index} of {len(data)} bytes: not one of {self.total} bytes in all")
         if index in self._parts:
-            return None
-        asked = self._asked.pop(index, None)
-        if asked is None and index not in self._again:
-            return None
+            return False
+        place = self._asked.pop(index, None)
+        if place is None and index not in self._again:
+            return False
         self._parts[index] = data
         self.have += 1
         self.heard = self._since = now
-        if asked is None or index in self._repeated:
-            return 0.0, 0
-        lost = [each for each, (_, serial) in self._asked.items() if serial + REORDERED < asked[1]]
-        for each in lost:
-            del self._asked[each]
-        self._again += lost
-        self._repeated.update(lost)
-        return now - asked[0], len(lost)
+        if place is not None and index not in self._given_up:
+            before = place - (1 if self._doubted else REORDERED + 1)
+            self._doubted = False
+            lost = [each for each, other in self._asked.items() if other <= before]
+            self._again += lost
+            self._give_up(lost)
+        return True
 
     def ask_again(self) -> None:
         """Give up the pieces that were asked for, and ask for them again later."""
         self._again.extendleft(reversed(self._asked))
-        self._repeated.update(self._asked)
-        self._asked.clear()
+        self._give_up(tuple(self._asked))
+
+    def _give_up(self, indexes: Collection[int]) -> None:
+        for index in indexes:
+            del self._asked[index]
+        self._given_up.update(indexes)
+        self.repeated += len(indexes)
 
     def piece(self, index: int) -> bytes | None:
         """Return a piece that is here; None for others."""

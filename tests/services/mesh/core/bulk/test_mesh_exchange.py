@@ -11,8 +11,8 @@ from large_world import large
 from mesh_world import World
 
 from services.mesh.core.bulk import pieces
-from services.mesh.core.bulk.exchange import COUNTERS, BulkExchange
-from services.mesh.core.bulk.pieces import ASKED, FIRST_TIMEOUT, PIECE, REORDERED, SIZE, MessageId, Packet
+from services.mesh.core.bulk.exchange import COUNTERS, TIMEOUT, BulkExchange
+from services.mesh.core.bulk.pieces import ASKED, PIECE, REORDERED, SIZE, MessageId, Packet
 from swarm.messages import SendRequest
 
 ID = MessageId("r1", 1, 1, flood=False)
@@ -53,41 +53,83 @@ class Fetching:
 def test_pieces_that_were_late_are_asked_for_once() -> None:
     fetching = Fetching(40)
     assert fetching.wants() == list(range(ASKED))
-    fetching.exchange.handle_timer(FIRST_TIMEOUT)
+    fetching.exchange.handle_timer(TIMEOUT)
     assert fetching.wants() == [ASKED]
-    fetching.come(range(ASKED + 1), 1.5)
+    fetching.come(range(ASKED + 1), 3.0)
     assert fetching.wants() == list(range(ASKED + 1, 40))
-    fetching.come(range(ASKED + 1, 40), 2.0)
+    fetching.come(range(ASKED + 1, 40), 4.0)
     assert [len(payload or b"") for payload in fetching.finished] == [40 * SIZE]
     assert fetching.counters["pieces_repeated"] == 0
 
 
 def test_pieces_that_were_lost_are_asked_for_when_a_later_one_comes() -> None:
+    fetching = Fetching(100)
+    fetching.wants()
+    fetching.come([REORDERED], 0.1)
+    assert fetching.counters["pieces_repeated"] == 0
+    fetching.come([REORDERED + 1], 0.2)
+    assert fetching.counters["pieces_repeated"] == 1
+    assert 0 in fetching.wants()
+
+
+def test_pieces_that_were_lost_are_asked_for_when_the_one_after_a_silence_comes() -> None:
     fetching = Fetching(40)
     fetching.wants()
-    fetching.exchange.handle_timer(FIRST_TIMEOUT)
-    fetching.come(fetching.wants(), 1.1)
-    lost = list(range(ASKED - REORDERED))
-    assert fetching.wants()[: len(lost)] == lost
-    assert fetching.counters["pieces_repeated"] == len(lost)
+    fetching.exchange.handle_timer(TIMEOUT)
+    fetching.come(fetching.wants(), 2.1)
+    assert fetching.wants() == list(range(ASKED))
+    assert fetching.counters["pieces_repeated"] == ASKED
 
 
-def test_the_last_pieces_are_asked_for_again_after_silence() -> None:
+def test_after_a_change_of_ways_one_more_piece_tells_what_was_lost_with_the_old_way() -> None:
+    fetching = Fetching(40)
+    fetching.wants()
+    fetching.exchange.ways_changed(0.2)
+    assert fetching.wants() == [ASKED]
+    fetching.come([ASKED], 0.3)
+    assert fetching.wants() == list(range(ASKED))
+
+
+def test_without_a_further_piece_a_change_of_ways_repeats_them_after_a_silence_only() -> None:
     fetching = Fetching(3)
+    fetching.wants()
+    fetching.exchange.ways_changed(0.2)
+    assert fetching.wants() == []
+    fetching.exchange.handle_timer(TIMEOUT)
+    fetching.wants()
+    fetching.exchange.ways_changed(TIMEOUT + 0.2)
     assert fetching.wants() == [0, 1, 2]
-    fetching.exchange.handle_timer(FIRST_TIMEOUT)
+
+
+def test_without_a_further_piece_the_last_one_is_asked_for_again() -> None:
+    late, lost = Fetching(3), Fetching(3)
+    for fetching in (late, lost):
+        assert fetching.wants() == [0, 1, 2]
+        fetching.exchange.handle_timer(TIMEOUT)
+        assert fetching.wants() == [2]
+    late.come([0, 1, 2], 2.1)
+    lost.come([2], 2.1)
+    assert (late.wants(), lost.wants()) == ([], [0, 1])
+    lost.come([0, 1], 2.2)
+    assert late.finished == lost.finished != [None]
+
+
+def test_all_pieces_are_asked_for_again_where_the_last_one_stays_away() -> None:
+    fetching = Fetching(3)
+    fetching.wants()
+    fetching.exchange.handle_timer(TIMEOUT)
+    assert fetching.wants() == [2]
+    fetching.exchange.handle_timer(3 * TIMEOUT)
     assert fetching.wants() == [0]
-    fetching.come([0], 1.1)
+    fetching.come([0], 3 * TIMEOUT + 0.1)
     assert fetching.wants() == [1, 2]
-    fetching.come([1, 2], 1.2)
-    assert fetching.finished
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.3])
 @given(st.integers(0, 10_000), st.integers(1, 100), st.floats(0.01, 3.0))
 def test_a_message_arrives_whatever_is_lost_or_late(lost: float, seed: int, count: int, late: float) -> None:
     """Each piece comes up to `late` seconds after it was asked for, in order, if it was not lost, which happens to a
-    piece twice at most. Without losses none is asked for twice but at the end of the message, after silence."""
+    piece twice at most. Without losses none is asked for twice but the last one, after silence."""
     fetching, now, under_way = Fetching(count), 0.0, list[tuple[float, int]]()
     random, asked = Random(seed), Counter[int]()
     while not fetching.finished and now < 300.0:
@@ -102,7 +144,7 @@ def test_a_message_arrives_whatever_is_lost_or_late(lost: float, seed: int, coun
             fetching.come([under_way.pop(0)[1]], now)
     assert fetching.finished == [b"".join(bytes([index % 256]) * SIZE for index in range(count))]
     if not lost:
-        assert all(asked[index] == 1 for index in range(count - ASKED))
+        assert all(asked[index] == 1 for index in range(count - 1))
 
 
 def test_many_robots_send_to_one_at_the_rate_of_its_link_and_nothing_is_asked_for_twice() -> None:
