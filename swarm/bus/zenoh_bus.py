@@ -23,6 +23,7 @@ from swarm.bus.zenoh_config import client_config, peer_config, router_config
 from swarm.bus.zenoh_runtime import direct, guard, text, zenoh
 from swarm.errors import BusError, LocalError
 from swarm.messages.keys import MAX_KEY_LENGTH
+from swarm.process.leave import OPENER
 from swarm.process.paths import ENDPOINT_PROTOCOL, bus_endpoint
 
 MSGPACK = "application/msgpack"
@@ -133,7 +134,7 @@ class Bus:
         self._closed = False
         self._connected = threading.Event()
         self._ended = threading.Event()
-        self._opener = threading.Thread(target=self._open, name="bus-open", daemon=True)
+        self._opener = threading.Thread(target=self._open, name=OPENER, daemon=True)
         self._opener.start()
 
     @classmethod

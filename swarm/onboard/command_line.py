@@ -19,6 +19,7 @@ from typing import NamedTuple, NoReturn
 
 from swarm import __version__
 from swarm.errors import LocalError, SwarmError
+from swarm.process.leave import leave
 from swarm.process.terminal import guard
 
 
@@ -103,7 +104,7 @@ def end_with(program: str, run: Callable[[], int], *, interrupted: int = 130, un
         complain(program, str(error))  # a full disk behind stdout, mostly
         code = 2
         _leave_output()
-    sys.exit(code)
+    leave(code)
 
 
 def _is_of_linux(error: ModuleNotFoundError | AttributeError) -> bool:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from swarm.errors import LocalError, SwarmError
+from swarm.process.leave import leave
 from swarm.process.terminal import guard
 from swarm.process.text import printable
 
@@ -114,11 +115,7 @@ def run(main: Callable[[], int | None], about: str | None = None) -> None:
         end_on_defects(True)  # the main thread comes back from nothing, whatever else is being stopped
         code = DEFECT
         defect(error, "the main thread")
-    if code and any(not thread.daemon for thread in threading.enumerate() if thread is not threading.main_thread()):
-        # An error has ended the main function before it could stop them: the interpreter would wait for them for ever.
-        sys.stderr.flush()
-        os._exit(code)
-    sys.exit(code or 0)
+    leave(code or 0)
 
 
 def _refuse_arguments(about: str) -> NoReturn:

@@ -20,6 +20,23 @@ from swarm.process.paths import ENDPOINT_PROTOCOL, bus_endpoint
 
 pytest_plugins = ("bus_fixtures",)
 
+COMMAND = """
+import atexit
+from swarm.bus.zenoh_bus import Bus
+from swarm.errors import LocalError
+from swarm.onboard.command_line import end_with
+from swarm.process.paths import runtime_dir
+
+def run():
+    with Bus.of(runtime_dir()) as bus:
+        print("looks")
+        assert not bus.wait_connected(0.5)
+    raise LocalError("no bus")
+
+atexit.register(print, "the interpreter ends")
+end_with("swarm", run)
+"""
+
 
 def test_declared_before_the_router_is_there(open_bus: Open, processes: Processes) -> None:
     alice, bob = open_bus(), open_bus()
@@ -93,6 +110,18 @@ def test_a_stopped_router_does_not_hold_up_a_publisher(open_bus: Open, bus_servi
         assert held_up < 3
     bus_service.send_signal(signal.SIGCONT)
     talk(alice, "swarm/r0/test/x", samples, b"again")
+
+
+def test_a_command_ends_in_order_while_its_session_is_still_being_opened(
+    processes: Processes, bus_service: subprocess.Popen[str]
+) -> None:
+    """A router that is stopped takes the connection and does not answer. A thread that came back from Zenoh while the
+    interpreter ends would abort the command."""
+    bus_service.send_signal(signal.SIGSTOP)
+    command = processes.start("-c", COMMAND)
+    said, error = command.communicate(timeout=60)
+    bus_service.send_signal(signal.SIGCONT)
+    assert (command.returncode, said, error) == (2, "looks\n", "swarm: no bus\n")
 
 
 def test_a_bus_without_a_router_can_be_closed(runtime: Path) -> None:
