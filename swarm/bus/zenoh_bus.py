@@ -23,7 +23,7 @@ from swarm.bus.zenoh_config import client_config, peer_config, router_config
 from swarm.bus.zenoh_runtime import direct, guard, text, zenoh
 from swarm.errors import BusError, LocalError
 from swarm.messages.keys import MAX_KEY_LENGTH
-from swarm.process.leave import OPENER
+from swarm.process.end import OPENER
 from swarm.process.paths import ENDPOINT_PROTOCOL, bus_endpoint
 
 MSGPACK = "application/msgpack"

@@ -19,7 +19,7 @@ from typing import NamedTuple, NoReturn
 
 from swarm import __version__
 from swarm.errors import LocalError, SwarmError
-from swarm.process.leave import leave
+from swarm.process.end import leave
 from swarm.process.terminal import guard
 
 

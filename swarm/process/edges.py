@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from swarm.errors import LocalError, SwarmError
-from swarm.process.leave import leave
+from swarm.process.end import leave
 from swarm.process.terminal import guard
 from swarm.process.text import printable
 
