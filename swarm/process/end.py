@@ -13,9 +13,9 @@ OPENER = "bus-open"
 def leave(code: int) -> NoReturn:
     """End this process with an exit code.
 
-    The interpreter's end is left out in two cases. After an error threads may run that the main function could not stop
-    any more, and the interpreter would wait for them for ever. A thread that still opens a session of Zenoh may come
-    back while the interpreter ends, which would abort the process.
+    Two kinds of threads do not let the interpreter end, and then the process ends without that. After an error the main
+    function may have left threads running, and the interpreter would wait for them for ever. A thread that still opens
+    a session of Zenoh may return while the interpreter ends, which would abort the process.
     """
     others = [thread for thread in threading.enumerate() if thread is not threading.main_thread()]
     if any(thread.name == OPENER for thread in others) or (code and any(not thread.daemon for thread in others)):

@@ -50,8 +50,8 @@ NO_PI = {
     *("board", "system", "packages", "boot", "cmdline", "i2c", "radio", "bluetooth", "realtime", "network", "name"),
     "bus",
 }
-"""What the doctor finds wrong of machines that are no Pis, and that `swarm provision` has not made. A simulated I2C bus
-seems as slow as its host is: at 100 kHz it lacks time."""
+"""What the doctor finds wrong of machines that are no Pis, and that `swarm provision` has not made. `bus`: a
+simulated I2C bus is as slow as its host, and the doctor may find that it has no time for all devices."""
 WRONG = re.compile(r"^  (\w+) +WRONG", re.MULTILINE)
 
 

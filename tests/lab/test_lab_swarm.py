@@ -35,7 +35,8 @@ COLD_START_S = 180.0
 """From power to the target, at most, by a robot's own clock. It takes 60 to 100 s on two cores: three machines at once
 are slower than robots, so this finds a start that hangs, and the report has the figure."""
 DROP_AFTER_S = 15.0
-"""A robot on a starved host may be silent for 5 s. With r0 away, too, r1 alone is no majority."""
+"""Longer than a robot may be silent because its host is busy. If r0 was dropped as well, r1 alone would be no majority,
+and the power cut of r2 would end the run."""
 SEEDS = 12
 """Simulations that tell how far off such a swarm is: errors of modules are drawn."""
 

@@ -4,10 +4,10 @@ The receiver asks, so it decides how much it takes in, and asks again for what w
 the message. A robot that is still fetching a flood's message hands its pieces on as they come: one that asks for a
 piece which is not there yet gets it when it is.
 
-**Repair.** Pieces mostly come in the order in which they were asked for. So those that were asked for before another
-one that has come are lost. Where none comes for a while, or ways have changed, they may be late in a long queue or
-lost. Then one piece more is asked for. Where it comes first, the others are lost. Where they come first, nothing was
-asked for twice.
+**Repair.** Pieces mostly come in the order in which they were asked for. So a piece is lost if others come that were
+asked for later. If no piece comes for a while, or ways change, the awaited pieces are either late in a long queue or
+lost. Then the robot asks for one piece more. If that piece comes first, the others are lost. If the others come first,
+nothing was asked for twice.
 """
 
 from collections.abc import Callable, Collection, Iterable
@@ -20,10 +20,10 @@ PATIENCE = 30.0
 """Seconds without a new piece after which a message is given up."""
 
 TIMEOUT = 2.0
-"""Seconds without a piece of a message after which one more is asked for; it doubles"""
+"""Seconds without a piece of a message after which one more is asked for. Each timeout in a row doubles them."""
 
 MOST_TIMEOUT = 8.0
-"""up to this as long as none comes."""
+"""Seconds up to which they are doubled."""
 
 TRIED = 2
 """Timeouts in a row after which another robot is asked, where one may have the message."""
@@ -45,7 +45,7 @@ class _Source:
 
     fetches: dict[MessageId, Fetch] = field(default_factory=dict)
     timeouts: int = 0
-    """In a row."""
+    """Timeouts since the last piece came."""
 
     @property
     def asked(self) -> int:
@@ -129,6 +129,7 @@ class BulkExchange:
             source = self._sources.get(name)
             if source is not None:
                 for fetch in tuple(source.fetches.values()):
+                    # Without a further piece one would be asked for twice, which only a silence is worth.
                     if fetch.has_further or source.timeouts:
                         self._probe(name, fetch, now)
             self._ask(name, now)

@@ -187,10 +187,10 @@ def decode_state(body: bytes) -> int:
 
 ASKED = 32
 """Pieces of one robot that may be under way. Their 60 kB keep nine of the thesis' links in a row busy (78 kB/s, 30 ms
-each way, and 24 ms until a piece has passed a link), and the pieces of 20 robots fit into the queue of one link."""
+each way, and 24 ms until a piece has passed a link), and the pieces of 25 robots fit into the queue of one link."""
 
 REORDERED = 3
-"""Number of pieces, requested later, after whose arrival an earlier piece counts as lost."""
+"""A piece counts as lost when another one comes that was asked for later by more than so many pieces."""
 
 
 class Fetch:
@@ -203,7 +203,7 @@ class Fetch:
         self.have = 0
         """Pieces that are there."""
         self.repeated = 0
-        """Pieces that were given up, or asked for again without that."""
+        """How often a piece was given up, or asked for again while it was still awaited."""
         self.heard = now
         """The time at which the last new piece came."""
         self.source: str | None = None
@@ -217,10 +217,11 @@ class Fetch:
         """The place of each piece in the order in which they were asked for."""
         self._places = 0
         self._given_up: set[int] = set()
-        """Pieces that were given up once. What has come of them may be from before, so it says nothing of others."""
+        """Pieces that were given up once. Such a piece may come from the first time that it was asked for, so it does
+        not show others to be lost."""
         self._since = now
         self._doubted = False
-        """Whether `probe` was called since the last piece came."""
+        """Whether `probe` was called since the last piece that was asked for once has come."""
 
     @property
     def asked(self) -> int:
@@ -254,9 +255,12 @@ class Fetch:
         return index
 
     def probe(self, now: float) -> int | None:
-        """One more piece to ask for, since those that were asked for may be lost: a further one, or else the last of
-        them again, or where that was in vain the first, and all others when it comes. None where none is asked for. The
-        next piece that comes shows all before it to be lost."""
+        """Choose one more piece to ask for after a silence, noted as asked for; None where no piece is awaited.
+
+        It is the next piece to ask for. Where there is none, it is the last one that is awaited. If that was tried
+        before, all are given up, and it is the first of them. A piece that comes then shows all that were asked for
+        before it to be lost.
+        """
         if not self._asked:
             return None
         self._since = now

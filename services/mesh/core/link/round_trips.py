@@ -1,7 +1,7 @@
 """Round trips: those that heartbeats measure on a connection, and what a window learns from the bytes it lets through.
 
-`Pulse` has what the heartbeats of one connection tell: round trips, the other clock, bytes per second. `RoundTrips` has
-those of bytes, for the window of a link (`link.flow`).
+`Pulse` has what the heartbeats of one connection tell: round trips, the other clock, bytes per second. `RoundTrips`
+smooths round trips, for `Pulse` and for the window of a link (`link.flow`).
 """
 
 from collections import deque
