@@ -46,6 +46,9 @@ STAND = (documented_path.TUTORIAL, "swarm status --watch")
 UNTIL = {STAND: re.compile("balancing")}
 """What each robot's row has before the person ends the table by Ctrl-C."""
 DONE = re.compile(r"descent:done@500 ")
+FALLEN = re.compile(r"^  (\w+) +FAILED .*this one is fault", re.MULTILINE)
+"""What `swarm balance lie` says of a robot that has fallen. A simulated body falls where its loop, in a virtual machine,
+does not get its 100 Hz from a busy host for long enough."""
 NO_PI = {
     *("board", "system", "packages", "boot", "cmdline", "i2c", "radio", "bluetooth", "realtime", "network", "name"),
     "bus",
@@ -60,6 +63,7 @@ class Laptop:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder / "home"
+        self.falls = 0
         self._tools = folder / "tools"
         self._ssh = folder / "ssh_config"
         self.folder.mkdir()
@@ -102,6 +106,10 @@ class Laptop:
         if command == "swarm status":
             return self._again(command, lambda text: len(DONE.findall(text)) == len(NAMES))
         code, text = self._finish(command)
+        if command == "swarm balance lie" and (fallen := FALLEN.findall(text)) and len(fallen) == text.count(" FAILED "):
+            self.falls += len(fallen)
+            command = f"swarm balance rest --robots {','.join(fallen)}"
+            code, text = self._finish(command)
         assert code == 0, f"{page}: {command}: exit code {code}\n{text}"
         return text
 
@@ -206,6 +214,7 @@ def test_the_tutorial_leads_to_robots_that_stand_and_a_run_that_is_brought_home(
         took.append(f"{command} {time.monotonic() - start:.0f} s")
         if (documented_path.TUTORIAL, command) == STAND:
             standing = time.monotonic() - began
+    took.append(f"{laptop.falls} robots had fallen")
     record_property("measured", f"robots stand {standing / 60:.1f} min after power on; {', '.join(took)}")
     assert 0 < standing <= STANDING_S
     assert (laptop.folder / "descent.png").stat().st_size > 5000
