@@ -8,6 +8,7 @@ ATmega switches them off 0.2 s later in any case.
 import argparse
 import asyncio
 import os
+import sys
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -28,7 +29,11 @@ from swarm.process.terminal import columns
 THERE_S = 3.0
 """Seconds for which the command on the robot waits for the robot's own balancer and mesh."""
 _SLACK_S = 15.0
-"""Further seconds for the connection, and for a robot that is slow to start Python."""
+"""Further seconds for `swarm arm`: for the connection, and for a robot that is slow to start Python."""
+_HANGS_S = 12.0
+"""Seconds after which a robot's own command counts as hanging, and its balancer is stopped by systemd."""
+_SYSTEMD_S = 15.0
+"""Seconds for that."""
 
 
 @dataclass
@@ -39,6 +44,10 @@ class _Answers:
     """The outcome of ssh by robot: whether it was reached and has confirmed, and how."""
     seen: dict[str, str] = field(default_factory=dict)
     """Robots whose confirmation another robot has seen over the mesh, with that robot's name."""
+
+    def said(self, robot: str) -> str:
+        """Return the answer of ssh in words."""
+        return self.outcomes[robot].text if robot in self.outcomes else "ssh gave no answer"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -69,9 +78,14 @@ def run(args: argparse.Namespace) -> int:
 
     thread = threading.Thread(target=by_ssh, name="ssh")
     thread.start()
-    rows = halt.give(args, found) if found else []
-    thread.join()
-    how = {name: _how(name, rows, answers) for name in answers.outcomes}
+    try:
+        rows = halt.give(args, found) if found else []
+    except LocalError as error:  # such as a simulation that is just starting or ending
+        rows = []
+        sys.stderr.write(f"note: {error}\n")
+    finally:
+        thread.join()
+    how = {host.robot: _how(host.robot, rows, answers) for host in far[0]}
     done = all(row.confirmed for row in halt.reached(rows) if row.robot not in how) and all(how.values())
     told = {name: {"confirmed": outcome.ok, "text": outcome.text} for name, outcome in answers.outcomes.items()}
     lines = [*(halt.table(rows, stop=stop) if rows else ()), *table(how, answers, stop=stop)]
@@ -99,7 +113,7 @@ def robots_of(args: argparse.Namespace) -> tuple[tuple[Host, ...], Ssh] | None:
 def _how(name: str, rows: Sequence[Row], answers: _Answers) -> str:
     """Return the paths by which a robot is confirmed; empty where it is not."""
     paths = ["bus or mesh"] if any(row.confirmed for row in rows if row.robot == name) else []
-    paths += ["ssh"] if answers.outcomes[name].ok else []
+    paths += ["ssh"] if name in answers.outcomes and answers.outcomes[name].ok else []
     paths += [f"mesh (seen by {answers.seen[name]})"] if name in answers.seen else []
     return ", ".join(paths)
 
@@ -109,7 +123,7 @@ def table(how: Mapping[str, str], answers: _Answers, *, stop: bool) -> list[str]
     what = "stopped" if stop else "armed"
     lines = [("robot", what, "confirmed by", "ssh says")]
     for name, paths in how.items():
-        lines.append((name, "yes" if paths else "NOT CONFIRMED", paths or "-", answers.outcomes[name].text))
+        lines.append((name, "yes" if paths else "NOT CONFIRMED", paths or "-", answers.said(name)))
     missing = [name for name, paths in how.items() if not paths]
     summary = f"{what}: {len(how) - len(missing)} of {len(how)} robots"
     summary += f"; NOT CONFIRMED: {' '.join(missing)}" if missing else ""
@@ -122,21 +136,30 @@ def command(robots: tuple[Host, ...], ssh: Ssh, *, stop: bool, reason: str) -> _
     words = [*(["estop", reason] if stop else ["arm"]), "--json", "--timeout", str(THERE_S)]
 
     async def job(host: Host, tell: everyone.ReportProgress) -> str:
-        done = await ssh.run(host, robot_command.words(host, words))
-        rows = _rows(done.out)
+        try:
+            async with asyncio.timeout(_HANGS_S if stop else None):
+                done = await ssh.run(host, robot_command.words(host, words))
+            out, error = done.out, last_words(done.err)
+        except TimeoutError:
+            out, error = "", f"its own command has not ended within {_HANGS_S:g} s"
+        rows = _rows(out)
         for name, row in rows.items():
             if row.get("confirmed") and name != host.robot:
                 answers.seen[name] = host.robot
-        if rows.get(host.robot, {}).get("confirmed"):
-            return "its own bus and balancer say so" if stop else "its own bus says so"
-        problem = last_words(done.err).removeprefix("swarm: ") or "its bus does not confirm it"
+        own = rows.get(host.robot, {})
+        if own.get("confirmed") and not stop:
+            return "its own bus says so"
+        if own.get("confirmed") and own.get("mode") is not None:
+            return "its own bus and balancer say so"
+        silent = "its balancer tells no state" if own.get("confirmed") else "its bus does not confirm it"
+        problem = error.removeprefix("swarm: ") or silent
         if not stop:
             raise HostError(problem)
         await ssh.check(host, "sudo -n systemctl stop swarm-balancer.service")
         return f"its balancer was stopped ({problem}): swarm services start balancer, when all is well"
 
     try:
-        found = asyncio.run(everyone.each(robots, job, THERE_S + _SLACK_S))
+        found = asyncio.run(everyone.each(robots, job, _HANGS_S + _SYSTEMD_S if stop else THERE_S + _SLACK_S))
     except LocalError as error:  # there is no ssh here: nobody was told
         found = [everyone.RobotOutcome(host.robot, False, str(error), 0.0) for host in robots]
     answers.outcomes = {outcome.robot: outcome for outcome in found}

@@ -8,6 +8,7 @@ from fake_robots import FakeRobots, Run
 from needs import needs_ssh
 
 from laptop.cli import halt as halt_ssh
+from swarm.errors import LocalError
 
 pytest_plugins = ["fleet_fixtures"]
 pytestmark = needs_ssh
@@ -21,7 +22,7 @@ def _laptop(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 
 def answer(*confirmed: str, silent: tuple[str, ...] = ()) -> str:
-    rows = [{"robot": name, "confirmed": True} for name in confirmed]
+    rows: list[dict[str, object]] = [{"robot": name, "confirmed": True, "mode": "fault"} for name in confirmed]
     rows += [{"robot": name, "confirmed": False} for name in silent]
     return json.dumps({"stop": True, "confirmed": not silent, "robots": rows})
 
@@ -62,6 +63,55 @@ def test_a_robot_that_does_not_confirm_has_its_balancer_stopped(
     # Nothing of that for taking a stop back.
     assert run("arm") == 1
     assert (quiet / "systemctl.log").read_text().count("\n") == 1
+
+
+@pytest.mark.parametrize("mode", [None, "missing"])
+def test_a_robot_whose_balancer_is_not_heard_has_it_stopped(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], mode: str | None
+) -> None:
+    """Its mesh has obeyed, but the balancer's bridge may be dead, while the loop balances on."""
+    row: dict[str, object] = {"robot": "r0", "confirmed": True} | ({} if mode == "missing" else {"mode": mode})
+    home = add(robots, "r0", json.dumps({"robots": [row]}))
+    assert run("estop") == 0
+    assert "its balancer was stopped (its balancer tells no state)" in capsys.readouterr().out
+    assert (home / "systemctl.log").read_text() == "stop swarm-balancer.service\n"
+
+
+def test_a_robot_whose_command_hangs_has_its_balancer_stopped(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(halt_ssh, "_HANGS_S", 1.0)
+    home = robots.add("r0")
+    robots.script("r0", "sudo", 'case $2 in env) exec sleep 600 ;; *) shift; "$@" ;; esac')
+    assert run("estop") == 0
+    assert "its balancer was stopped (its own command has not ended within 1 s)" in capsys.readouterr().out
+    assert (home / "systemctl.log").read_text() == "stop swarm-balancer.service\n"
+
+
+def test_a_bus_that_does_not_answer_here_keeps_no_robot_from_its_stop(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As that of a simulation that is just starting or ending on the laptop."""
+    home = add(robots, "r0", answer("r0"))
+
+    def refuse(*_: object) -> None:
+        raise LocalError("no bus is there")
+
+    monkeypatch.setattr(halt_ssh.buses, "find", lambda _: {"r0": home})
+    monkeypatch.setattr(halt_ssh.halt, "give", refuse)
+    assert run("estop") == 0
+    shown = capsys.readouterr()
+    assert shown.out.splitlines()[-1] == "stopped: 1 of 1 robots"
+    assert "no bus is there" in shown.err
+
+
+def test_robots_of_which_ssh_tells_nothing_are_not_confirmed(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robots.add("r0")
+    monkeypatch.setattr(halt_ssh, "command", lambda *_, **__: halt_ssh._Answers())
+    assert run("estop") == 1
+    assert "NOT CONFIRMED: r0" in capsys.readouterr().out
 
 
 def test_one_that_cannot_be_reached_is_confirmed_by_what_others_see(
