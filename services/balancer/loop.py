@@ -22,6 +22,7 @@ from services.balancer.core.control.body import body_model
 from services.balancer.core.control.estimation.gyro import Zero
 from services.balancer.core.control.lqr import PERIOD_S
 from services.balancer.core.devices import leds
+from services.balancer.core.faults import STOPPED
 from services.balancer.core.lateness import Lateness
 from services.balancer.i2c import I2CBus, open_patiently
 from services.balancer.slack_tasks import SlackTasks
@@ -154,7 +155,8 @@ class Loop:
 
     def _each_second(self, tick: int) -> None:
         if tick == 25:
-            self._bridge.keep_up(clock.now())
+            fault = self._balancer.fault
+            self._bridge.keep_up(clock.now(), stopped=fault is not None and fault.name == STOPPED)
         elif tick == 49:
             self._tell_again()
         elif tick == 61:

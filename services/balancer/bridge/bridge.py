@@ -1,7 +1,8 @@
 """The balancer's half that speaks to the bus: publishes what the loop tells, hands it the commands that pass.
 
-`python -m services.balancer.bridge.bridge FD STOPS`, started by the loop with its ends of their two socket pairs. It
-ends with the loop.
+`python -m services.balancer.bridge.bridge FD STOPS [stopped]`, started by the loop with its ends of their two socket
+pairs. It ends with the loop. `stopped`: a stop was the last that the loop has obeyed, so that this process begins with
+what the one before it knew.
 
 A stop is handed to the loop by Zenoh's thread at once. Commands are only put aside by that thread, since whatever it
 does with a command, the stop behind it on the bus waits for; the main thread checks them and hands them on, so many a
@@ -27,6 +28,7 @@ from services.balancer.bridge.link import (
     unpack,
 )
 from services.balancer.core.devices.screen import Composer
+from services.balancer.core.faults import STOPPED
 from services.balancer.core.inbox import Inbox, WaitingCommand
 from swarm import clock
 from swarm.bus.throttle import THROTTLED
@@ -53,7 +55,7 @@ _TURN_S = 0.01
 class _Relay:
     """Both directions between the loop's socket and the bus."""
 
-    def __init__(self, service: Service, loop: socket.socket, stops: socket.socket) -> None:
+    def __init__(self, service: Service, loop: socket.socket, stops: socket.socket, *, stopped: bool) -> None:
         self._service = service
         self._loop = loop
         self._stops = stops
@@ -69,7 +71,7 @@ class _Relay:
         self._unanswered = 0
         """Questions to the router since its last answer."""
         self._composer = Composer(service.robot)
-        self._side = BusSide(service, clock.now, self)
+        self._side = BusSide(service, clock.now, self, stopped=stopped)
         self._side.listen(self._put)
         service.bus.subscribe([key(service.robot, "app", "*", "state", THROTTLED)], self._app_state)
 
@@ -182,11 +184,11 @@ class _Relay:
 def main() -> None:
     """Bridge until the loop ends."""
     try:
-        loop, stops = (socket.socket(fileno=int(text)) for text in sys.argv[1:])
+        loop, stops = (socket.socket(fileno=int(text)) for text in sys.argv[1:3])
     except (ValueError, OSError):
         raise LocalError("the bridge is started by `python -m services.balancer`, not by hand") from None
     with contextlib.closing(loop), contextlib.closing(stops), Service("balancer") as service:
-        _Relay(service, loop, stops).run()
+        _Relay(service, loop, stops, stopped=sys.argv[3:] == [STOPPED]).run()
 
 
 if __name__ == "__main__":

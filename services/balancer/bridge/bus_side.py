@@ -82,7 +82,8 @@ class LoopLink(Protocol):
 class BusSide:
     """The bus side of one balancer."""
 
-    def __init__(self, process: Process, now: Now, loop: LoopLink) -> None:
+    def __init__(self, process: Process, now: Now, loop: LoopLink, *, stopped: bool = False) -> None:
+        """`stopped`: whether a stop was the last that the loop has obeyed."""
         self._process = process
         self._now = now
         self._loop = loop
@@ -93,8 +94,9 @@ class BusSide:
         """The keys used so far, by the message's type: the simulations have many robots, which use few of them."""
         self._throttle = Throttle(process.bus, self.key(BalancerState), THROTTLED_STATE_S)
         self._mode = ""
-        self._stopped_at: float | None = None
-        """When a stop was heard last, s; None from the time on at which the mesh tells that no stop holds."""
+        self._stopped_at: float | None = now() if stopped else None
+        """When a stop was heard last, or the mesh told last that one holds, s; None from the time on at which the mesh
+        tells that none holds."""
 
     def listen(self, put: Callable[[str, bytes], None]) -> None:
         """Hear stops, which go to the loop at once, and commands: `put(key, payload)` is to see to it that `command` is
@@ -102,6 +104,7 @@ class BusSide:
         robot, bus = self._process.robot, self._process.bus
         bus.subscribe(STOP, self._stop)
         bus.subscribe(key(robot, "mesh", "stopped"), self._take_stopped)
+        bus.on_change(self._ask_mesh)
         bus.subscribe([key(robot, "balancer", "set", what) for what in _COMMANDS], put)
 
     def key(self, kind: type) -> str:
@@ -175,9 +178,14 @@ class BusSide:
         self._stopped_at = self._now()
         self._loop.halt(stop)
 
+    def _ask_mesh(self, connected: bool) -> None:
+        """Ask the mesh whether a stop holds, which may be one that nobody on this bus has heard."""
+        if connected:
+            self._process.bus.ask(key(self._process.robot, "mesh", "stopped"), self._take_stopped)
+
     def _take_stopped(self, name: str, payload: bytes) -> None:
-        """Let the robot move again where the mesh tells that no stop holds. A sample that cannot be read changes
-        nothing."""
+        """Refuse commands that move the robot from the time on at which the mesh tells that a stop holds, and let them
+        pass again where it tells that none holds. A sample that cannot be read changes nothing."""
         try:
             message = read(name, payload)
         except PayloadError as error:
@@ -185,5 +193,5 @@ class BusSide:
             return
         assert isinstance(message, Stopped)
         # What the mesh told before the stop says nothing about it.
-        if self._stopped_at is not None and not message.stopped and message.t > self._stopped_at:
-            self._stopped_at = None
+        if self._stopped_at is None or message.t > self._stopped_at:
+            self._stopped_at = message.t if message.stopped else None

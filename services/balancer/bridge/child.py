@@ -9,6 +9,7 @@ import socket
 import sys
 
 from services.balancer.bridge.link import COMMANDS_A_TICK, MAX_DATAGRAM, LoopMessage, pack, unpack, unpack_command
+from services.balancer.core.faults import STOPPED
 from swarm.errors import PayloadError
 from swarm.messages import Stop
 
@@ -85,9 +86,9 @@ class Bridge:
                 _log.warning("the bridge sent what is no message: %s", error)
         return received
 
-    def keep_up(self, now: float) -> None:
+    def keep_up(self, now: float, *, stopped: bool = False) -> None:
         """Look whether the process lives and takes messages, and start the next one in time; once a second is often
-        enough."""
+        enough. `stopped`: whether a stop is the last that the loop has obeyed, which the next process then knows."""
         if self.pid:
             pid, status = os.waitpid(self.pid, os.WNOHANG)
             if pid == 0:
@@ -100,7 +101,7 @@ class Bridge:
             _log.warning("the bridge ended code=%d", os.waitstatus_to_exitcode(status))
             self._forget()
         if now - self._started >= RESTART_S:
-            self._start(now)
+            self._start(now, stopped=stopped)
 
     def close(self) -> None:
         """End the process and wait for it."""
@@ -134,7 +135,7 @@ class Bridge:
                 end.close()
         self._socket = self._stops = None
 
-    def _start(self, now: float) -> None:
+    def _start(self, now: float, *, stopped: bool = False) -> None:
         """Fork and exec: a fork of this one-threaded process returns at once, while posix_spawn and subprocess hold the
         parent until the child, which has no real-time priority, was given a CPU and reached its exec."""
         self._started, self._took = now, True
@@ -145,6 +146,7 @@ class Bridge:
         environment = {name: value for name, value in os.environ.items() if name not in _NOT_FOR_THE_BRIDGE}
         environment["SWARM_PARENT"] = str(os.getpid())
         command = [sys.executable, "-P", "-m", MODULE, str(theirs.fileno()), str(their_stops.fileno())]
+        command += [STOPPED] if stopped else []
         pid = os.fork()
         if pid == 0:
             try:

@@ -37,7 +37,7 @@ class Lists:
         taken, self.incoming = self.incoming, []
         return [(self.heard, message) for message in taken]
 
-    def keep_up(self, now: float) -> None:
+    def keep_up(self, now: float, *, stopped: bool = False) -> None:
         self.looks += 1
 
     def of(self, kind: type) -> list:

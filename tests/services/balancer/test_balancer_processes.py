@@ -112,6 +112,25 @@ def test_the_loop_outlives_its_bridge_and_starts_another(processes: Processes, w
     assert after.ticks + after.missed - before.ticks - before.missed == pytest.approx((after.t - before.t) * 100, abs=2)
 
 
+def test_a_stop_holds_though_the_bridge_that_heard_it_is_killed(processes: Processes, watcher: Watcher) -> None:
+    """No mesh runs here, which could tell the next bridge."""
+    body = processes.start("-m", "sim.body")
+    watcher.wait_mode("balancing")
+    watcher.bus.publish("swarm/stop", Stop(0.0, "test", "enough"))
+    watcher.wait_mode("fault")
+    (bridge,) = children(body.pid)
+    os.kill(bridge, signal.SIGKILL)
+    wait_until(lambda: children(body.pid) not in ([], [bridge]))
+    watcher.heard["notice"].clear()
+
+    def refused() -> bool:
+        watcher.command("mode", SetMode("stand"))
+        return any("the swarm is stopped" in notice.text for notice in watcher.heard["notice"])
+
+    wait_until(refused, what="the new bridge refuses to let the robot stand up")
+    assert watcher.last().mode == "fault"
+
+
 def test_driving_over_the_bus_and_what_is_refused(processes: Processes, watcher: Watcher) -> None:
     processes.start("-m", "sim.body")
     watcher.wait_mode("balancing")

@@ -1,0 +1,115 @@
+"""Which commands the bus side lets pass to the loop: none that moves the robot, from a stop until the mesh tells that
+none holds."""
+
+from collections import Counter
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from services.balancer.bridge.bus_side import BusSide
+from swarm.messages import SetLeds, SetMode, SetVelocity, Stop, Stopped
+from swarm.messages.codec import encode
+
+TOLD = "swarm/r0/mesh/stopped"
+
+
+class Bus:
+    """Keeps what is subscribed, asked and published."""
+
+    def __init__(self) -> None:
+        self.heard: dict[str, Any] = {}
+        self.asked: list[tuple[str, Any]] = []
+        self.published: list[tuple[str, object]] = []
+        self.changes: list[Any] = []
+
+    def subscribe(self, keys: str | list[str], callback: Any) -> None:
+        for each in [keys] if isinstance(keys, str) else keys:
+            self.heard[each] = callback
+
+    def on_change(self, callback: Any) -> None:
+        self.changes.append(callback)
+
+    def ask(self, key: str, on_reply: Any, **_: object) -> None:
+        self.asked.append((key, on_reply))
+
+    def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
+        self.published.append((key, message))
+
+
+class Side:
+    """A bus side whose loop keeps what it is given."""
+
+    def __init__(self, *, stopped: bool = False) -> None:
+        self.now = 100.0
+        self.taken: list[object] = []
+        self.bus = Bus()
+        process: Any = SimpleNamespace(
+            robot="r0", bus=self.bus, counters=Counter(), log=SimpleNamespace(warning=lambda *_: None)
+        )
+        loop: Any = SimpleNamespace(
+            halt=self.taken.append, take=lambda command, _: self.taken.append(command) or True, show=self.taken.append
+        )
+        self.side = BusSide(process, lambda: self.now, loop, stopped=stopped)
+        self.side.listen(lambda name, payload: self.side.command(name, payload, self.now))
+
+    def hear(self, key: str, message: object) -> None:
+        self.bus.heard[key](key, encode(message))
+
+    def passes(self, message: object = SetMode("stand"), topic: str = "mode") -> bool:
+        self.taken.clear()
+        self.hear(f"swarm/r0/balancer/set/{topic}", message)
+        return self.taken == [message]
+
+
+@pytest.mark.parametrize(
+    ("message", "topic"),
+    [(SetMode("stand"), "mode"), (SetVelocity(0.1, 0.0, 1.0), "velocity")],
+    ids=["mode", "velocity"],
+)
+def test_commands_that_move_the_robot_are_refused_while_a_stop_holds(message: object, topic: str) -> None:
+    side = Side()
+    assert side.passes(message, topic)
+    side.hear("swarm/stop", Stop(99.0, "r1", "smoke"))
+    assert not side.passes(message, topic)
+    assert side.passes(SetLeds(True, False, False), "leds")
+    side.hear(TOLD, Stopped(99.9, False, {}))
+    assert not side.passes(message, topic), "the mesh had not heard of the stop yet"
+    side.hear(TOLD, Stopped(100.1, False, {}))
+    assert side.passes(message, topic)
+
+
+def test_a_mesh_that_tells_of_a_stop_is_enough() -> None:
+    """The stop itself may have been lost, or have come before this process."""
+    side = Side()
+    side.hear(TOLD, Stopped(99.0, True, {"r1": "smoke"}))
+    assert not side.passes()
+    side.hear(TOLD, Stopped(98.0, False, {}))
+    assert not side.passes(), "older than the stop"
+    side.hear(TOLD, Stopped(99.5, False, {}))
+    assert side.passes()
+
+
+def test_the_mesh_is_asked_whenever_the_bus_comes() -> None:
+    side = Side()
+    (change,) = side.bus.changes
+    change(False)
+    assert side.bus.asked == []
+    change(True)
+    ((name, answer),) = side.bus.asked
+    assert name == TOLD
+    answer(name, encode(Stopped(99.0, True, {"r1": "smoke"})))
+    assert not side.passes()
+
+
+def test_what_the_process_before_knew_holds_until_the_mesh_tells_otherwise() -> None:
+    side = Side(stopped=True)
+    assert not side.passes()
+    side.hear(TOLD, Stopped(100.5, False, {}))
+    assert side.passes()
+
+
+def test_an_answer_that_cannot_be_read_changes_nothing() -> None:
+    side = Side(stopped=True)
+    side.bus.heard[TOLD](TOLD, b"\xc1")
+    assert not side.passes()
