@@ -149,6 +149,12 @@ def _topologies(rng: random.Random) -> Made:
     return (ground.encode(value), ground.to_file(value)), feed
 
 
+def _kept_stops(rng: random.Random) -> Made:
+    """The file of a mesh in the runtime directory, which every program of the robot may write before the mesh does."""
+    stops = Halt({name: (Mark(7, n), "smoke") for n, name in enumerate(NAMES)}, {NAMES[0]: Mark(7, 1)})
+    return (stop.to_file(stops), stop.to_file(Halt({}, {}))), stop.from_file
+
+
 def _local(robot: str, dials: dict[str, bool]) -> Local:
     return Local(robot, "lab", 10**15, False, dials, frozenset(NAMES), keys=KEYS_OF_TEST)
 
@@ -358,5 +364,6 @@ TARGETS = (
     ),
     Target("mesh: fragments put together", (f"{_CORE}link/flow.py",), _fragments, (FrameError,)),
     Target("mesh: topologies, and their file", (f"{_CORE}routing/topology.py",), _topologies, (FrameError,)),
+    Target("mesh: kept stops", (f"{_CORE}overlays/stop.py",), _kept_stops, (FrameError,)),
     Target("mesh: views of a robot", ("swarm/messages/codec.py",), _view, (PayloadError,)),
 )

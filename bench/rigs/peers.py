@@ -57,6 +57,7 @@ class Peer:
             runtime,
             self._sockets,
             keep=lambda data: None,
+            keep_stops=lambda data: None,
         )
         self._relay = runtime.entry(self._mesh.publish)
         app = loader.load(APP)

@@ -5,7 +5,7 @@ import random
 import time
 from functools import partial
 
-from services.mesh import topology_file
+from services.mesh import stops_file, topology_file
 from services.mesh.bus_interface import BusInterface
 from services.mesh.core.link.calls import Local
 from services.mesh.core.routing.physical_links import calls_of
@@ -54,6 +54,13 @@ def _save(this: service.Service, data: bytes) -> None:
         this.degraded(f"the topology cannot be kept through a restart: {state_dir()}: {describe(error)}")
 
 
+def _save_stops(this: service.Service, data: bytes) -> None:
+    try:
+        stops_file.save(this.runtime, data)
+    except OSError as error:
+        this.degraded(f"stops cannot be kept through a restart: {this.runtime}: {describe(error)}")
+
+
 def main() -> None:
     with service.Service("mesh", direct=True) as this:
         local = local_by_file(this.config, this.robot)
@@ -72,6 +79,8 @@ def main() -> None:
             runtime,
             sockets,
             keep=partial(_save, this),
+            keep_stops=partial(_save_stops, this),
+            stops=stops_file.load(this.runtime),
             heard=view_sender.heard,
             role_of=network.roles.of,
         )

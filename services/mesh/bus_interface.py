@@ -66,6 +66,6 @@ class BusInterface:
             case Stop(_, origin, reason):
                 self._log.warning("stop of the swarm by=%s reason=%s", origin, reason)
                 self._ask(lambda each, now: each.stop(message, now))
-            case Arm(_, origin):
+            case Arm(_, origin, age):
                 self._log.warning("stops taken back by=%s", origin)
-                self._ask(lambda each, now: each.arm(now))
+                self._ask(lambda each, now: each.arm(now, age))

@@ -10,13 +10,14 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple, TypeVar
 
-from services.mesh.core.actions import Close, Dial, LinksChanged, LogLine, Supervise, Write
+from services.mesh.core.actions import Close, Dial, LinksChanged, LogLine, Supervise, Write, WriteStops
 from services.mesh.core.link import Received
 from services.mesh.core.link.calls import UNKNOWN, Caller, Local, can_link, dials
 from services.mesh.core.link.clock import ClockState
 from services.mesh.core.link.session import SUSPECT, UP, Session
 from services.mesh.core.node import MeshNode
 from services.mesh.core.overlays.robot_overlays import RobotOverlays
+from services.mesh.core.overlays.stop import Halt
 from services.mesh.core.relay import KeyRelay
 from services.mesh.core.routing.physical_links import CENTRAL, PERIPHERAL, SLOTS, is_bluetooth, is_measured, links_of
 from services.mesh.core.routing.topology import Ground
@@ -109,14 +110,16 @@ class Mesh:
         transport: Transport,
         *,
         keep: Callable[[bytes], None],
+        keep_stops: Callable[[bytes], None],
+        stops: Halt | None = None,
         heard: Callable[[str, bytes], None] | None = None,
         wanted: Callable[[str], bool] = lambda key: True,
         role_of: Callable[[str], str] = lambda robot: "",
     ) -> None:
         """`incarnation`: of its floods, higher than at its last start. `keep(data)` keeps the topology through
-        restarts; `heard(key, payload)` gets what came in, before the bus; `wanted(key)` tells whether anybody hears a
-        key on the own bus, where that can be known at any time. `role_of(robot)` is this robot's role in its
-        connection to another one, `LinkState.role`."""
+        restarts, and `keep_stops(data)` the stops; `stops` are those of the process before. `heard(key, payload)` gets
+        what came in, before the bus; `wanted(key)` tells whether anybody hears a key on the own bus, where that can be
+        known at any time. `role_of(robot)` is this robot's role in its connection to another one, `LinkState.role`."""
         robot = self.robot = local.robot
         self._dials = local.dials
         self._role_of = role_of
@@ -128,6 +131,7 @@ class Mesh:
         self._transport = transport
         self._bus = surroundings.bus
         self._keep = keep
+        self._keep_stops = keep_stops
         self._heard = heard
         self._deadline: float | None = None
         """The deadline that the transport was told last; None after that time has come."""
@@ -161,6 +165,8 @@ class Mesh:
         self._clock_key = key(robot, "mesh", "clock")
         self._topology_key = key(robot, "mesh", "topology")
         self._stopped_key = key(robot, "mesh", "stopped")
+        if stops is not None:
+            self._node.ask(lambda overlays, now: overlays.restore_stops(stops, now), surroundings.now)
         surroundings.soon(self.carry_out)
         # Robots are not switched on in the same microsecond: their reports do not all fall on one moment.
         surroundings.at(surroundings.now + REPORT_PERIOD * chance.random(), self._report_regularly)
@@ -270,6 +276,8 @@ class Mesh:
                     transport.supervise(action.session, action.seconds)
                 elif kind is Write:
                     outside(self._keep_topology)  # before the bus hears of it
+                elif kind is WriteStops:
+                    outside(self._write_stops)
         deadline = node.next_deadline()
         if deadline != self._deadline:
             self._deadline = deadline
@@ -288,6 +296,10 @@ class Mesh:
     def _keep_topology(self) -> None:
         with self._keeping:
             self._keep(self._look(lambda node, now: node.overlays.topology_file()))
+
+    def _write_stops(self) -> None:
+        with self._keeping:
+            self._keep_stops(self._look(lambda node, now: node.overlays.stops_file()))
 
     def _publish_report(self) -> None:
         bus = self._bus

@@ -174,6 +174,8 @@ class VirtualWorld:
         there.storage.forget()
         there.balancer.switch_off(falls=falls)
         self._kill_mesh(robot, seconds)
+        if isinstance(there.mesh, VirtualMesh):
+            there.mesh.kept_stops = b""
         self.time.at(self.time.now + seconds, self._switch_on, robot, begun)
 
     def kill_app(self, robot: str, app: str) -> None:
@@ -217,8 +219,9 @@ class VirtualWorld:
         if isinstance(there.mesh, VirtualMesh) and not there.mesh.running:
             there.meshes_bus = VirtualBus(there.router)
             there.mesh = VirtualMesh(
-                *(self._common, there.name, there.time, self.air, there.meshes_bus, self.seed), incarnation=there.starts
-            )
+                self._common, there.name, there.time, self.air, there.meshes_bus, self.seed,
+                incarnation=there.starts, stops=there.mesh.kept_stops,
+            )  # fmt: skip
         for launch in begun:
             if launch.app.name not in there.apps:
                 self._begin(there.name, launch)

@@ -102,6 +102,9 @@ class Arm:
     t: float
     origin: str
     """The robot that takes them back."""
+    age: float = 0.0
+    """Seconds since the command was given first. A repeated command takes back only stops that the robot knew by then,
+    and none that was given meanwhile."""
 
 
 @frozen

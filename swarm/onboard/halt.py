@@ -29,8 +29,12 @@ ROUND = 0.2
 ANSWER = 2.0
 """Seconds that a mesh has for its answer; questions overlap."""
 
-MOVING = ("standing_up", "balancing", "testing")
+MOVING = ("standing_up", "balancing", "lying_down", "testing")
 """Modes of a balancer whose motors are on."""
+
+LISTENING_S = 0.5
+"""Seconds after which a balancer that was not heard on a bus that can be reached is taken for absent: one that runs
+tells its state every 0.04 s."""
 
 
 DEFAULT_REASON = "swarm estop"
@@ -96,13 +100,19 @@ def give(args: argparse.Namespace, directories: Mapping[str, Path]) -> list[Row]
 
 
 def rows_of(
-    names: Mapping[str, bool], known: Mapping[str, GraphRobot], modes: Mapping[str, str], *, stop: bool
+    names: Mapping[str, bool],
+    known: Mapping[str, GraphRobot],
+    modes: Mapping[str, str],
+    *,
+    stop: bool,
+    listened: bool = True,
 ) -> list[Row]:
-    """Return one row for each robot. `names`: the robots whose bus was looked for, and whether it is there."""
+    """Return one row for each robot. `names`: the robots whose bus was looked for, and whether it is there. `listened`:
+    whether a balancer on such a bus would have been heard by now."""
     rows = []
     for name in sorted({*names, *known}):
         entry, mode = known.get(name), modes.get(name)
-        still = mode is None or mode not in MOVING
+        still = mode not in MOVING and (mode is not None or listened or not names.get(name))
         if entry is not None and entry.state not in AWAY:
             # Who has said nothing since it was started has heard of no stop.
             confirmed = (entry.stopped is True and still) if stop else not entry.stopped
@@ -160,13 +170,14 @@ def _command(opened_buses: Mapping[str, Bus], *, stop: bool, reason: str, timeou
 
     for bus in opened_buses.values():
         bus.subscribe(key("*", "balancer", "state"), take)
-    end = clock.now() + timeout
+    began = clock.now()
+    end = began + timeout
     rows: list[Row] = []
     while True:
         confirmed = {row.robot for row in rows if row.confirmed}
         for name, bus in opened_buses.items():
             if name not in confirmed:
-                _give(name, bus, stop=stop, reason=reason)
+                _give(name, bus, stop=stop, reason=reason, age=clock.now() - began)
             views.ask(name, bus, ANSWER)
         round_end = min(end, clock.now() + ROUND)
         while clock.now() < round_end:
@@ -174,7 +185,7 @@ def _command(opened_buses: Mapping[str, Bus], *, stop: bool, reason: str, timeou
                 views.changed.wait(max(0.0, round_end - clock.now()))
                 seen = dict(modes)
             there = {name: bus.connected for name, bus in opened_buses.items()}
-            rows = rows_of(there, views.best(), seen, stop=stop)
+            rows = rows_of(there, views.best(), seen, stop=stop, listened=clock.now() > began + LISTENING_S)
             if all(_is_final(row, opened_buses) for row in rows):
                 return rows
         if clock.now() >= end:
@@ -187,8 +198,8 @@ def _is_final(row: Row, opened_buses: Mapping[str, Bus]) -> bool:
     return (row.confirmed and row.state == "here") or (row.state in AWAY and row.robot not in opened_buses)
 
 
-def _give(name: str, bus: Bus, *, stop: bool, reason: str) -> None:
+def _give(name: str, bus: Bus, *, stop: bool, reason: str, age: float) -> None:
     if stop:
         bus.publish(STOP, Stop(clock.now(), name, reason))
     else:
-        bus.publish(key(name, "mesh", "set", "arm"), Arm(clock.now(), "swarm arm"), urgent=True)
+        bus.publish(key(name, "mesh", "set", "arm"), Arm(clock.now(), "swarm arm", age), urgent=True)

@@ -47,8 +47,8 @@ UNTIL = {STAND: re.compile("balancing")}
 """What each robot's row has before the person ends the table by Ctrl-C."""
 DONE = re.compile(r"descent:done@500 ")
 FALLEN = re.compile(r"^  (\w+) +FAILED .*this one is fault", re.MULTILINE)
-"""What `swarm balance lie` says of a robot that has fallen. A simulated body falls where its loop, in a virtual machine,
-does not get its 100 Hz from a busy host for long enough."""
+"""What `swarm balance lie` says of a robot that has fallen. A simulated body falls where its loop, in a virtual
+machine, does not get its 100 Hz from a busy host for long enough."""
 NO_PI = {
     *("board", "system", "packages", "boot", "cmdline", "i2c", "radio", "bluetooth", "realtime", "network", "name"),
     "bus",
@@ -106,7 +106,11 @@ class Laptop:
         if command == "swarm status":
             return self._again(command, lambda text: len(DONE.findall(text)) == len(NAMES))
         code, text = self._finish(command)
-        if command == "swarm balance lie" and (fallen := FALLEN.findall(text)) and len(fallen) == text.count(" FAILED "):
+        if (
+            command == "swarm balance lie"
+            and (fallen := FALLEN.findall(text))
+            and len(fallen) == text.count(" FAILED ")
+        ):
             self.falls += len(fallen)
             command = f"swarm balance rest --robots {','.join(fallen)}"
             code, text = self._finish(command)

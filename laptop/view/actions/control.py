@@ -26,7 +26,8 @@ MAX_TURN = 3.0
 MODES = ("stand", "rest", "lie")
 """The modes that a page may command."""
 ANSWER_S = 5.0
-"""Seconds for which a request to set a parameter is repeated: the app may be starting, and a bus may lose a request."""
+"""Seconds for which a request to set a parameter, or the end of a stop, is repeated: the app may be starting, and a bus
+may lose a request."""
 START_S = 60.0
 """The same for an app that is started first, over ssh on a slow robot."""
 
@@ -36,6 +37,8 @@ class _Halt:
     """A stop for all robots, or its end, that not all have confirmed. Each one is an object of its own."""
 
     stop: bool
+    since: float
+    """The time at which it was given, s."""
 
 
 class Control:
@@ -102,24 +105,26 @@ class Control:
         with self._halting:
             if self._wanted is not wanted:
                 return  # a later one has gone out meanwhile
-            if not late:
-                self._wanted = None
+            if not late or (not wanted.stop and clock.now() > wanted.since + ANSWER_S):
+                self._wanted = None  # who is taken back later learns it from the other robots
+                return
             for name in late:
-                self._give(name, self._feed.buses[name], stop=wanted.stop)
+                self._give(name, self._feed.buses[name], wanted)
 
     def _halt(self, *, stop: bool) -> str:
         self._feed.check_control()
         with self._halting:
-            self._wanted = _Halt(stop)
+            self._wanted = wanted = _Halt(stop, clock.now())
             for name, bus in self._feed.buses.items():
-                self._give(name, bus, stop=stop)
+                self._give(name, bus, wanted)
         return "stop given to all robots" if stop else "stops taken back"
 
-    def _give(self, name: str, bus: RobotBus, *, stop: bool) -> None:
-        if stop:
-            bus.publish(STOP, Stop(clock.now(), name, REASON), urgent=True)
+    def _give(self, name: str, bus: RobotBus, wanted: _Halt) -> None:
+        now = clock.now()
+        if wanted.stop:
+            bus.publish(STOP, Stop(now, name, REASON), urgent=True)
         else:
-            bus.publish(key(name, "mesh", "set", "arm"), Arm(clock.now(), name), urgent=True)
+            bus.publish(key(name, "mesh", "set", "arm"), Arm(now, name, now - wanted.since), urgent=True)
 
     def _mode(self, asked: Mapping[str, Any]) -> str:
         """Have robots stand up, rest or lie down; what came of it their balancers tell."""

@@ -87,10 +87,15 @@ class Write:
     """Write `Overlays.topology_file()` anew, which is kept through restarts: another topology holds."""
 
 
+@frozen
+class WriteStops:
+    """Write `RobotOverlays.stops_file()` anew, which is kept through restarts of the process."""
+
+
 Emit = Callable[[Transmit], None]
 LinkAction = Connect | Disconnect | Neighbours | Write | LogLine
 """What a topology asks of its node."""
-Action = Dial | Close | Supervise | LinksChanged | LogLine | Write | Received
+Action = Dial | Close | Supervise | LinksChanged | LogLine | Write | WriteStops | Received
 """What a node asks of its shell."""
 
 MAX_LOGGED = 256

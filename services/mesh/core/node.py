@@ -16,6 +16,7 @@ from services.mesh.core.actions import (
     Neighbours,
     Transmit,
     Write,
+    WriteStops,
 )
 from services.mesh.core.connections import Connections
 from services.mesh.core.link import Received
@@ -184,7 +185,7 @@ class MeshNode:
                     self.actions.log_once(text, text)
                 case LogLine(text):
                     self.actions.log_link(text)
-                case Received() | Write():
+                case Received() | Write() | WriteStops():
                     self.actions.add(action)
         self._deadline = self._earliest()
 

@@ -4,6 +4,7 @@ import random
 from functools import partial
 
 from services.mesh.bus_interface import BusInterface
+from services.mesh.core.overlays.stop import from_file
 from services.mesh.core.routing.physical_links import calls_of, is_bluetooth
 from services.mesh.core.routing.wanted_links import InitialLinks
 from services.mesh.core.wire.frames import NONCE_SIZE
@@ -55,8 +56,10 @@ class VirtualMesh(Mesh):
         bus: VirtualBus,
         seed: object,
         incarnation: int = FIRST_INCARNATION,
+        stops: bytes = b"",
     ) -> None:
-        """`incarnation` goes up with every start of the robot."""
+        """`incarnation` goes up with every start of the robot. `stops`: the kept stops of the process before it."""
+        self.kept_stops = stops
         # The text's hash is not Python's own, which differs from process to process.
         numbers = random.Random(f"{seed} {robot} mesh" + (f" {incarnation}" if incarnation > 1 else ""))
         dials = common.dials(robot)
@@ -79,6 +82,8 @@ class VirtualMesh(Mesh):
             surroundings,
             self._station,
             keep=lambda data: None,
+            keep_stops=self._keep_in_memory,
+            stops=from_file(stops) if stops else None,
             wanted=bus.wanted,
         )
         BusInterface(surroundings, self)
@@ -88,6 +93,9 @@ class VirtualMesh(Mesh):
     def sent(self) -> int:
         """Messages of apps that left, counted once for each neighbour."""
         return self._surroundings.counters["sent_sync"]
+
+    def _keep_in_memory(self, data: bytes) -> None:
+        self.kept_stops = data
 
     def kill(self) -> None:
         """End as by kill -9: the connections close, nothing is said."""

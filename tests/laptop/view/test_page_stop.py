@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 from test_server import Bus, said, talk
 
 from laptop.view import server
-from laptop.view.actions.control import Control
+from laptop.view.actions.control import ANSWER_S, Control
 from laptop.view.actions.simulated_actions import SimulatedActions
 from laptop.view.feeds.feed import SimulationFeed
 from laptop.view.questions import MAX_WAITING, Questions
 from swarm.errors import LocalError
-from swarm.messages import Stop
+from swarm.messages import Arm, Stop
 from swarm.messages.codec import encode
 from swarm.process.simulations import claim
 
@@ -108,6 +108,37 @@ def test_a_later_stop_holds_though_the_end_of_the_one_before_is_confirmed_meanwh
     control.repeat()
     assert stops(feed) == [2, 2]
     assert all(isinstance(bus.published[-1][1], Stop) for bus in feed.buses.values())  # type: ignore[attr-defined]
+
+
+def arms(feed: SimulationFeed) -> dict[str, list[float]]:
+    """The age of each re-arm that a robot's bus was given."""
+    return {name: [each.age for _, each in bus.published if isinstance(each, Arm)] for name, bus in feed.buses.items()}  # type: ignore[attr-defined]
+
+
+def test_the_end_of_a_stop_is_repeated_with_its_age_and_not_for_ever(
+    feed: SimulationFeed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A robot that never answers must not make the page take back the stops that others give later."""
+    now = 100.0
+    monkeypatch.setattr("laptop.view.actions.control.clock.now", lambda: now)
+    control = Control(feed, SimulatedActions(feed))
+    control.do({"act": "arm"})
+    feed.picture.put("r0", "mesh/stopped", {"stopped": False}, 0.0)
+    now = 101.0
+    control.repeat()
+    assert arms(feed) == {"r0": [0.0], "r1": [0.0, 1.0]}
+    feed.picture.put("r0", "mesh/stopped", {"stopped": True}, 0.0)  # by somebody else
+    now = 102.0
+    control.repeat()
+    assert all(age == 2.0 for ages in arms(feed).values() for age in ages[1:] if age != 1.0), (
+        "it takes back older stops only"
+    )
+    now = 100.0 + ANSWER_S + 0.1
+    control.repeat()
+    given = arms(feed)
+    now += 100.0
+    control.repeat()
+    assert arms(feed) == given
 
 
 class Narrow(Bus):

@@ -9,7 +9,7 @@ from functools import partial
 
 from timed_world import TimedWorld
 
-from services.mesh.core.actions import LinkAction, Transmit
+from services.mesh.core.actions import LinkAction, Transmit, WriteStops
 from services.mesh.core.link import Received
 from services.mesh.core.overlays.robot_overlays import RobotOverlays
 from services.mesh.core.routing.wanted_links import InitialLinks
@@ -77,6 +77,8 @@ class World(TimedWorld):
         self.messages: Counter[int] = Counter()
         self.bytes: Counter[int] = Counter()
         self.counting: Callable[[Transmit], int] = lambda packet: packet.overlay
+        self.kept_stops: dict[str, bytes] = {}
+        """The stops that each robot keeps through restarts of its process."""
         self._arrival: dict[tuple[str, str], float] = {}
         self._timers: dict[str, float] = {}
         self._tickets = itertools.count()
@@ -181,6 +183,8 @@ class World(TimedWorld):
         for action in bot.overlays.actions():
             if isinstance(action, Transmit):
                 self._transmit(name, action)
+            elif isinstance(action, WriteStops):
+                self.kept_stops[name] = bot.overlays.stops_file()
             elif not isinstance(action, Received):
                 self.obey(name, action)
             elif action.key.endswith("/mesh/passed"):

@@ -8,14 +8,14 @@ from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from functools import lru_cache
 
-from services.mesh.core.actions import LinkAction, Transmit
+from services.mesh.core.actions import LinkAction, Transmit, WriteStops
 from services.mesh.core.bulk import exchange, transfers
 from services.mesh.core.link import Received
 from services.mesh.core.overlays import carried, flood, flood_store, large_messages, unicast
 from services.mesh.core.overlays.carried import CARRY, Carrier
 from services.mesh.core.overlays.flood import FloodOverlay
 from services.mesh.core.overlays.requests import OverlayRequests, Request
-from services.mesh.core.overlays.stop import Register, Stops
+from services.mesh.core.overlays.stop import Halt, Register, Stops
 from services.mesh.core.overlays.unicast import Unicast
 from services.mesh.core.relay import Admission
 from services.mesh.core.routing.link_state import HOPS, AdvertisedLinks, LinkStateMap
@@ -37,7 +37,7 @@ COUNTERS = (*carried.COUNTERS, *flood.COUNTERS, *flood_store.COUNTERS, *large_me
 
 _NEVER = float("inf")
 
-Action = Transmit | Received | LinkAction
+Action = Transmit | Received | LinkAction | WriteStops
 """What the overlays ask of their node."""
 
 
@@ -111,7 +111,7 @@ class RobotOverlays:
         )  # fmt: skip
         self._unicast.on_large = self._large.receive
         self._register = Register(
-            me, lambda: self._flood.incarnation, self._robots, emit=emit, changed=lambda: self._stops.changed(self.now)
+            me, lambda: self._flood.incarnation, self._robots, emit=emit, changed=self._stops_changed
         )
         self._stops = Stops(me, self._register, self._flood, self._to_bus)
         self._carrier = Carrier(
@@ -261,10 +261,10 @@ class RobotOverlays:
         self.now = now
         self._register.stop(stop.reason, now)
 
-    def arm(self, now: float) -> None:
-        """Somebody on this robot takes the stops back."""
+    def arm(self, now: float, age: float = 0.0) -> None:
+        """Somebody on this robot takes back the stops, by a command that was given first `age` seconds ago."""
         self.now = now
-        self._register.arm(now)
+        self._register.arm(now, age)
 
     def leave(self, now: float) -> None:
         """This robot's mesh stops."""
@@ -340,12 +340,25 @@ class RobotOverlays:
             linking.physical if linking.carried else (), linking.hub(),
         )  # fmt: skip
 
+    def restore_stops(self, halt: Halt, now: float) -> None:
+        """Take the stops that an earlier process of this robot knew."""
+        self.now = now
+        self._register.restore(halt, now)
+
+    def stops_file(self) -> bytes:
+        """Return the stops as the bytes to keep through restarts of the process."""
+        return self._register.to_file()
+
     def topology_file(self) -> bytes:
         """Return the topology as the bytes to keep through restarts."""
         assert self.linking is not None
         return self.linking.to_file()
 
     # -- inside ------------------------------------------------------------------------------------------------
+
+    def _stops_changed(self) -> None:
+        self._stops.changed(self.now)
+        self._actions.append(WriteStops())  # behind what the bus is told: no stop waits for a file
 
     def _to_bus(self, key: str, payload: bytes, priority: int) -> None:
         self._actions.append(Received(key, payload, priority))

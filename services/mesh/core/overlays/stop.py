@@ -30,6 +30,7 @@ from swarm.messages.keys import key as key_of
 _HALT = struct.Struct("<BBB")
 
 _MARK = struct.Struct("<QI")
+_LENGTH = struct.Struct("<H")
 
 MAX_REASON = 64
 """Bytes of a stop's reason."""
@@ -97,6 +98,25 @@ def decode_halt(data: bytes) -> Halt:
     return halt
 
 
+def to_file(halt: Halt) -> bytes:
+    """Return HALT packets as a file, each behind its length."""
+    return b"".join(_LENGTH.pack(len(packet)) + packet for packet in encode_halts(halt))
+
+
+def from_file(data: bytes) -> Halt:
+    """Return what `to_file` was given; raises `FrameError`."""
+    halt, at = Halt({}, {}), 0
+    while at < len(data):
+        size = int.from_bytes(data[at : at + _LENGTH.size], "little")
+        at += _LENGTH.size + size
+        if at > len(data):
+            raise FrameError("a HALT packet that is cut off")
+        part = decode_halt(data[at - size : at])
+        halt.stops.update(part.stops)
+        halt.arms.update(part.arms)
+    return halt
+
+
 REPEAT_PERIOD = 10.0
 """Seconds between two messages to each neighbour once there was a stop."""
 
@@ -127,6 +147,8 @@ class Register:
         self._changed = changed
         self._stops: dict[str, tuple[Mark, str]] = {}
         self._arms: dict[str, Mark] = {}
+        self._known_since: dict[str, float] = {}
+        """The time, s, at which this robot heard of each robot's newest stop."""
         self._links: dict[str, None] = {}
         self._repeat_at = _NEVER
         self._stopped_at = -_NEVER
@@ -140,24 +162,37 @@ class Register:
             name: reason for name, (mark, reason) in sorted(self._stops.items()) if mark > self._arms.get(name, _NONE)
         }
 
+    def restore(self, halt: Halt, now: float) -> None:
+        """Take what an earlier process of this robot knew."""
+        stops = {name: stop for name, stop in halt.stops.items() if name in self._robots}
+        arms = {name: mark for name, mark in halt.arms.items() if name in self._robots}
+        self._merge(Halt(stops, arms), None, now)
+
+    def to_file(self) -> bytes:
+        """Return all that this robot knows, for `from_file`."""
+        return to_file(Halt(self._stops, self._arms))
+
     def stop(self, reason: str, now: float) -> None:
         """Somebody on this robot stops the swarm."""
         if now < self._stopped_at + SPACING:
             self._waiting = reason
             return
         self._stopped_at, self._waiting = now, None
-        greatest = max(self._stops.get(self._me, (_NONE, ""))[0], self._arms.get(self._me, _NONE))
-        mark = max(Mark(self._incarnation(), 1), _above(greatest))
-        if mark.incarnation > MAX_INCARNATION:
-            # Somebody has taken back the greatest mark there is in our name
-            # (docs/reference/network/captured-member.md).
-            return
-        self._merge(Halt({self._me: (mark, reason.encode()[:MAX_REASON].decode(errors="ignore"))}, {}), None, now)
+        mark = self._next_mark()
+        if mark.incarnation <= MAX_INCARNATION:
+            reason = reason.encode()[:MAX_REASON].decode(errors="ignore")
+            self._merge(Halt({self._me: (mark, reason)}, {}), None, now)
+        # Else somebody has taken back the greatest mark there is in our name
+        # (docs/reference/network/captured-member.md).
 
-    def arm(self, now: float) -> None:
-        """Somebody on this robot takes back every stop that it knows of."""
-        self._waiting = None
-        self._merge(Halt({}, {name: mark for name, (mark, _) in self._stops.items()}), None, now)
+    def arm(self, now: float, age: float = 0.0) -> None:
+        """Somebody on this robot takes back every stop that it knew of `age` seconds ago: a command is repeated until
+        it is confirmed, and must not take back a stop that was given meanwhile."""
+        if age <= 0.0:
+            self._waiting = None
+        by = now - max(age, 0.0)
+        known = {name: mark for name, (mark, _) in self._stops.items() if self._known_since[name] <= by}
+        self._merge(Halt({}, known), None, now)
 
     def receive(self, peer: str, data: bytes, now: float) -> None:
         """News of a neighbour; raises `FrameError`. What it says of robots that are not in our configuration takes no
@@ -193,18 +228,37 @@ class Register:
 
     def _merge(self, halt: Halt, source: str | None, now: float) -> None:
         news = Halt({}, {})
+        own = self._stops[self._me] if source is not None and self._me in self.stops else None
         for name, (mark, reason) in halt.stops.items():
             if mark > self._stops.get(name, (_NONE, ""))[0]:
                 self._stops[name] = news.stops[name] = (mark, reason)
+                self._known_since[name] = now
         for name, mark in halt.arms.items():
             if mark > self._arms.get(name, _NONE):
                 self._arms[name] = news.arms[name] = mark
+        if (
+            own is not None
+            and self._greatest_mark() > own[0]
+            and (mark := self._next_mark()).incarnation <= MAX_INCARNATION
+        ):
+            # A neighbour knows a greater mark in our name than that of our stop: of before a start, when our clock was
+            # ahead. It says nothing about this stop, which therefore gets a mark above it.
+            self._stops[self._me] = news.stops[self._me] = (mark, own[1])
+            source = None
         if news.stops or news.arms:
             self._repeat_at = min(self._repeat_at, now + REPEAT_PERIOD)
             for peer in self._links:
                 if peer != source:
                     self._send(peer, news)
             self._changed()
+
+    def _greatest_mark(self) -> Mark:
+        """Return the greatest mark in this robot's name, of a stop or of a re-arm."""
+        return max(self._stops.get(self._me, (_NONE, ""))[0], self._arms.get(self._me, _NONE))
+
+    def _next_mark(self) -> Mark:
+        """Return the mark of a new stop of this robot, above all that it knows."""
+        return max(Mark(self._incarnation(), 1), _above(self._greatest_mark()))
 
     def _send(self, peer: str, halt: Halt) -> None:
         for data in encode_halts(halt):

@@ -56,6 +56,7 @@ class Mesh:
             runtime,
             self.sockets,
             keep=lambda data: None,
+            keep_stops=lambda data: None,
         )
         self.links = runtime.entry(self.mesh.links)
         self.relay = runtime.entry(self.mesh.publish)

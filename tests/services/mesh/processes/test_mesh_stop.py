@@ -56,6 +56,7 @@ def known(state: str = "here", *, stopped: bool | None = None) -> GraphRobot:
         (True, known("self", stopped=True), "fault", True, False, "here"),
         (True, known("self", stopped=True), "balancing", False, False, "here"),
         (True, known("self", stopped=True), "standing_up", False, False, "here"),
+        (True, known("self", stopped=True), "lying_down", False, False, "here"),
         (True, known("self", stopped=False), "idle", False, True, "here"),
         (None, known(stopped=True), None, True, False, "here"),
         (None, known(stopped=None), None, False, True, "here"),
@@ -75,6 +76,16 @@ def test_what_counts_as_obeyed(
     for command, expected in ((True, stops), (False, arms)):
         (row,) = halt.rows_of(names, {} if entry is None else {"r0": entry}, modes, stop=command)
         assert (row.confirmed, row.state) == (expected, state)
+
+
+def test_a_balancer_that_may_not_have_been_heard_yet_is_waited_for() -> None:
+    """A mesh that is stopped says nothing of the motors; where a bus can be reached its balancer's state comes soon."""
+    entry = {"r0": known("self", stopped=True)}
+    for names, expected in (({"r0": True}, False), ({"r0": False}, True), ({}, True)):
+        (row,) = halt.rows_of(names, entry, {}, stop=True, listened=False)
+        assert row.confirmed is expected
+    (row,) = halt.rows_of({"r0": True}, entry, {"r0": "fault"}, stop=True, listened=False)
+    assert row.confirmed
 
 
 def test_the_table_says_who_has_not_obeyed_and_why() -> None:

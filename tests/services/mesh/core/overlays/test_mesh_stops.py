@@ -1,6 +1,10 @@
 """Stopping everybody while links and processes come and go: a stop reaches all, and only a re-arm takes it back."""
 
+import contextlib
+
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from overlay_world import World, line, ring, thesis_d
 from stop_world import NOTICED, arm, stop, stopped
 
@@ -13,9 +17,12 @@ from services.mesh.core.overlays.stop import (
     Halt,
     Mark,
     encode_halts,
+    from_file,
+    to_file,
 )
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import CONTROL, FLOOD
+from swarm.errors import FrameError
 from swarm.messages import Stop, Stopped
 from swarm.messages.codec import decode, encode
 from swarm.messages.keys import STOP
@@ -264,3 +271,105 @@ def test_a_word_that_is_none_is_a_bad_packet() -> None:
     world.step("r0", lambda each: each.receive("r1", FLOOD, "swarm/r1/mesh/stopped", wrong, CONTROL, world.now))
     assert world.bots["r0"].counters["bad_packets"] == 1
     assert world.bots["r0"].inbox == []
+
+
+def test_a_repeated_rearm_takes_back_no_stop_that_was_given_meanwhile() -> None:
+    world = World(line(3))
+    world.settle()
+    stop(world, "r0", "first")
+    world.run(NOTICED)
+    arm(world, "r1")
+    world.run(0.5)
+    stop(world, "r2", "second")
+    world.run(0.2)
+    for _ in range(5):
+        world.run(0.2)
+        age = world.now - (2.0 + NOTICED)
+        world.step("r1", lambda each, age=age: each.arm(world.now, age))  # type: ignore[misc]
+    world.run(NOTICED)
+    assert all(stopped(world, name).by == {"r2": "second"} for name in world.names)
+
+
+@pytest.mark.parametrize("age", [float("nan"), float("inf"), 1e300])
+def test_a_rearm_of_an_impossible_age_takes_nothing_back(age: float) -> None:
+    world = World(line(2))
+    world.settle()
+    stop(world, "r0")
+    world.run(NOTICED)
+    world.step("r1", lambda each: each.arm(world.now, age))
+    world.run(NOTICED)
+    assert stopped(world, "r0").stopped
+    world.step("r1", lambda each: each.arm(world.now, -1e300))
+    world.run(NOTICED)
+    assert not stopped(world, "r0").stopped
+
+
+@pytest.mark.parametrize("armed", [False, True])
+def test_a_stop_given_before_the_first_link_holds_though_the_clock_went_back(armed: bool) -> None:
+    """Marks of its past that neighbours report take no new stop back, whether its old stop was taken back or not."""
+    world = World(line(3))
+    world.settle()
+    stop(world, "r0", "before")
+    world.run(0.5)
+    if armed:
+        arm(world, "r2")
+        world.run(0.5)
+    world.kill("r0")
+    world.clock_error["r0"] = -900.0
+    world.start("r0")
+    stop(world, "r0", "now")
+    states = []
+    for _ in range(100):
+        world.run(NOTICED / 100)
+        states.append(stopped(world, "r0").stopped)
+    assert all(states)
+    assert all(stopped(world, name).by == {"r0": "now"} for name in world.names)
+    assert not any(decode(Stopped, each, "").stopped is False for each in world.got("r0", "r0/mesh/stopped"))
+    arm(world, "r2")
+    world.run(NOTICED)
+    assert not any(stopped(world, name).stopped for name in world.names)
+
+
+def test_a_process_that_starts_anew_goes_on_with_the_stops_it_knew() -> None:
+    """Before any link is there, and though all robots start anew at the same time."""
+    world = World(line(3))
+    world.settle()
+    stop(world, "r0")
+    world.run(NOTICED)
+    for name in world.names:
+        world.kill(name)
+    for name in world.names:
+        world.start(name)
+        kept = from_file(world.kept_stops[name])
+        world.step(name, lambda each, kept=kept: each.restore_stops(kept, world.now))  # type: ignore[misc]
+        assert stopped(world, name).by == {"r0": "smoke"}
+        assert world.got(name, STOP), "the own bus is told at once"
+    world.run(NOTICED)
+    arm(world, "r2")
+    world.run(NOTICED)
+    assert not any(stopped(world, name).stopped for name in world.names)
+    # What was taken back stays so.
+    world.kill("r1")
+    world.start("r1")
+    kept = from_file(world.kept_stops["r1"])
+    world.step("r1", lambda each: each.restore_stops(kept, world.now))
+    world.run(NOTICED)
+    assert not any(stopped(world, name).stopped for name in world.names)
+
+
+def test_kept_stops_are_read_as_they_were_written_and_damage_is_named() -> None:
+    halt = Halt({f"r{n}": (Mark(n, n), "x" * n) for n in range(50)}, {f"r{n}": Mark(2**60 + n, 1) for n in range(50)})
+    data = to_file(halt)
+    assert from_file(data) == halt
+    assert from_file(b"") == Halt({}, {})
+    for size in range(1, len(data)):
+        with contextlib.suppress(FrameError):
+            part = from_file(data[:size])
+            assert part.stops.items() <= halt.stops.items()
+            assert part.arms.items() <= halt.arms.items()
+
+
+@given(st.binary(max_size=300))
+def test_kept_stops_of_any_bytes_are_halts_or_damaged(data: bytes) -> None:
+    with contextlib.suppress(FrameError):
+        assert isinstance(from_file(data), Halt)
