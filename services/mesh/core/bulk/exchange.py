@@ -8,8 +8,13 @@ piece which is not there yet gets it when it is.
 asked for later. If no piece comes for a while, or ways change, the awaited pieces are either late in a long queue or
 lost. Then the robot asks for one piece more. If that piece comes first, the others are lost. If the others come first,
 nothing was asked for twice.
+
+**Turns.** The messages of one robot take turns, so that a long one does not hold up the others. A message of which no
+piece comes while those of others do is stalled: its sender itself waits for it, or is gone. Until a piece of it comes,
+only one is asked for at a time.
 """
 
+from collections import deque
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
 
@@ -30,6 +35,9 @@ TRIED = 2
 
 LOOK_AGAIN = 2.0
 """Seconds until neighbours are tried where nobody is left to be asked."""
+
+MOST_PROBES = 4
+"""Pieces of one robot beyond `ASKED` that may be under way because ways have changed."""
 
 MAX_WAITING = 4 * pieces.MAX_WANTED
 """Pieces that are remembered to be handed on to one robot when they come."""
@@ -90,6 +98,9 @@ class BulkExchange:
         self._waiting: dict[MessageId, dict[str, dict[int, None]]] = {}
         """Pieces of unfinished messages that others wait for."""
         self._look_at = _NEVER
+        self._to_ask: dict[str, None] = {}
+        """Robots that are to be asked for pieces, in this order."""
+        self._asking = False
 
     # -- what this robot fetches -------------------------------------------------------------------------------
 
@@ -114,11 +125,13 @@ class BulkExchange:
     def drop(self, id: MessageId, now: float) -> None:
         """Give a message up."""
         if (fetch := self._fetches.pop(id, None)) is not None:
+            source = fetch.source
             self._leave(fetch)
             for peer in self._waiting.pop(id, ()):
                 self._emit(Packet(GONE, self._me, peer, id, b""))
             self._counters["large_incomplete"] += 1
             self._finished(id, None, now)
+            self._ask(source, now)
 
     def ways_changed(self, now: float) -> None:
         """There are ways where there were none, or the other way round."""
@@ -130,7 +143,8 @@ class BulkExchange:
             if source is not None:
                 for fetch in tuple(source.fetches.values()):
                     # Without a further piece one would be asked for twice, which only a silence is worth.
-                    if fetch.has_further or source.timeouts:
+                    worth = fetch.has_further or source.timeouts
+                    if worth and fetch.source == name and source.asked < ASKED + MOST_PROBES:
                         self._probe(name, fetch, now)
             self._ask(name, now)
 
@@ -161,12 +175,14 @@ class BulkExchange:
             if index in indexes:
                 del indexes[index]
                 self._give(peer, id, index, data)
+        asked = fetch.source
         if fetch.complete:
             del self._fetches[id]
             self._leave(fetch)
             self._waiting.pop(id, None)
             self._finished(id, fetch.payload(), now)
         self._ask(sender, now)
+        self._ask(asked, now)  # another one, where the piece came from a robot that was asked before
 
     def _on_gone(self, sender: str, id: MessageId, now: float) -> None:
         fetch = self._fetches.get(id)
@@ -223,11 +239,22 @@ class BulkExchange:
         overdue = [fetch for fetch in source.fetches.values() if now >= fetch.waiting_since + source.timeout]
         source.timeouts += 1
         for fetch in overdue:
-            if source.timeouts >= TRIED and fetch.sources:
+            if fetch.source != name:
+                continue  # its way has ended meanwhile
+            others_come = any(each.have and each.heard > fetch.waiting_since for each in source.fetches.values())
+            if fetch.sources and (others_come or source.timeouts >= TRIED):
                 fetch.sources.append(name)
                 self._next_source(fetch, now)
+            elif others_come:
+                fetch.ask_again()
+                fetch.stalled = True
+                self._ask_for_one(name, fetch, now)
+                self._ask(name, now)  # its places are free
             else:
                 self._probe(name, fetch, now)
+        for fetch in tuple(source.fetches.values()):
+            if not fetch.asked and fetch.source == name:
+                self._ask_for_one(name, fetch, now)  # the places are taken by what does not come
 
     def next_deadline(self) -> float:
         """Return the time at which `handle_timer` must be called."""
@@ -246,6 +273,10 @@ class BulkExchange:
         if index is not None:
             self._want(name, fetch, [index], now)
 
+    def _ask_for_one(self, name: str, fetch: Fetch, now: float) -> None:
+        if (index := fetch.pick(now)) is not None:
+            self._want(name, fetch, [index], now)
+
     def _assign(self, fetch: Fetch, robot: str, now: float) -> None:
         fetch.source = robot
         self._sources.setdefault(robot, _Source()).fetches[fetch.id] = fetch
@@ -262,13 +293,29 @@ class BulkExchange:
 
     def _next_source(self, fetch: Fetch, now: float) -> None:
         fetch.ask_again()
+        fetch.stalled = False
+        before = fetch.source
         self._leave(fetch)
         if fetch.sources:
             self._assign(fetch, fetch.sources.popleft(), now)
         else:
             self._look_at = min(self._look_at, now + LOOK_AGAIN)
+        self._ask(before, now)
 
-    def _ask(self, name: str, now: float) -> None:
+    def _ask(self, name: str | None, now: float) -> None:
+        """Ask a robot for as many pieces as may be under way. A call that comes of another one is made after it."""
+        if name is not None:
+            self._to_ask[name] = None
+        if self._asking:
+            return
+        self._asking = True
+        while self._to_ask:
+            name = next(iter(self._to_ask))
+            del self._to_ask[name]
+            self._fill_up(name, now)
+        self._asking = False
+
+    def _fill_up(self, name: str, now: float) -> None:
         """Ask a robot for as many pieces as may be under way, its messages in turns."""
         source = self._sources.get(name)
         if source is None:
@@ -276,15 +323,16 @@ class BulkExchange:
         room = ASKED - source.asked
         if room < 2 and source.asked:
             return  # a WANT for two pieces at least
-        waiting = list(source.fetches.values())
+        waiting = deque(fetch for fetch in source.fetches.values() if not fetch.stalled)
         picked: dict[MessageId, list[int]] = {}
         while room > 0 and waiting:
-            fetch = waiting.pop(0)
+            fetch = waiting.popleft()
             index = fetch.pick(now)
             if index is not None:
                 picked.setdefault(fetch.id, []).append(index)
                 room -= 1
                 waiting.append(fetch)
+                source.fetches[fetch.id] = source.fetches.pop(fetch.id)  # its turn has been
         for id, indexes in picked.items():
             self._want(name, source.fetches[id], indexes, now)
 

@@ -187,7 +187,7 @@ def decode_state(body: bytes) -> int:
 
 ASKED = 32
 """Pieces of one robot that may be under way. Their 60 kB keep nine of the thesis' links in a row busy (78 kB/s, 30 ms
-each way, and 24 ms until a piece has passed a link), and the pieces of 25 robots fit into the queue of one link."""
+each way, and 24 ms until a piece has passed a link), and the pieces of 20 robots fit into the queue of one link."""
 
 REORDERED = 3
 """A piece counts as lost when another one comes that was asked for later by more than so many pieces."""
@@ -210,6 +210,8 @@ class Fetch:
         """The robot that is asked now."""
         self.sources: deque[str] = deque()
         """The other robots that may have it."""
+        self.stalled = False
+        """Whether pieces of other messages came from its source, and none of it. Then one is asked for at a time."""
         self._parts: dict[int, bytes] = {}
         self._next = 0
         self._again: deque[int] = deque()
@@ -287,6 +289,7 @@ class Fetch:
         self._parts[index] = data
         self.have += 1
         self.heard = self._since = now
+        self.stalled = False
         if place is not None and index not in self._given_up:
             before = place - (1 if self._doubted else REORDERED + 1)
             self._doubted = False

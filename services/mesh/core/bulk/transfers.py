@@ -203,7 +203,7 @@ class Transfers:
             self._counters["unicast_duplicates"] += 1
             return DONE
         if id in self._keys:
-            return None
+            return LATER  # it may wait for its turn: the sender is not to take this robot for silent
         if not self._make_room(sender, id, total, now):
             self._counters["unicast_large_later"] += 1
             return LATER

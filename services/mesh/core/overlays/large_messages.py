@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 
 from services.mesh.core.bulk import pieces
 from services.mesh.core.bulk.exchange import BulkExchange, total_of
-from services.mesh.core.bulk.numbered import SeenNumbers
 from services.mesh.core.bulk.pieces import SIZE, MessageId, Packet
 from services.mesh.core.bulk.transfers import Transfers
 from services.mesh.core.overlays.completion import Completion
@@ -35,8 +34,8 @@ HOLD = 30.0
 SLOWEST = 10_000.0
 """bytes/s at which a large flood must get on for its echo to be waited for."""
 
-WINDOW = 64
-"""Large floods of one origin that are told apart."""
+MAX_DELIVERED = 256
+"""Large floods of one origin that are remembered as delivered. Their numbers lie far apart: all floods are counted."""
 
 COUNTERS = ("flood_large_refused",)
 
@@ -96,7 +95,8 @@ class LargeFloods:
         self.exchange: BulkExchange
         self._coming: dict[MessageId, _Coming] = {}
         self._held: OrderedDict[MessageId, _Held] = OrderedDict()
-        self._delivered: dict[str, tuple[int, SeenNumbers]] = {}
+        self._delivered: dict[str, tuple[int, deque[int]]] = {}
+        """By origin its incarnation, and the numbers of its large floods that were delivered."""
 
     def has_room(self, size: int) -> bool:
         """Return whether one more own message can be held."""
@@ -171,7 +171,7 @@ class LargeFloods:
             else:
                 fresh = self._store.incarnation(id.origin) == id.incarnation and not self._was_delivered(id)
                 if fresh:
-                    self._delivered[id.origin][1].add(id.number)
+                    self._delivered[id.origin][1].append(id.number)
             self.hold(id, payload, now, coming.key if packet.latest else "")
             if fresh:
                 self._deliver(id.origin, coming.key, payload, BULK, id.incarnation)
@@ -223,11 +223,11 @@ class LargeFloods:
         return used <= MAX_BYTES
 
     def _was_delivered(self, id: MessageId) -> bool:
-        incarnation, window = self._delivered.get(id.origin, (0, None))
-        if window is None or incarnation < id.incarnation:
-            window = SeenNumbers(WINDOW)
-            self._delivered[id.origin] = (id.incarnation, window)
-        return incarnation <= id.incarnation and window.has(id.number)
+        incarnation, numbers = self._delivered.get(id.origin, (0, None))
+        if numbers is None or incarnation < id.incarnation:
+            numbers = deque(maxlen=MAX_DELIVERED)
+            self._delivered[id.origin] = (id.incarnation, numbers)
+        return incarnation <= id.incarnation and id.number in numbers
 
 
 class Large:

@@ -4,6 +4,7 @@ import pytest
 from large_world import GRAPHS, arrived, idle, large
 from overlay_world import World, full, line, ring
 
+from services.mesh.core.actions import Transmit
 from services.mesh.core.bulk import pieces
 from services.mesh.core.overlays import large_messages
 from services.mesh.core.wire.frames import BULK, MAX_MESSAGE
@@ -112,3 +113,34 @@ def test_too_many_bytes_of_floods_are_refused() -> None:
     assert ["under way" in answer.problem or "at most" in answer.problem for answer in answers[4:] if answer] == [
         True, True
     ]  # fmt: skip
+
+
+def test_a_large_flood_that_many_later_ones_overtake_is_delivered_and_told_truly(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Floods of all sizes are counted together, so that the number of a large one may be far behind the newest."""
+    world = World(line(2))
+    world.settle()
+    ticket = world.flood("r0", large(1, 100_000), priority="bulk")
+    world.run(0.1)
+    (slow,) = world.bots["r1"].overlays._large._exchange.fetching
+    transmit, held = world._transmit, True
+
+    def hold(name: str, packet: Transmit) -> None:
+        piece = packet.key.endswith("/pieces") and pieces.decode(packet.payload)
+        if not (held and piece and piece.kind == pieces.PIECE and piece.id == slow.id):
+            transmit(name, packet)
+
+    monkeypatch.setattr(world, "_transmit", hold)
+    for _ in range(2 * large_messages.MAX_DELIVERED):
+        world.flood("r0", b"small")
+        world.run(0.01)
+    world.flood("r0", large(2, 60_000), priority="bulk")
+    world.run(3.0)
+    assert large(2, 60_000) in world.got("r1", "/flood")
+    held = False
+    world.run(20.0)
+    assert world.got("r1", "/flood").count(large(1, 100_000)) == 1
+    answer = world.flooded("r0", ticket)
+    assert answer is not None
+    assert (answer.robots, answer.complete) == (("r1",), True)

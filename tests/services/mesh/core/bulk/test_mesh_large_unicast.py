@@ -1,5 +1,6 @@
 """Large messages of unicast: every byte once, whatever happens to links, robots and packets."""
 
+import mesh_world
 import pytest
 from large_world import arrived, idle, large
 from overlay_world import World, full, line, ring
@@ -163,3 +164,22 @@ def test_a_newer_value_takes_the_place_of_a_large_one_under_way() -> None:
     world.run(20.0)
     assert arrived(world, "r2", "allowed") == [large(4, MAX_MESSAGE)]
     assert idle(world)
+
+
+@pytest.mark.parametrize("after", [0.1, 0.4, 0.7, 1.0])
+def test_a_newer_value_arrives_though_nothing_else_happens_in_the_swarm(after: float) -> None:
+    """Long after the start no change of ways makes anybody ask again."""
+    world = mesh_world.World([("r0", "r1")], bandwidth=78_000.0)
+    world.run(20.0)
+    key = "swarm/r0/app/x/send/r1"
+
+    def send(payload: bytes) -> None:
+        world.step(
+            "r0", lambda node: node.ask(lambda o, now: o.send("r1", key, payload, BULK, now, latest=True), world.now)
+        )
+
+    send(large(0, 150_000))
+    world.run(after)
+    send(large(1, 150_000))
+    world.run(10.0)
+    assert (key, large(1, 150_000)) in world.bots["r1"].inbox
