@@ -33,6 +33,7 @@ from swarm.config import Config
 from swarm.core.lockstep.frames import MAX_ITERATION
 from swarm.errors import AppError, LocalError
 from swarm.process.arguments import whole
+from swarm.process.paths import state_dir
 from swarm.process.service import Service, run
 from swarm.process.threads import ThreadedRuntime
 
@@ -68,7 +69,7 @@ def main() -> int:
         if metrics_of(type(instance)):
             instance.robot.truth = TruthWatch(service.bus, service.robot, app.name, service.config)
         storage = FileStorage(service.runtime)
-        claim = AppLock(service.runtime, app.name)
+        claim = AppLock(service.runtime, app.name, state_dir())
         if not links.kept:
             topology.save(service.runtime, app.name, number, links)
         folder = place_of(app.name, number, wanted=options.record)

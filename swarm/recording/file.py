@@ -5,6 +5,8 @@ misses a second; with a journal the next process of the run puts that in, too. L
 it is logged once and counted.
 """
 
+import contextlib
+import itertools
 import logging
 import os
 import threading
@@ -19,7 +21,7 @@ from swarm.errors import RecordingError
 from swarm.recording.budget import hold
 from swarm.recording.core import mcap
 from swarm.recording.core.writer import ExistingContent, Writer
-from swarm.recording.journal import Journal
+from swarm.recording.journal import NO_OWNER, Journal, owner_of
 from swarm.recording.survey import survey
 
 FLUSH_S = 1.0
@@ -36,6 +38,14 @@ MAX_WAITING = 1024 * 1024
 LIBRARY = f"balboa-swarm {__version__}"
 
 _log = logging.getLogger("record")
+
+
+def set_aside(path: Path, reason: Exception) -> None:
+    """Give a file that cannot be read another name, so that it is not overwritten. Raises `OSError`."""
+    names = itertools.chain([".damaged"], (f".damaged{number}" for number in itertools.count(2)))
+    aside = next(free for name in names if not (free := path.with_suffix(name)).exists())
+    _log.warning("%s: %s; it is now %s", path, reason, aside.name)
+    path.rename(aside)
 
 
 class RecordingFile:
@@ -69,13 +79,18 @@ class RecordingFile:
         """Why nothing is written at the moment; empty while all is well."""
         self._file: int | None = None
         self._journal = self._open_journal(journal)
-        left = self._journal.left() if self._journal is not None and append else []
+        self._owner = NO_OWNER
+        """Whose the journal's records are: this file's."""
+        left: list[tuple[int, bytes]] = []
         known = ExistingContent()
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT, 0o664)
             hold(self._file)
+            if append and self._journal is not None:
+                left = self._journal.left(owner_of(self._file))
             if append:
                 known = self._found(left[0][0] if left else None)
+            self._owner = owner_of(self._file)
             os.ftruncate(self._file, known.position)
         except OSError as error:
             self._lose(error.strerror or str(error))
@@ -129,6 +144,8 @@ class RecordingFile:
             if self._file is None:
                 return
             self._finish(self._file)
+            with contextlib.suppress(OSError):
+                os.fdatasync(self._file)
             os.close(self._file)
             self._file = None
             if self._journal is not None:
@@ -153,6 +170,8 @@ class RecordingFile:
             return Journal(path)
         except OSError as error:
             _log.warning("%s: %s; a process that is killed loses a second of its recording", path, error.strerror)
+            with contextlib.suppress(OSError):
+                path.unlink()  # the next process is not to take what an earlier one has left for ours
             return None
 
     def _restore(self, left: list[tuple[int, bytes]]) -> None:
@@ -172,7 +191,7 @@ class RecordingFile:
             self._unwritten = self._writer.take()
             self._store()
         else:
-            self._journal.begin(self._written)
+            self._journal.begin(self._written, self._owner)
 
     def _keep(self, record: bytes) -> None:
         if self._journal is not None and not self._restoring:
@@ -185,9 +204,7 @@ class RecordingFile:
         try:
             return survey(self._file, limit)
         except RecordingError as error:
-            aside = self._path.with_suffix(".damaged")
-            _log.warning("%s: %s; it is now %s", self._path, error, aside.name)
-            self._path.rename(aside)
+            set_aside(self._path, error)
             os.close(self._file)
             self._file = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o664)
             hold(self._file)
@@ -240,7 +257,7 @@ class RecordingFile:
         if self._journal is not None:
             if self._restoring:
                 with self._lock:
-                    self._journal.begin(self._written)
+                    self._journal.begin(self._written, self._owner)
                     self._restoring = False
             else:
                 self._journal.stored()

@@ -3,10 +3,12 @@ memory on a robot. A process killed by -9 loses none of them, and nobody waits f
 
 Two halves take turns: one grows while the other is being written to the recording. Each begins with the offset in the
 recording at which its records are due, and their length; 0 = they are there. Before the halves stands a mark that says
-whether they count: one store takes both away. The file owns all its blocks from the start on: a page of a mapped file
+whether they count: one store takes both away. Behind the mark stands which file the records belong to: several runs of
+an app use one journal after the other. The file owns all its blocks from the start on: a page of a mapped file
 for which a full disk has no block ends the process with SIGBUS.
 """
 
+import hashlib
 import mmap
 import os
 import struct
@@ -22,8 +24,17 @@ _FIRST = 16
 """Offset of the first half."""
 _SIZE = _FIRST + 2 * HALF
 
+NO_OWNER = bytes(_FIRST - len(_MARK))
+"""Of a recording that could not be opened."""
+
 _HEAD = struct.Struct("<QQ")
 _LENGTH = struct.Struct("<Q")
+
+
+def owner_of(recording: int) -> bytes:
+    """Return 8 bytes that tell the open file of a recording from all others on this computer, until it boots."""
+    found = os.fstat(recording)
+    return hashlib.blake2b(f"{found.st_dev} {found.st_ino}".encode(), digest_size=_FIRST - len(_MARK)).digest()
 
 
 class Journal:
@@ -38,10 +49,10 @@ class Journal:
         self._half = _FIRST
         self._length = 0
 
-    def left(self) -> list[tuple[int, bytes]]:
-        """Offset and records of the halves that never reached the recording, in order."""
+    def left(self, owner: bytes) -> list[tuple[int, bytes]]:
+        """Offset and records of the halves that never reached the recording that `owner_of` describes, in order."""
         found: list[tuple[int, bytes]] = []
-        if self._map[: len(_MARK)] != _MARK:
+        if self._map[:_FIRST] != _MARK + owner:
             return found
         for at in (_FIRST, _FIRST + HALF):
             base, length = _HEAD.unpack_from(self._map, at)
@@ -49,12 +60,14 @@ class Journal:
                 found.append((base, self._map[at + _HEAD.size : at + _HEAD.size + length]))
         return sorted(found)
 
-    def begin(self, base: int) -> None:
-        """Forget what both halves hold, which has reached the recording, and begin with records due at `base`."""
+    def begin(self, base: int, owner: bytes) -> None:
+        """Forget what both halves hold, which has reached the recording, and begin with records of `owner` that are due
+        at `base`."""
         self._map[: len(_MARK)] = bytes(len(_MARK))
         self._half, self._length = _FIRST, 0
         self._map[_FIRST : _FIRST + _HEAD.size] = _HEAD.pack(base, 0)
         self._set_length(self._other, 0)
+        self._map[len(_MARK) : _FIRST] = owner
         self._map[: len(_MARK)] = _MARK
 
     def turn(self, base: int) -> None:

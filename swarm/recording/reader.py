@@ -191,10 +191,8 @@ def _time(text: str) -> int:
 
 
 def run_of(path: Path) -> str:
-    """The run that a recording is of; empty where that cannot be read."""
-    try:
-        reader = RecordingReader(path)
-        next(reader.samples(), None)
-    except RecordingError:
-        return ""
+    """The run that a recording is of; empty where it names none. Raises `RecordingError` or `OSError` where it cannot
+    be read."""
+    reader = RecordingReader(path)
+    next(reader.samples(), None)
     return next((entries.get("run", "") for name, entries in reader.metadata if name == RUN), "")

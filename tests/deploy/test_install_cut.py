@@ -381,3 +381,17 @@ def test_what_uninstall_leaves_are_files_and_not_links_to_what_is_gone(robot: Ro
     for _, tree in cuts(steps):
         assert robot.read(tree, "etc/swarm/swarm.toml") == "config 1"
         assert robot.read(tree, "etc/swarm/key") == "key 1"
+
+
+def test_an_old_release_that_a_cut_left_half_removed_does_not_count_as_whole(robot: Robot) -> None:
+    """Else it could not be installed again."""
+    for number in ("1", "2"):
+        robot.run(robot.release(number) / "install", *files(robot, number))
+    steps = robot.run(robot.release("3") / "install", *files(robot, "3"))
+    folder = "opt/swarm/releases/1"
+    parts = {path for path in steps[0][1] if path.startswith(folder + "/bin/")}
+    assert parts
+    assert f"{folder}/complete" in steps[0][1]
+    assert folder not in steps[-1][1]
+    for count, tree in cuts(steps):
+        assert f"{folder}/complete" not in tree or parts <= tree.keys(), count

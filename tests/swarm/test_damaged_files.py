@@ -26,7 +26,7 @@ from swarm.config.keyfile import new_key_file, read_keys
 from swarm.errors import LocalError, SwarmError
 from swarm.messages.codec import encode
 from swarm.recording import folder
-from swarm.recording.journal import Journal
+from swarm.recording.journal import NO_OWNER, Journal
 
 REFUSED = "refused, with the file's name"
 CONFIG = """network = "test"
@@ -62,7 +62,7 @@ def read_topology(place: Path) -> object:
 
 
 def read_claim(place: Path) -> int:
-    claim = AppLock(place.parent, "x")
+    claim = AppLock(place.parent, "x", place.parent)
     claim.close()
     return claim.incarnation
 
@@ -83,7 +83,7 @@ def read_snapshot(place: Path) -> list[bytes]:
 
 def write_journal(place: Path) -> None:
     journal = Journal(place)
-    journal.begin(0)
+    journal.begin(0, NO_OWNER)
     journal.add(b"record")
     journal.close()
 
@@ -91,7 +91,7 @@ def write_journal(place: Path) -> None:
 def read_journal(place: Path) -> list[tuple[int, bytes]]:
     journal = Journal(place)
     try:
-        return journal.left()
+        return journal.left(NO_OWNER)
     finally:
         journal.close()
 

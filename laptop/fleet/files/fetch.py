@@ -18,7 +18,7 @@ from laptop.fleet.files.journal import FIELDS, JournalMark, entry
 from laptop.fleet.ssh.everyone import ReportProgress
 from laptop.fleet.ssh.ssh import Host, HostError, Ssh, last_words
 from swarm.errors import RemoteError
-from swarm.files import atomic_write, sync_folder
+from swarm.files import atomic_write, make_folder, sync_folder
 
 JOURNAL = "journal"
 """Folder of the journals, beside those of the runs."""
@@ -207,7 +207,7 @@ class _Sink:
     def _open(self, file: File) -> BinaryIO:
         if self._file is None:
             self._path = self._places[file]
-            self._path.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(self._path.parent)
             self._file = self._path.open("ab")
         return self._file
 

@@ -8,6 +8,7 @@ that is started anew in mid-run goes on with the links that its run began with, 
 import logging
 import threading
 import zlib
+from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
@@ -96,7 +97,7 @@ def of_run(service: Service, app: str, run: int) -> RunLinks | None:
         return of_edges(config, kept, kept=True)
     if len(config.robots) == 1:
         return of_edges(config, ())
-    answers: list[Topology] = []
+    answers: deque[Topology] = deque(maxlen=1)
     answered = threading.Event()
 
     def take(topology: Topology) -> None:

@@ -1,5 +1,6 @@
 """The recording of an app's host: the folder of its run, and the file in it."""
 
+import contextlib
 import os
 import time
 from collections.abc import Sequence
@@ -10,10 +11,11 @@ from services.apps.persistence.recorder import Recorder
 from swarm import clock
 from swarm.app.settings import Setting
 from swarm.config.dump import dump
+from swarm.errors import RecordingError
 from swarm.process.service import Service
 from swarm.recording import folder
 from swarm.recording.budget import Budget
-from swarm.recording.file import RecordingFile
+from swarm.recording.file import RecordingFile, set_aside
 from swarm.recording.reader import CLOCK, EPOCH, PLOTTED, RUN, SHAPES, SUFFIX, run_of
 from swarm.recording.recorded_topics import TopicRecorder
 
@@ -54,7 +56,7 @@ class AppRecording:
         self._file = RecordingFile(
             path,
             service.counters,
-            append=run_of(path) == entries["run"],
+            append=_goes_on(path, entries["run"]),
             journal=service.runtime / f"app.{app.name}.journal",
         )
         epoch_ns = self._file.epoch_ns
@@ -88,6 +90,18 @@ class AppRecording:
             self._service.degraded(told)
         elif not problem and status.state == "degraded" and status.reason == self._told:
             self._service.ready()
+
+
+def _goes_on(path: Path, run: str) -> bool:
+    """Return whether the file is of this run. One that cannot be read, which may be, is set aside."""
+    try:
+        return path.stat().st_size > 0 and run_of(path) == run
+    except FileNotFoundError:
+        return False
+    except (RecordingError, OSError) as error:
+        with contextlib.suppress(OSError):
+            set_aside(path, error)
+        return False
 
 
 def place_of(app: str, run: int, *, wanted: bool) -> Path | None:

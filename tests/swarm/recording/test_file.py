@@ -204,3 +204,15 @@ def test_a_defect_of_the_recording_thread_ends_the_recording_and_nothing_else(op
     assert told == ["defect of the recording: KeyError('a defect')"]
     assert "the recording thread has a defect" in caplog.text
     monkeypatch.undo()
+
+
+def test_a_recording_that_has_ended_is_on_the_disk(open_file, monkeypatch):
+    """Its robot may be switched off at once."""
+    calls = []
+    pwrite, sync = os.pwrite, os.fdatasync
+    monkeypatch.setattr(os, "pwrite", lambda *words: calls.append("write") or pwrite(*words))
+    monkeypatch.setattr(os, "fdatasync", lambda file: calls.append("sync") or sync(file))
+    file = open_file()
+    file.write(TOPIC, 0.0, {"i": 0})
+    file.close()
+    assert calls[-2:] == ["write", "sync"]

@@ -10,7 +10,7 @@ from needs import fill, small_disk
 from recorded_numbers import TOPIC, numbers
 
 from swarm.recording.file import RecordingFile
-from swarm.recording.journal import HALF, Journal
+from swarm.recording.journal import HALF, NO_OWNER, Journal, owner_of
 
 pytest_plugins = ("recording_fixtures",)
 
@@ -173,7 +173,7 @@ def test_a_journal_owns_its_blocks_so_that_a_full_disk_cannot_kill_the_process(t
     with small_disk(tmp_path / "disk", 2 * 1024 * 1024) as disk:
         journal = Journal(disk / "journal")
         fill(disk / "ballast")
-        journal.begin(0)
+        journal.begin(0, NO_OWNER)
         for half in range(2):
             for _ in range(HALF // 1024 - 1):
                 journal.add(bytes(1024))  # without blocks: SIGBUS
@@ -228,10 +228,49 @@ def test_a_new_run_does_not_take_the_journal_of_another(open_file, tmp_path):
 def test_a_journal_of_junk_is_left_out(open_file, tmp_path, caplog):
     journal = tmp_path / "journal"
     record = b"\x05" + (22).to_bytes(8, "little") + bytes(22)
-    head = b"BLJOUR1\n" + bytes(8)
+    with (tmp_path / "x.mcap").open("wb") as recording:
+        head = b"BLJOUR1\n" + owner_of(recording.fileno())
     journal.write_bytes(head + (8).to_bytes(8, "little") + len(record).to_bytes(8, "little") + record)
     file = open_file(journal=journal, append=True)
     file.write(TOPIC, 1.0, {"i": 1})
     file.close()
     assert numbers(tmp_path / "x.mcap")[0] == [1]
     assert "a message of channel 0, which is not described" in caplog.text
+
+
+def test_a_run_that_is_gone_on_with_does_not_take_the_journal_of_another(open_file, tmp_path):
+    """One app uses one journal for all its runs: what a killed process has left there may be of another file."""
+    journal = tmp_path / "journal"
+    first = open_file(tmp_path / "a.mcap", journal=journal)
+    for i in range(100):
+        first.write(TOPIC, float(i), {"i": i})
+    first.close()
+    other = open_file(tmp_path / "b.mcap", journal=journal)
+    for i in range(3):
+        other.write(TOPIC, float(i), {"i": 1000 + i})
+    killed(other)
+    again = open_file(tmp_path / "a.mcap", journal=journal, append=True)
+    again.write(TOPIC, 100.0, {"i": 100})
+    again.close()
+    assert numbers(tmp_path / "a.mcap")[0] == list(range(101))
+
+
+def test_a_journal_that_cannot_be_used_is_no_longer_there_for_the_next_process(open_file, tmp_path, monkeypatch):
+    """It would take what was left there before for the end of the file, which has grown since."""
+    journal = tmp_path / "journal"
+    first = open_file(journal=journal)
+    first.write(TOPIC, 0.0, {"i": 0})
+    killed(first)
+
+    def refuse(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as without:
+        without.setattr("swarm.recording.file.Journal", refuse)
+        second = open_file(journal=journal, append=True)
+        for i in range(1, 50):
+            second.write(TOPIC, float(i), {"i": i})
+        second.close()
+    third = open_file(journal=journal, append=True)
+    third.close()
+    assert numbers(tmp_path / "x.mcap")[0] == list(range(1, 50))

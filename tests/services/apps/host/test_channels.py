@@ -32,7 +32,7 @@ def main():
             Part(name, Runner(app.make(service.config, service.robot), app.source))
             for name, app in (("a", fast), ("b", slow))
         ]
-        claim = AppLock(service.runtime, "pair")
+        claim = AppLock(service.runtime, "pair", service.runtime)
         place = RunPlace.of(7, b"1", RunOptions(50), links.config, links.epoch, claim.incarnation)
         runtime = ThreadedRuntime(service)
         host = LockstepHost(runtime, "pair", parts, place, FileStorage(service.runtime), None)

@@ -1,5 +1,11 @@
 """The links of a run: those in force when it began, through kills and through changes."""
 
+import gc
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
 import pytest
 from apps_rig import Rig
 from conftest import wait_until
@@ -10,6 +16,7 @@ from services.apps.host import topology
 from services.apps.host.topology import CONFIGURED, SETTLED, TopologyWatch, lacking
 from swarm.core.lockstep.frames import Channel
 from swarm.messages import Topology
+from swarm.messages.codec import encode
 
 __all__ = ["make_rig"]
 
@@ -128,3 +135,32 @@ def test_only_a_missing_link_that_is_waited_for_is_a_reason() -> None:
     watch.heard("r1", ours, ours)
     watch.take(told(*STAR, version=4, near="r0 r1"))
     assert watch.reason(("r0", "r1")) == ""
+
+
+def test_a_run_that_waits_for_a_topology_keeps_only_the_newest_answer(tmp_path: Path) -> None:
+    """It may wait for days until a robot is switched on."""
+    config = config_of(3)
+
+    class Answers:
+        publish = staticmethod(lambda *_: None)
+
+        @staticmethod
+        def ask(name: str, on_reply: Callable[[str, bytes], None], **_: object) -> None:
+            for _ in range(100):
+                on_reply(name, encode(told(("r0", "r1"))))
+
+    rounds = iter([False, False, True])
+    stopping = SimpleNamespace(wait=lambda _: next(rounds))
+    service: Any = SimpleNamespace(runtime=tmp_path, config=config, robot="r0", bus=Answers, stopping=stopping)
+    kept: list[int] = []
+
+    def look(*_: object) -> str:
+        gc.collect()
+        kept.append(sum(isinstance(each, Topology) for each in gc.get_objects()))
+        return "not yet"
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(topology, "lacking", look)
+        assert topology.of_run(service, "x", 7) is None
+    assert len(kept) == 3
+    assert kept[-1] <= kept[0]

@@ -15,12 +15,12 @@ from swarm.errors import AppError, LocalError
 
 
 def test_one_process_at_a_time_and_a_number_that_goes_up(tmp_path: Path) -> None:
-    first = AppLock(tmp_path, "consensus")
+    first = AppLock(tmp_path, "consensus", tmp_path / "state")
     with pytest.raises(LocalError, match=r"app\.consensus\.lock: another process runs app consensus on this robot"):
-        AppLock(tmp_path, "consensus")
-    other = AppLock(tmp_path, "other")
+        AppLock(tmp_path, "consensus", tmp_path / "state")
+    other = AppLock(tmp_path, "other", tmp_path / "state")
     first.close()
-    second = AppLock(tmp_path, "consensus")
+    second = AppLock(tmp_path, "consensus", tmp_path / "state")
     assert (first.incarnation, second.incarnation, other.incarnation) == (1, 2, 1)
     second.close()
     other.close()
@@ -28,13 +28,44 @@ def test_one_process_at_a_time_and_a_number_that_goes_up(tmp_path: Path) -> None
 
 def test_a_runtime_directory_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(LocalError, match=r"none/app\.consensus\.lock: No such file or directory"):
-        AppLock(tmp_path / "none", "consensus")
+        AppLock(tmp_path / "none", "consensus", tmp_path / "state")
 
 
 def test_a_damaged_incarnation_is_not_guessed(tmp_path: Path) -> None:
     (tmp_path / "app.consensus.lock").write_text("what is this")
     with pytest.raises(LocalError, match="cannot be used"):
-        AppLock(tmp_path, "consensus")
+        AppLock(tmp_path, "consensus", tmp_path / "state")
+
+
+def incarnation_after_boot(tmp_path: Path) -> int:
+    """Of a process that starts when the runtime directory was cleared."""
+    (tmp_path / "app.consensus.lock").unlink(missing_ok=True)
+    lock = AppLock(tmp_path, "consensus", tmp_path / "state")
+    lock.close()
+    return lock.incarnation
+
+
+def test_the_incarnation_goes_up_though_a_boot_has_taken_the_lock_file(tmp_path: Path) -> None:
+    """Neighbours that ran on ignore everything of a lower one."""
+    for _ in range(3):
+        AppLock(tmp_path, "consensus", tmp_path / "state").close()
+    assert incarnation_after_boot(tmp_path) == 4
+    assert incarnation_after_boot(tmp_path) == 5
+
+
+@pytest.mark.parametrize("damage", [b"", b"what is this", b"9" * 1000, bytes(20), "x".encode("utf-16")])
+def test_a_kept_incarnation_that_is_damaged_is_replaced_by_a_greater_one(tmp_path: Path, damage: bytes) -> None:
+    assert incarnation_after_boot(tmp_path) == 1
+    (tmp_path / "state/epochs/consensus.starts").write_bytes(damage)
+    found = incarnation_after_boot(tmp_path)
+    assert found > 1_000_000_000
+    assert incarnation_after_boot(tmp_path) > found
+
+
+def test_an_app_starts_where_its_incarnation_cannot_be_kept(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "state").write_text("no folder")
+    assert incarnation_after_boot(tmp_path) >= 1
+    assert "neighbours may ignore this app" in caplog.text
 
 
 # Snapshot
