@@ -7,7 +7,7 @@ in which order, how late or how often news arrive: a late copy of a stop is not 
 no stop back that it did not know of.
 
 Whatever is new to a robot it sends to its other neighbours at once (control class), everything to a neighbour whose
-link came up, and every 10 s, for full queues may drop anything.
+link came up, after 1 s and then every 10 s, for full queues may drop anything.
 
 `Register` is that register, `Stops` tells this robot's bus, and the swarm, which robots have stopped the swarm.
 """
@@ -119,6 +119,9 @@ def from_file(data: bytes) -> Halt:
 
 REPEAT_PERIOD = 10.0
 """Seconds between two messages to each neighbour once there was a stop."""
+
+FIRST_REPEAT = 1.0
+"""Seconds from news to its first repetition: a link whose queue is full may have dropped it."""
 
 SPACING = 0.1
 """Seconds between two stops of this robot: who publishes `swarm/stop` in a loop must not fill the links."""
@@ -246,7 +249,7 @@ class Register:
             self._stops[self._me] = news.stops[self._me] = (mark, own[1])
             source = None
         if news.stops or news.arms:
-            self._repeat_at = min(self._repeat_at, now + REPEAT_PERIOD)
+            self._repeat_at = min(self._repeat_at, now + FIRST_REPEAT)
             for peer in self._links:
                 if peer != source:
                     self._send(peer, news)

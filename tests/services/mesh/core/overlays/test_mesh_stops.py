@@ -10,6 +10,7 @@ from stop_world import NOTICED, arm, stop, stopped
 
 from services.mesh.core.overlays.stop import (
     CONFIRM_AFTER,
+    FIRST_REPEAT,
     MAX_NAMED,
     REPEAT_PERIOD,
     SPACING,
@@ -82,9 +83,9 @@ def test_no_late_duplicate_undoes_a_rearm_and_none_undoes_a_stop() -> None:
 
     world.watch = listen
     stop(world, "r0")
-    world.run(1.0)
+    world.run(0.5 * FIRST_REPEAT)
     arm(world, "r0")
-    world.run(1.0)
+    world.run(0.4 * FIRST_REPEAT)
     old = list(heard)
     assert len(old) == 2
 
@@ -174,7 +175,16 @@ def test_a_lost_stop_is_repeated() -> None:
     world.settle()
     world.loss = 1.0
     stop(world, "r0")
+    world.run(0.9 * FIRST_REPEAT)
+    assert not stopped(world, "r1").stopped
+    world.loss = 0.0
+    world.run(0.2 * FIRST_REPEAT)
+    assert stopped(world, "r1").stopped
+    arm(world, "r0")
     world.run(1.0)
+    world.loss = 1.0
+    stop(world, "r0", "again")
+    world.run(3.0 * FIRST_REPEAT)
     assert not stopped(world, "r1").stopped
     world.loss = 0.0
     world.run(REPEAT_PERIOD)
