@@ -11,7 +11,7 @@ from mesh_rig import Build, Robot, build
 from test_mesh_overlay_process import LINE, wait_here
 
 from laptop.cli import main
-from swarm.messages import BalancerState, GraphRobot, Stop, read
+from swarm.messages import BalancerState, GraphRobot, Stop, Stopped, read
 from swarm.onboard import halt
 from swarm.onboard.halt import Row
 from swarm.process.simulations import LOCK, claim
@@ -140,6 +140,31 @@ def test_one_robots_bus_is_enough_to_stop_and_arm_all(
     assert "out of reach: r3" in text
     ended = True
     code, text = swarm("estop", "--timeout", "20")
+    assert code == 0, text
+
+
+def test_meshes_that_are_killed_together_are_still_stopped_when_they_start(
+    build: Build, swarm: Swarm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Even before a robot has a link over which it could hear of the stop."""
+    robots = build(edges=LINE[:1])
+    robots.start()
+    robots.wait_up()
+    at(robots["r0"], monkeypatch)
+    code, text = swarm("estop", "smoke", "--timeout", "20")
+    assert code == 0, text
+    for name in ("r0", "r1"):
+        mesh = robots[name].mesh
+        assert mesh is not None
+        mesh.kill()
+        mesh.wait()
+    told: list[Stopped] = []
+    robots["r0"].bus.subscribe("swarm/r0/mesh/stopped", lambda key, payload: told.append(read(key, payload)))
+    robots["r0"].start()
+    wait_until(lambda: len(told) > 1, what="the mesh tells twice whether it is stopped")
+    assert [each.by for each in told] == len(told) * [{"r0": "smoke"}]
+    robots["r1"].start()
+    code, text = swarm("arm", "--timeout", "20")
     assert code == 0, text
 
 
