@@ -154,7 +154,7 @@ class Register:
         """The time, s, at which this robot heard of each robot's newest stop."""
         self._links: dict[str, None] = {}
         self._repeat_at = _NEVER
-        self._stopped_at = -_NEVER
+        self._stopped_at = self._given_again_at = -_NEVER
         self._waiting: str | None = None
         self._channel = key_of(me, "mesh", "halt")
 
@@ -239,14 +239,11 @@ class Register:
         for name, mark in halt.arms.items():
             if mark > self._arms.get(name, _NONE):
                 self._arms[name] = news.arms[name] = mark
-        if (
-            own is not None
-            and self._greatest_mark() > own[0]
-            and (mark := self._next_mark()).incarnation <= MAX_INCARNATION
-        ):
+        if own is not None and self._greatest_mark() > own[0] and self._may_give_again(now):
             # A neighbour knows a greater mark in our name than that of our stop: of before a start, when our clock was
             # ahead. It says nothing about this stop, which therefore gets a mark above it.
-            self._stops[self._me] = news.stops[self._me] = (mark, own[1])
+            self._stops[self._me] = news.stops[self._me] = (self._next_mark(), own[1])
+            self._given_again_at = now
             source = None
         if news.stops or news.arms:
             self._repeat_at = min(self._repeat_at, now + FIRST_REPEAT)
@@ -254,6 +251,12 @@ class Register:
                 if peer != source:
                     self._send(peer, news)
             self._changed()
+
+    def _may_give_again(self, now: float) -> bool:
+        """Return whether this robot's stop may have a new mark: at once where it holds no more, else once in a while.
+        Two robots with one name would outdo each other without end."""
+        due = self._me not in self.stops or now >= self._given_again_at + FIRST_REPEAT
+        return due and self._next_mark().incarnation <= MAX_INCARNATION
 
     def _greatest_mark(self) -> Mark:
         """Return the greatest mark in this robot's name, of a stop or of a re-arm."""

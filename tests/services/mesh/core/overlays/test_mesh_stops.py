@@ -17,6 +17,7 @@ from services.mesh.core.overlays.stop import (
     STOP_PERIOD,
     Halt,
     Mark,
+    Register,
     encode_halts,
     from_file,
     to_file,
@@ -383,3 +384,31 @@ def test_kept_stops_are_read_as_they_were_written_and_damage_is_named() -> None:
 def test_kept_stops_of_any_bytes_are_halts_or_damaged(data: bytes) -> None:
     with contextlib.suppress(FrameError):
         assert isinstance(from_file(data), Halt)
+
+
+def test_two_robots_with_one_name_do_not_outdo_each_others_stops_without_end() -> None:
+    """As with a copied SD card."""
+    sent: list[tuple[str, bytes]] = []
+    registers: dict[str, Register] = {}
+    for place, incarnation in (("here", 5), ("there", 6)):
+        registers[place] = Register(
+            "r0",
+            lambda incarnation=incarnation: incarnation,  # type: ignore[misc]
+            frozenset({"r0", "r1"}),
+            emit=lambda packet, place=place: sent.append((place, packet.payload)),  # type: ignore[misc]
+            changed=lambda: None,
+        )
+        registers[place].stop(place, 0.0)
+        registers[place].link_up("r1")
+    messages, now = 0, 0.0
+    while now < 10.0:
+        now += 0.03
+        arriving, sent[:] = list(sent), []
+        messages += len(arriving)
+        for place, payload in arriving:
+            registers["there" if place == "here" else "here"].receive("r1", payload, now)
+        for register in registers.values():
+            if now >= register.next_deadline():
+                register.handle_timer(now)
+    assert messages < 60
+    assert all(register.stops for register in registers.values())
