@@ -31,9 +31,6 @@ NAMES = ("r0", "r1", "r2")
 TARGET = (1.3, 0.8)
 """With it a module has four in reach, as many as it ranges to."""
 PLACES = {"r0": (0.4, 0.5), "r1": (1.7, 0.4), "r2": (1.1, 1.7)}
-COLD_START_S = 180.0
-"""From power to the target, at most, by a robot's own clock. It takes 60 to 100 s on two cores: three machines at once
-are slower than robots, so this finds a start that hangs, and the report has the figure."""
 DROP_AFTER_S = 15.0
 """Longer than a robot may be silent because its host is busy. If r0 was dropped as well, r1 alone would be no majority,
 and the power cut of r2 would end the run."""
@@ -194,7 +191,6 @@ def test_three_machines_find_the_target_and_one_comes_back_from_a_power_cut(
         f"{100 * simulated:.1f}), booted and joined again {rejoined:.0f} s",
     )
     assert {path.name.split(".")[0] for path in (tmp_path / "runs").glob("localization-*/*.mcap")} == set(NAMES)
-    assert cold_start <= COLD_START_S
 
 
 def power_cut(laptop: Laptop, machines: list[Machine]) -> float:
