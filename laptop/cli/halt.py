@@ -33,7 +33,7 @@ _SLACK_S = 15.0
 _HANGS_S = 12.0
 """Seconds after which a robot's own command counts as hanging, and its balancer is stopped by systemd."""
 _SYSTEMD_S = 15.0
-"""Seconds for that."""
+"""Seconds that systemd has for it."""
 
 
 @dataclass

@@ -3,7 +3,9 @@
 import os
 import random
 import time
+from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 from services.mesh import stops_file, topology_file
 from services.mesh.bus_interface import BusInterface
@@ -47,18 +49,12 @@ def incarnation() -> int:
     return time.time_ns() // 1000
 
 
-def _save(this: service.Service, data: bytes) -> None:
+def _save(this: service.Service, what: str, save: Callable[[Path, bytes], None], directory: Path, data: bytes) -> None:
+    """Call `save(directory, data)`; say in the status that `what` is not kept where that fails."""
     try:
-        topology_file.save(state_dir(), data)
+        save(directory, data)
     except OSError as error:
-        this.degraded(f"the topology cannot be kept through a restart: {state_dir()}: {describe(error)}")
-
-
-def _save_stops(this: service.Service, data: bytes) -> None:
-    try:
-        stops_file.save(this.runtime, data)
-    except OSError as error:
-        this.degraded(f"stops cannot be kept through a restart: {this.runtime}: {describe(error)}")
+        this.degraded(f"{what} cannot be kept through a restart: {directory}: {describe(error)}")
 
 
 def main() -> None:
@@ -78,8 +74,8 @@ def main() -> None:
             incarnation(),
             runtime,
             sockets,
-            keep=partial(_save, this),
-            keep_stops=partial(_save_stops, this),
+            keep=partial(_save, this, "the topology", topology_file.save, state_dir()),
+            keep_stops=partial(_save, this, "stops", stops_file.save, this.runtime),
             stops=stops_file.load(this.runtime),
             heard=view_sender.heard,
             role_of=network.roles.of,

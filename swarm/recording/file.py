@@ -80,7 +80,7 @@ class RecordingFile:
         self._file: int | None = None
         self._journal = self._open_journal(journal)
         self._owner = NO_OWNER
-        """Whose the journal's records are: this file's."""
+        """The owner of this file's records in the journal."""
         left: list[tuple[int, bytes]] = []
         known = ExistingContent()
         try:

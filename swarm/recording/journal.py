@@ -25,7 +25,7 @@ _FIRST = 16
 _SIZE = _FIRST + 2 * HALF
 
 NO_OWNER = bytes(_FIRST - len(_MARK))
-"""Of a recording that could not be opened."""
+"""The owner of records where the recording could not be opened."""
 
 _HEAD = struct.Struct("<QQ")
 _LENGTH = struct.Struct("<Q")

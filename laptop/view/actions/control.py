@@ -106,7 +106,7 @@ class Control:
             if self._wanted is not wanted:
                 return  # a later one has gone out meanwhile
             if not late or (not wanted.stop and clock.now() > wanted.since + ANSWER_S):
-                self._wanted = None  # who is taken back later learns it from the other robots
+                self._wanted = None  # a robot that comes later learns from the others that a stop was taken back
                 return
             for name in late:
                 self._give(name, self._feed.buses[name], wanted)

@@ -1,9 +1,9 @@
 """The claim that makes an app run in one process on each robot (rule R6): a lock file, and a number that goes up with
 every start.
 
-The kernel drops the lock when the process ends, however it ends. The number in the file is the incarnation:
-neighbours ignore frames of a lower one, so that what a dead process left on the way does no harm. The lock is in the
-runtime directory, which a boot clears. So the number is also kept on the disk: after a boot it goes on to go up.
+The kernel drops the lock when the process ends, however it ends. The number in the file is the incarnation: neighbours
+ignore frames of a lower one, so that what a dead process left on the way does no harm. The lock is in the runtime
+directory, which a boot clears. So the number is also kept on the disk, and a boot does not set it back.
 """
 
 import logging

@@ -93,7 +93,7 @@ class AppRecording:
 
 
 def _goes_on(path: Path, run: str) -> bool:
-    """Return whether the file is of this run. One that cannot be read, which may be, is set aside."""
+    """Return whether the file is of this run. A file that cannot be read may be, so it is set aside."""
     try:
         return path.stat().st_size > 0 and run_of(path) == run
     except FileNotFoundError:

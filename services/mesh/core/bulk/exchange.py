@@ -142,7 +142,7 @@ class BulkExchange:
             source = self._sources.get(name)
             if source is not None:
                 for fetch in tuple(source.fetches.values()):
-                    # Without a further piece one would be asked for twice, which only a silence is worth.
+                    # Without a further piece a probe asks for one twice. So it is made only after a silence.
                     worth = fetch.has_further or source.timeouts
                     if worth and fetch.source == name and source.asked < ASKED + MOST_PROBES:
                         self._probe(name, fetch, now)
@@ -182,7 +182,7 @@ class BulkExchange:
             self._waiting.pop(id, None)
             self._finished(id, fetch.payload(), now)
         self._ask(sender, now)
-        self._ask(asked, now)  # another one, where the piece came from a robot that was asked before
+        self._ask(asked, now)  # this may be another robot: the piece may be late, of one that was asked before
 
     def _on_gone(self, sender: str, id: MessageId, now: float) -> None:
         fetch = self._fetches.get(id)
@@ -240,7 +240,7 @@ class BulkExchange:
         source.timeouts += 1
         for fetch in overdue:
             if fetch.source != name:
-                continue  # its way has ended meanwhile
+                continue  # another robot is asked meanwhile
             others_come = any(each.have and each.heard > fetch.waiting_since for each in source.fetches.values())
             if fetch.sources and (others_come or source.timeouts >= TRIED):
                 fetch.sources.append(name)
@@ -248,13 +248,14 @@ class BulkExchange:
             elif others_come:
                 fetch.ask_again()
                 fetch.stalled = True
-                self._ask_for_one(name, fetch, now)
-                self._ask(name, now)  # its places are free
+                self._ask_for_one(name, fetch, fetch.pick(now), now)
+                self._ask(name, now)  # the other messages get its places
             else:
                 self._probe(name, fetch, now)
         for fetch in tuple(source.fetches.values()):
             if not fetch.asked and fetch.source == name:
-                self._ask_for_one(name, fetch, now)  # the places are taken by what does not come
+                # All places belong to messages of which no piece comes: one more piece is asked for.
+                self._ask_for_one(name, fetch, fetch.pick(now), now)
 
     def next_deadline(self) -> float:
         """Return the time at which `handle_timer` must be called."""
@@ -270,11 +271,11 @@ class BulkExchange:
     def _probe(self, name: str, fetch: Fetch, now: float) -> None:
         before, index = fetch.repeated, fetch.probe(now)
         self._counters["pieces_repeated"] += fetch.repeated - before
-        if index is not None:
-            self._want(name, fetch, [index], now)
+        self._ask_for_one(name, fetch, index, now)
 
-    def _ask_for_one(self, name: str, fetch: Fetch, now: float) -> None:
-        if (index := fetch.pick(now)) is not None:
+    def _ask_for_one(self, name: str, fetch: Fetch, index: int | None, now: float) -> None:
+        """Ask a robot for a piece that was chosen; for none where it is None."""
+        if index is not None:
             self._want(name, fetch, [index], now)
 
     def _assign(self, fetch: Fetch, robot: str, now: float) -> None:
