@@ -107,8 +107,10 @@ class Laptop:
             return self._again(command, lambda text: not set(WRONG.findall(text)) - NO_PI)
         if command == "swarm status":
             return self._again(command, lambda text: len(DONE.findall(text)) == len(NAMES))
-        code, text = self._finish(command)
-        if command.startswith("swarm run ") and 0 < len(LATE.findall(text)) == text.count(" FAILED "):
+        # A busy host starts an app's processes within a minute or two.
+        patient = f" --timeout {PATIENCE_S:.0f}" if command.startswith("swarm run ") else ""
+        code, text = self._finish(command + patient, PATIENCE_S + 30)
+        if patient and 0 < len(LATE.findall(text)) == text.count(" FAILED "):
             return text  # the app goes on, and `swarm status` is typed until it has ended
         if (
             command == "swarm balance lie"
@@ -130,10 +132,10 @@ class Laptop:
             _, text = self._finish(command)
         return text
 
-    def _finish(self, command: str) -> tuple[int | None, str]:
-        """Its exit code, and what it printed."""
+    def _finish(self, command: str, patience: float = PATIENCE_S) -> tuple[int | None, str]:
+        """Its exit code, and what it printed, `patience` s later at most."""
         process = self._start(command)
-        output, errors = finished(command, process, PATIENCE_S)
+        output, errors = finished(command, process, patience)
         return process.returncode, output + errors
 
     def _watch(self, command: str, pattern: re.Pattern[str] | None) -> str:
