@@ -12,6 +12,7 @@ from services.apps.runner import AppRunner
 from swarm.app.event_app import EventApp, PeriodicApp
 from swarm.core.asynchronous import HandlerCall, NeighbourState
 from swarm.core.graph import Graph
+from swarm.core.state import shown
 from swarm.errors import AppError, FrameError
 from swarm.messages.codec import Value
 
@@ -85,7 +86,7 @@ class EventRunner(AppRunner):
                 return self._packed(where)
         answer: object = self._call(where, lambda: getattr(app, call.handler)(*arguments))
         if answer is not None:
-            raise AppError(f"{self._where(where)}: it returned {answer!r}; a handler assigns to the state instead")
+            raise AppError(f"{self._where(where)}: it returned {shown(answer)}; a handler assigns to the state instead")
         return self._packed(where)
 
     def _views(self, known: Sequence[NeighbourState]) -> dict[Any, Any]:

@@ -16,7 +16,7 @@ from swarm.app.sync_app import BaseApp, SyncApp
 from swarm.core.arrays import is_array
 from swarm.core.graph import Graph
 from swarm.core.snapshot_fields import pack_private, unpack_private
-from swarm.core.state import Field
+from swarm.core.state import Field, shown
 from swarm.errors import AppError, LocalError
 from swarm.messages import Measurement
 from swarm.messages.codec import Value, as_value
@@ -26,6 +26,9 @@ T = TypeVar("T")
 ERROR = "error"
 """An app's method `error(self, truth)`, and the result of that name. Others are `error_heading` and the like."""
 
+
+LONGEST = 2000
+"""Letters of a fault's description: it goes out with the app's progress, whose message is bounded."""
 
 BUILT_IN = "services.apps.builtin."
 """Apps of ours, whose errors the report of a simulation knows."""
@@ -56,7 +59,7 @@ class AppRunner:
         where = f"result() at iteration {self.k}"
         answer: object = self._call(where, self.app.result)
         if not isinstance(answer, dict | Mapping) or not all(isinstance(name, str) for name in answer):
-            raise AppError(f"{self._where(where)}: expected a dict by name, got {answer!r}")
+            raise AppError(f"{self._where(where)}: expected a dict by name, got {shown(answer)}")
         result = {name: self._value(where, name, value) for name, value in answer.items()}
         for name in self._fields.keys() & result.keys():
             self._check_same(where, self._fields[name], result[name])
@@ -69,6 +72,15 @@ class AppRunner:
                 f"{self._where(where)}: it gave {', '.join(result)}, first it was {', '.join(self._columns)}"
             )
         return result
+
+    def known_result(self) -> dict[str, Value]:
+        """Return the result without metrics that are not known: a message carries finite numbers alone."""
+        metrics = self.metrics
+        return {
+            name: value
+            for name, value in self.result().items()
+            if name not in metrics or not isinstance(value, float) or math.isfinite(value)
+        }
 
     def _check_same(self, where: str, field: Field, told: Value) -> None:
         """Raise `AppError` where a result has the name of a state, and another value."""
@@ -93,7 +105,7 @@ class AppRunner:
         where = f"{name}() at iteration {self.k}"
         answer: object = self._call(where, lambda: getattr(self.app, name)(truth))
         if isinstance(answer, bool) or not isinstance(answer, numbers.Real):  # numpy's numbers are such
-            raise AppError(f"{self._where(where)}: expected a number, got {answer!r}")
+            raise AppError(f"{self._where(where)}: expected a number, got {shown(answer)}")
         return float(answer)
 
     def hangs(self, where: str, thread: int | None, limit: float) -> str:
@@ -125,7 +137,9 @@ class AppRunner:
             return function()
         except AppError as error:
             raise AppError(f"{self._where(where)}: {called_from(error, self.source)}{error}") from None
-        except (Exception, SystemExit) as error:  # an author's sys.exit() would end this thread alone
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # an author's sys.exit() would end this thread alone
             hint = mend_of(error, self.schema.fields)
             raise AppError(f"{self._where(where)}: {describe(error, self.source)}{hint}") from error
 
@@ -201,7 +215,7 @@ class Runner(AppRunner):
         where = f"iteration {k}"
         answer: object = self._call(where, lambda: app.step(neighbours))
         if answer is not None:
-            raise AppError(f"{self._where(where)}: it returned {answer!r}; a step assigns to the state instead")
+            raise AppError(f"{self._where(where)}: it returned {shown(answer)}; a step assigns to the state instead")
         packed = self._pack(where)
         self._be_at(k + 1)
         self._step = own, packed[0]
@@ -296,6 +310,12 @@ def mend_of(error: BaseException, fields: Iterable[Field]) -> str:
         near = difflib.get_close_matches(error.name, [name for name in dir(error.obj) if name[0] != "_"], 1)
         return f" (is {near[0]!r} meant?)" if near else ""
     return ""
+
+
+def bounded(error: BaseException) -> str:
+    """Return an error's text, cut where it is very long."""
+    text = str(error)
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
 
 
 def describe(error: BaseException, source: str) -> str:

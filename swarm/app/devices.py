@@ -189,8 +189,8 @@ class Devices:
         due = min(self._leds_at, self._display_at, self._drive_at)
         return None if due == math.inf else due
 
-    def handle_timer(self) -> None:
-        """Claim what the app has, where that is due."""
+    def handle_timer(self, *, idle: bool = False) -> None:
+        """Claim what the app has, where that is due. An app that is `idle` makes no steps: its robot stands still."""
         now = self._now()
         with self._lock:
             if now >= self._leds_at and self._leds is not None:
@@ -200,7 +200,7 @@ class Devices:
                 self._command("display", SetDisplay(self._text, LED_CLAIM))
                 self._text, self._display_at = (self._text, now + LED_REPEAT) if self._text else (None, math.inf)
             if now >= self._drive_at and self._velocity is not None:
-                self._command("velocity", SetVelocity(*self._velocity, DRIVE_CLAIM))
+                self._command("velocity", SetVelocity(*((0.0, 0.0) if idle else self._velocity), DRIVE_CLAIM))
                 at_rest = self._velocity == (0.0, 0.0)
                 self._velocity, self._drive_at = (None, math.inf) if at_rest else (self._velocity, now + DRIVE_REPEAT)
 

@@ -199,8 +199,8 @@ class Robot:
         """Switch LEDs on (True) or off (False) at once, or at the time `at` (s, by `now`, at most 10 s ahead).
 
         An LED that is left out stays as it is. An order cancels earlier orders for the same time or later ones.
-        `clock.monotonic` converts the swarm's common time for `at`. When the app ends, the LEDs show the robot's own
-        state again. Raises `AppError` for a time in the past, and without a bus."""
+        `clock.monotonic` converts the swarm's common time for `at`. A time that has passed counts as now. When the app
+        ends, the LEDs show the robot's own state again. Raises `AppError` without a bus."""
         self._devices().leds(red, yellow, green, at)
 
     def display(self, *lines: object) -> None:
@@ -211,7 +211,8 @@ class Robot:
         """Drive with this `speed` (m/s, forward) and `turn` rate (rad/s, to the left) until the next call.
 
         The robot drives only while it stands, and within its limits. It stops at `drive(0, 0)`, and when the app ends
-        or hangs. Raises `AppError` for numbers that are not finite, and without a bus."""
+        or hangs. In a synchronous app it also stands still at the last iteration, and while no step is made for 2 s,
+        since a neighbour is missing. Raises `AppError` for numbers that are not finite, and without a bus."""
         self._devices().drive(speed, turn)
 
     def stand_up(self) -> None:

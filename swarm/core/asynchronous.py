@@ -32,14 +32,20 @@ REPEAT_WAITING = 0.5
 """The same before the barrier."""
 MIN_GAP = 0.01
 """Seconds between two frames at least: an app that changes its state more often sends every other one, and the last."""
+DEAD_AFTER = 30.0
+"""Seconds of silence after which a process counts as dead, so that one of a lower incarnation is heard: a robot with a
+new card counts its starts anew."""
 HANG = 10.0
 """Seconds after which a step or handler that still runs counts as hanging, in apps of all kinds."""
 MAX_QUEUE = 256
-"""Events that wait for their handler; the oldest ones are lost."""
+"""Events that wait for their handler; beyond this the oldest ones from outside the app are lost."""
+MAX_QUEUE_BYTES = 4 * 1024 * 1024
+"""Bytes of messages that wait for their handler; beyond this the oldest events are lost, too."""
 
 _HEAD = struct.Struct("<BI")
 _ALL = 1
 _ALWAYS = ("start", "step", "on_parameter")
+_FROM_OUTSIDE = ("on_button", "on_message", "on_announced", "on_neighbour")
 
 
 class HandlerCall(NamedTuple):
@@ -49,6 +55,8 @@ class HandlerCall(NamedTuple):
     """start, step, on_button, on_message, on_answer, on_announced, on_neighbour, on_parameter or on_timer."""
     arguments: tuple[object, ...] = ()
     """The arguments of the handler; a neighbour is given by name."""
+    size: int = 0
+    """Bytes of a message among the arguments."""
 
 
 class Publish(NamedTuple):
@@ -173,7 +181,7 @@ class Asynchronous:
         if peer is None or channel.run != self.channel.run:
             self.counters["other_run" if peer else "not_a_neighbour"] += 1
             return
-        if channel.incarnation < peer.incarnation:
+        if channel.incarnation < peer.incarnation and now < peer.came + DEAD_AFTER:
             self.counters["dead_process"] += 1
             return
         peer.stranger = channel.schema != self.channel.schema
@@ -185,7 +193,7 @@ class Asynchronous:
         except FrameError:
             self.counters["bad_frame"] += 1
             return
-        if channel.incarnation > peer.incarnation:
+        if channel.incarnation != peer.incarnation:
             peer.incarnation = channel.incarnation
         elif sequence <= peer.sequence:
             self.counters["duplicate"] += 1
@@ -196,9 +204,9 @@ class Asynchronous:
             peer.data = state
             self._add(HandlerCall("on_neighbour", (sender,)), now)
 
-    def happened(self, handler: str, *arguments: object, now: float) -> None:
-        """Queue the handler of an event: a button, a message, an answer or a parameter."""
-        self._add(HandlerCall(handler, arguments), now)
+    def happened(self, handler: str, *arguments: object, now: float, size: int = 0) -> None:
+        """Queue the handler of an event: a button, a message of `size` bytes, an answer or a parameter."""
+        self._add(HandlerCall(handler, arguments, size), now)
 
     def after(self, seconds: float, name: str, now: float) -> None:
         """Call `on_timer(name)` in so many seconds; said again, it is moved."""
@@ -261,8 +269,11 @@ class Asynchronous:
             self.counters["late_steps"] += passed - 1
             self._step_at += passed * self.period
             self._add(HandlerCall("step"), now)
-        if now >= self._tell_at and not self.hangs(now):
-            self._tell(now)
+        if now >= self._tell_at:
+            if self.hangs(now):
+                self._tell_at = now + REPEAT  # a time in the past would be planned again for ever
+            else:
+                self._tell(now)
         self._next(now)
 
     def next_deadline(self) -> float | None:
@@ -331,10 +342,12 @@ class Asynchronous:
             return
         if call.handler in ("on_neighbour", "step") and call in self._queue:
             return  # only the newest counts
-        if len(self._queue) >= MAX_QUEUE:
-            self._queue.popleft()
-            self.counters["lost_events"] += 1
         self._queue.append(call)
+        while len(self._queue) > MAX_QUEUE or (call.size and sum(one.size for one in self._queue) > MAX_QUEUE_BYTES):
+            # Not a timer, on which an app may have built its next one.
+            lost = next((one for one in self._queue if one.handler in _FROM_OUTSIDE), self._queue[0])
+            self._queue.remove(lost)
+            self.counters["lost_events"] += 1
         self._next(now)
 
     def _next(self, now: float) -> None:

@@ -1,6 +1,7 @@
 """An app's private fields as bytes: msgpack, for a restart."""
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import msgpack
@@ -8,6 +9,9 @@ import msgpack
 from swarm.core import arrays
 from swarm.core.state import shown
 from swarm.errors import AppError
+
+MOST_LEVELS = 32
+"""Levels of tuples within tuples: each is unpacked by a call of its own, and a thread's stack has room for some 170."""
 
 _TUPLE = 1  # msgpack extension type: Python tuples come back as tuples, not as lists
 _ARRAY = 2  # numpy's arrays and single numbers: type, shape, bytes
@@ -32,17 +36,22 @@ def unpack_private(data: bytes) -> dict[str, Any]:
     return values
 
 
-def _packb(value: object) -> bytes:
-    data: bytes = msgpack.packb(value, default=_to_extension, strict_types=True)
+def _packb(value: object, level: int = 0) -> bytes:
+    data: bytes = msgpack.packb(value, default=_EXTENSIONS[level], strict_types=True)
     return data
 
 
-def _to_extension(value: object) -> object:
+def _to_extension(level: int, value: object) -> object:
     if isinstance(value, tuple):
-        return msgpack.ExtType(_TUPLE, _packb(list(value)))
+        if level + 1 == MOST_LEVELS:
+            raise ValueError(f"tuples within tuples, more than {MOST_LEVELS} levels")
+        return msgpack.ExtType(_TUPLE, _packb(list(value), level + 1))
     if arrays.is_array(value):
         return msgpack.ExtType(_ARRAY, _packb(list(arrays.pack(value))))
     raise TypeError(f"type {type(value).__name__}")
+
+
+_EXTENSIONS = tuple(partial(_to_extension, level) for level in range(MOST_LEVELS))
 
 
 def _from_extension(code: int, data: bytes) -> object:

@@ -388,5 +388,8 @@ def _finite(value: object) -> float:
 
 def shown(value: object) -> str:
     """Return a value as text for an error, cut to 60 characters."""
-    text = repr(value)
+    try:
+        text = repr(value)
+    except Exception:  # noqa: BLE001 - an author's own, or an int of too many digits
+        return f"a {type(value).__name__}"
     return text if len(text) <= 60 else text[:57] + "..."

@@ -107,11 +107,11 @@ def as_value(value: object) -> Value:
         return int(value)
     if isinstance(value, float) and math.isfinite(value):
         return float(value)
-    if isinstance(value, tuple | list) and all(isinstance(x, float | int) and math.isfinite(x) for x in value):
+    if isinstance(value, tuple | list) and all(map(_is_number, value)):
         return tuple([float(x) for x in value])
     if type(value).__module__ == "numpy" and hasattr(value, "tolist"):
         return as_value(value.ravel().tolist() if value.shape else value.item())  # type: ignore[attr-defined]
-    raise LocalError(f"expected a finite number, bool, text or vector, got {_shortened(repr(value))}")
+    raise LocalError(f"expected a finite number, bool, text or vector, got {_shown(value)}")
 
 
 def limit_of(kind: type) -> int:
@@ -171,6 +171,21 @@ def _wrong(value: object, path: str, wanted: str) -> PayloadError:
     # A map or list is only named: it may be nested deeper than repr can follow.
     shown = "a map" if isinstance(value, dict) else "a list" if isinstance(value, list) else _shortened(repr(value))
     return PayloadError(f"{path or 'payload'}: expected {wanted}, got {shown}")
+
+
+def _is_number(value: object) -> bool:
+    """Return whether a value is a finite number in the range of a float."""
+    try:
+        return isinstance(value, float | int) and math.isfinite(value)
+    except OverflowError:
+        return False
+
+
+def _shown(value: object) -> str:
+    try:
+        return _shortened(repr(value))
+    except Exception:  # noqa: BLE001 - an author's own, or an int of too many digits
+        return f"a {type(value).__name__}"
 
 
 def _shortened(text: str) -> str:

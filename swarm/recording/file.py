@@ -93,6 +93,7 @@ class RecordingFile:
             self._owner = owner_of(self._file)
             os.ftruncate(self._file, known.position)
         except OSError as error:
+            self._let_go()  # what is there is not overwritten, though it could not be read
             self._lose(error.strerror or str(error))
         self._written = known.position
         self._linked = max(len(known.checkpoints) - 2, 0)
@@ -204,11 +205,16 @@ class RecordingFile:
         try:
             return survey(self._file, limit)
         except RecordingError as error:
+            self._let_go()
             set_aside(self._path, error)
-            os.close(self._file)
             self._file = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o664)
             hold(self._file)
             return ExistingContent()
+
+    def _let_go(self) -> None:
+        if self._file is not None:
+            os.close(self._file)
+            self._file = None
 
     def _loop(self) -> None:
         """Write once a second until closed. A defect ends the recording, never the app whose run is recorded."""

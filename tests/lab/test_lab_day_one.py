@@ -44,6 +44,8 @@ for i in $(seq 200); do timeout 10 bluetoothctl show | grep -q 'Powered: yes' &&
 """
 LATE = re.compile(r"^  \w+ +FAILED .*has no first state after", re.MULTILINE)
 """What `swarm run` says of a robot whose processes a busy host does not start within 20 s."""
+SLOW = ("swarm run ", "swarm status")
+"""Commands for which a robot needs minutes where two of them share a processor of the host, as three do on two."""
 STAND = (documented_path.TUTORIAL, "swarm status --watch")
 UNTIL = {STAND: re.compile("balancing")}
 """What each robot's row has before the person ends the table by Ctrl-C."""
@@ -107,10 +109,8 @@ class Laptop:
             return self._again(command, lambda text: not set(WRONG.findall(text)) - NO_PI)
         if command == "swarm status":
             return self._again(command, lambda text: len(DONE.findall(text)) == len(NAMES))
-        # A busy host starts an app's processes within a minute or two.
-        patient = f" --timeout {PATIENCE_S:.0f}" if command.startswith("swarm run ") else ""
-        code, text = self._finish(command + patient, PATIENCE_S + 30)
-        if patient and 0 < len(LATE.findall(text)) == text.count(" FAILED "):
+        code, text = self._finish(command)
+        if command.startswith("swarm run ") and 0 < len(LATE.findall(text)) == text.count(" FAILED "):
             return text  # the app goes on, and `swarm status` is typed until it has ended
         if (
             command == "swarm balance lie"
@@ -132,10 +132,12 @@ class Laptop:
             _, text = self._finish(command)
         return text
 
-    def _finish(self, command: str, patience: float = PATIENCE_S) -> tuple[int | None, str]:
-        """Its exit code, and what it printed, `patience` s later at most."""
+    def _finish(self, command: str) -> tuple[int | None, str]:
+        """Its exit code, and what it printed."""
+        if command.startswith(SLOW):
+            command += f" --timeout {PATIENCE_S - 30:.0f}"
         process = self._start(command)
-        output, errors = finished(command, process, patience)
+        output, errors = finished(command, process, PATIENCE_S)
         return process.returncode, output + errors
 
     def _watch(self, command: str, pattern: re.Pattern[str] | None) -> str:

@@ -1,6 +1,7 @@
 """The commands of a page to the swarm, where it was started with `--control`. Without that every command is refused."""
 
 import threading
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,7 +11,6 @@ from swarm import clock
 from swarm.app.settings import on_top
 from swarm.config.types import AppConfig
 from swarm.errors import LocalError
-from swarm.frozen import frozen
 from swarm.messages import Arm, SetAppParameters, SetMode, SetVelocity, Stop
 from swarm.messages.codec import Value
 from swarm.messages.keys import STOP, is_name, key
@@ -25,6 +25,8 @@ MAX_TURN = 3.0
 """The fastest turn rate that a page may command, rad/s."""
 MODES = ("stand", "rest", "lie")
 """The modes that a page may command."""
+ENOUGH = 5
+"""Times that a robot is told of a stop before what it has said earlier counts as its answer."""
 ANSWER_S = 5.0
 """Seconds for which a request to set a parameter, or the end of a stop, is repeated: the app may be starting, and a bus
 may lose a request."""
@@ -32,13 +34,34 @@ START_S = 60.0
 """The same for an app that is started first, over ssh on a slow robot."""
 
 
-@frozen
 class _Halt:
-    """A stop for all robots, or its end, that not all have confirmed. Each one is an object of its own."""
+    """A stop for all robots, or its end, that not all have confirmed."""
 
-    stop: bool
-    since: float
-    """The time at which it was given, s."""
+    def __init__(self, stop: bool, version: int) -> None:
+        """`version`: of the picture when it was given."""
+        self.stop = stop
+        self.since = clock.now()
+        """The time at which it was given, s."""
+        self.confirmed: set[str] = set()
+        """Robots that have said so. They are not told again: somebody else may give another command meanwhile."""
+        self._version = version
+        self._given: Counter[str] = Counter()
+        """How often each robot was told while its bus was there."""
+
+    def give(self, name: str, bus: RobotBus) -> None:
+        now = clock.now()
+        if self.stop:
+            bus.publish(STOP, Stop(now, name, REASON), urgent=True)
+        else:
+            bus.publish(key(name, "mesh", "set", "arm"), Arm(now, name, now - self.since), urgent=True)
+        self._given[name] += bus.connected
+
+    def look(self, name: str, bus: RobotBus, stopped: object, version: int) -> None:
+        """Look whether a robot confirms: it does by what it says afterwards. A mesh says nothing where nothing changes,
+        so what it said before counts when it was told often enough."""
+        says_so = isinstance(stopped, dict) and stopped.get("stopped") is self.stop
+        if says_so and bus.connected and (version > self._version or self._given[name] >= ENOUGH):
+            self.confirmed.add(name)
 
 
 class Control:
@@ -96,35 +119,26 @@ class Control:
             return
         # Before the other lock: a stop does not wait for a picture that is being drawn.
         with self._feed.lock:
-            said = {name: self._feed.picture.newest(name, "mesh/stopped") for name in self._feed.buses}
-        late = [
-            name
-            for name, value in said.items()
-            if not (isinstance(value, dict) and value.get("stopped") is wanted.stop)
-        ]
+            for name, bus in self._feed.buses.items():
+                wanted.look(name, bus, *self._feed.picture.versioned(name, "mesh/stopped"))
         with self._halting:
             if self._wanted is not wanted:
                 return  # a later one has gone out meanwhile
+            late = [name for name in self._feed.buses if name not in wanted.confirmed]
             if not late or (not wanted.stop and clock.now() > wanted.since + ANSWER_S):
                 self._wanted = None  # a robot that comes later learns from the others that a stop was taken back
                 return
             for name in late:
-                self._give(name, self._feed.buses[name], wanted)
+                wanted.give(name, self._feed.buses[name])
 
     def _halt(self, *, stop: bool) -> str:
         self._feed.check_control()
         with self._halting:
-            self._wanted = wanted = _Halt(stop, clock.now())
+            # Not under the feed's lock: a stop does not wait for a picture that is being drawn.
+            self._wanted = wanted = _Halt(stop, self._feed.picture.version)
             for name, bus in self._feed.buses.items():
-                self._give(name, bus, wanted)
+                wanted.give(name, bus)
         return "stop given to all robots" if stop else "stops taken back"
-
-    def _give(self, name: str, bus: RobotBus, wanted: _Halt) -> None:
-        now = clock.now()
-        if wanted.stop:
-            bus.publish(STOP, Stop(now, name, REASON), urgent=True)
-        else:
-            bus.publish(key(name, "mesh", "set", "arm"), Arm(now, name, now - wanted.since), urgent=True)
 
     def _mode(self, asked: Mapping[str, Any]) -> str:
         """Have robots stand up, rest or lie down; what came of it their balancers tell."""
@@ -191,9 +205,11 @@ class Control:
 
     def _let(self, robot: str, app: str, values: dict[str, Value], seconds: float) -> None:
         """Ask a robot for these parameters, again and again until it has answered or `seconds` have passed."""
-        request = SetAppParameters(new_ticket(), values)
+        unanswered, until = self._asked.get((robot, app), (None, 0.0))
+        before = {} if unanswered is None else unanswered.parameters
+        request = SetAppParameters(new_ticket(), {**before, **values})
         self._ask(robot, app, request)  # first: what the way there does not take is not asked again
-        self._asked[robot, app] = request, clock.now() + seconds
+        self._asked[robot, app] = request, max(until, clock.now() + seconds)
 
     def _ask(self, robot: str, app: str, request: SetAppParameters) -> None:
         self._feed.buses[robot].publish(key(robot, f"app/{app}", "set", "parameters"), request, urgent=True)

@@ -223,6 +223,10 @@ class Picture:
         value = self._open(robot, topic, self._topics.get(robot, {}).get(topic, (0, None))[1])
         return None if value is _NOTHING else value
 
+    def versioned(self, robot: str, topic: str) -> tuple[object, int]:
+        """The newest value of a key, and the version of the picture with which it came."""
+        return self.newest(robot, topic), self._topics.get(robot, {}).get(topic, (0, None))[0]
+
     def since(self, moved: int, rest: int | None) -> dict[str, dict[str, object]]:
         """Samples by robot and topic: those of what moves (`AT_ONCE`) newer than the version `moved`, all others newer
         than `rest` (None: none of them)."""

@@ -18,7 +18,7 @@ from services.apps.host.lockstep_driver import CLOSE_WITHIN
 from services.apps.host.observer import Observer, StepRecord
 from services.apps.host.topology import RunPlace, of_edges
 from services.apps.persistence.storage import Storage
-from services.apps.runner import Runner
+from services.apps.runner import Runner, bounded
 from swarm.app.devices import Devices
 from swarm.app.event_app import ChannelView, channels_of
 from swarm.app.overlays import Message, Overlays
@@ -141,10 +141,10 @@ class EventHost:
 
     def close(self) -> None:
         """Give back what the app has taken. A handler that runs is waited for, but not for ever."""
+        self._claims.close()
         self._runtime.entry(self._stop)()
         if not self._worker.close(CLOSE_WITHIN):
             self._runtime.log.warning("the app does not end: %s", self._hanging())
-        self._claims.close()
         if self.channels is not None:
             self.channels.close()
 
@@ -166,12 +166,12 @@ class EventHost:
     def _hear_events(self, overlays: Overlays, devices: Devices) -> None:
         """Let the app's handlers be called for what happens, as far as it has them."""
         handled = self.runner.handled
-        happened = self._runtime.entry(self._happened)
+        happened, message = self._runtime.entry(self._happened), self._runtime.entry(self._on_message)
         if "on_button" in handled:
             devices.on_button(lambda button: happened("on_button", button))
         if "on_message" in handled:
-            overlays.on_flood(lambda sender, data: happened("on_message", Message(sender, data, flooded=True)))
-            overlays.on_message(lambda sender, data: happened("on_message", Message(sender, data, flooded=False)))
+            overlays.on_flood(lambda sender, data: message(Message(sender, data, flooded=True)))
+            overlays.on_message(lambda sender, data: message(Message(sender, data, flooded=False)))
         if "on_announced" in handled:
             overlays.on_complete(lambda origin, answer: happened("on_announced", origin, answer))
         if "on_answer" in handled:
@@ -179,6 +179,10 @@ class EventHost:
 
     def _happened(self, handler: str, *arguments: object) -> None:
         self._core.happened(handler, *arguments, now=self._runtime.now)
+        self._perform()
+
+    def _on_message(self, message: Message) -> None:
+        self._core.happened("on_message", message, now=self._runtime.now, size=len(message.payload))
         self._perform()
 
     def _after(self, seconds: float, name: str) -> None:
@@ -288,7 +292,7 @@ class EventHost:
     def _app_failed(self, error: SwarmError) -> None:
         """Call the app no more, say why, and stay: the reason can be read."""
         if not self._core.failure:
-            reason = str(error)
+            reason = bounded(error)
             self._core.fail(reason)
             self._runtime.log.error("%s", reason)
             self._runtime.degraded(reason)
@@ -351,7 +355,7 @@ class EventHost:
         if self._core.phase in ("starting", "fault") or self._worker.busy:
             return None
         try:
-            return AppState(self._changed_at, self._core.k, self.runner.state(), self.runner.result())
+            return AppState(self._changed_at, self._core.k, self.runner.state(), self.runner.known_result())
         except SwarmError as error:
             self._app_failed(error)
             return None
@@ -379,4 +383,4 @@ def _equip(inner: Robot, outer: Robot) -> None:
     """Give the robot of a channel's app what the app's own robot has."""
     inner.bus, inner.overlays, inner.devices = outer.bus, outer.overlays, outer.devices
     inner.mesh_clock, inner.ranging, inner.recording = outer.mesh_clock, outer.ranging, outer.recording
-    inner.log, inner.time = outer.log, outer.time
+    inner.log, inner.said, inner.time, inner.truth = outer.log, outer.said, outer.time, outer.truth

@@ -95,7 +95,7 @@ class LockstepHost:
             runner = parts[0].runner
             self._let_change(runner, run, storage, observer)
             if runner.app.robot.devices is not None:
-                self._claims = DeviceClaims(runtime, runner.app.robot.devices, lambda: not self.failed)
+                self._claims = DeviceClaims(runtime, runner.app.robot.devices, lambda: not self.failed, self._is_idle)
         # Of neighbours, and of another process of this app on this robot: there must not be one.
         runtime.bus.subscribe(key("*", f"app/{app}", "sync", "**"), self._on_sync)
         listen(runtime, key(self.robot, f"app/{app}", "set", "epoch"), SetAppEpoch, self._on_order)
@@ -133,10 +133,10 @@ class LockstepHost:
 
     def close(self) -> None:
         """Let go of the files. A step that runs is waited for, but not for ever."""
-        for driver in self.drivers.values():
-            driver.close()
         if self._claims is not None:
             self._claims.close()
+        for driver in self.drivers.values():
+            driver.close()
 
     def _let_change(self, runner: Runner, run: int, storage: Storage, observer: Observer | None) -> None:
         """Take other parameters while it runs, as far as the app has declared some that are live."""
@@ -146,6 +146,9 @@ class LockstepHost:
         runner.change(changes.kept())
         runner.changed = changes.tell
         changes.tell()
+
+    def _is_idle(self) -> bool:
+        return all(driver.idle for driver in self.drivers.values())
 
     def _changed(self) -> None:
         """Look anew at the locksteps after one has begun, has changed its epoch, or has ended."""

@@ -12,7 +12,7 @@ from services.apps.host.observer import Observer, StepRecord
 from services.apps.host.topology import RunPlace, TopologyWatch
 from services.apps.persistence.ballots import told
 from services.apps.persistence.storage import Storage
-from services.apps.runner import Runner
+from services.apps.runner import Runner, bounded
 from swarm.core.asynchronous import HANG
 from swarm.core.epochs.actions import EpochRequest, SaveEpochs, SendToNeighbours, SwitchEpoch
 from swarm.core.epochs.notes import LOST, Epoch
@@ -24,6 +24,8 @@ from swarm.messages.codec import Value, encode
 from swarm.messages.keys import key
 from swarm.process.runtime import Runtime, Timer
 
+IDLE_AFTER = 2.0
+"""Seconds without a step after which an app counts as idle: what it drives stands still until its next step."""
 CLOSE_WITHIN = 2.0
 """Seconds that a running step has when the process is to end."""
 
@@ -69,6 +71,8 @@ class LockstepDriver:
         self.run = LockstepRun(
             self.robot, place.names, terms, place.begin, place.graph, place.incarnation, runner, kept, vote_lost
         )
+        if self.run.epochs.number != place.begin.number:
+            self._need(self.run.epochs.epoch)
         self._prefix = key(self.robot, f"app/{app}", "sync")
         self._notes = f"{self._prefix}/{terms.notes}"
         self._channel = self.run.channel
@@ -79,6 +83,8 @@ class LockstepDriver:
         self._measuring_since: float | None = None
         self._worker = runtime.worker(f"steps {part}".strip())
         self._closed = self._muted = False
+        self._worked_at = runtime.now
+        """When the app's code returned last."""
         self._told_waiting = False
         """Whether the observer was last told that the lockstep waits for others."""
         self._performing = False
@@ -94,6 +100,12 @@ class LockstepDriver:
     def failed(self) -> bool:
         """Whether it has stopped for a fault."""
         return self.run.phase == "fault"
+
+    @property
+    def idle(self) -> bool:
+        """Whether it makes no steps: it is done, has no part in the epoch, or has waited for others for a while."""
+        late = not self._worker.busy and self._runtime.now - self._worked_at >= IDLE_AFTER
+        return late or self.run.phase == "done"
 
     @property
     def progress(self) -> AppProgress:
@@ -177,6 +189,11 @@ class LockstepDriver:
             self._measuring_since = self._runtime.now
             self._measurements.get(k, partial(self._take_measurement, ready))
 
+    def _measure_for(self, todo: Compute, asked: Channel) -> None:
+        """Measure for a step, and run it. There is one measurement at a time, so a void step must not ask for one."""
+        if asked is self.run.channel:
+            self._measure(todo.k, partial(self._step, todo, asked))
+
     def _take_measurement(self, ready: Callable[[Measurement | None], None], measurement: Measurement) -> None:
         self._measuring_since = None
         if not self._closed and not self.failed:
@@ -194,6 +211,7 @@ class LockstepDriver:
             return
         try:
             run.begin(saved, first, self._runtime.now)
+            self._worked_at = self._runtime.now
         except SwarmError as error:
             self._app_failed(error)
             return
@@ -213,6 +231,7 @@ class LockstepDriver:
             )
 
     def _computed(self, todo: Compute, asked: Channel, answer: tuple[bytes, bytes]) -> None:
+        self._worked_at = self._runtime.now
         if not self.failed and asked is self.run.channel:
             self.run.computed(todo, answer, self._runtime.now)
             self._perform()
@@ -225,12 +244,13 @@ class LockstepDriver:
             )
 
     def _renewed(self, epoch: Epoch, answer: tuple[bytes, bytes] | None) -> None:
+        self._worked_at = self._runtime.now
         if not self.failed:
             self.run.renewed(epoch, answer, self._runtime.now)
             self._perform()
 
     def _app_failed(self, error: SwarmError) -> None:
-        self._fail(str(error))
+        self._fail(bounded(error))
 
     # What the lockstep wants
 
@@ -255,11 +275,10 @@ class LockstepDriver:
                 begun, self.latest = self.latest is not None, action
                 self._advanced(action.k, begun=begun)
             elif type(action) is Compute:
-                step = partial(self._step, action, run.channel)
                 if action.values:
-                    self._runtime.soon(self._measure, action.k, step)
+                    self._runtime.soon(self._measure_for, action, run.channel)
                 else:  # not from within: a robot without neighbours would never come back
-                    self._runtime.at(self._runtime.now + ALONE, self._measure, action.k, step)
+                    self._runtime.at(self._runtime.now + ALONE, self._measure_for, action, run.channel)
             elif type(action) is SaveEpochs:
                 self._keep(self._votes.write, action.kept)
             elif type(action) is SendToNeighbours:
@@ -301,12 +320,16 @@ class LockstepDriver:
 
     def _switched(self, epoch: Epoch) -> None:
         self._runtime.log.info("epoch %d from iteration %d on: %s", epoch.counter, epoch.k, " ".join(epoch.members))
+        self._need(epoch)
         message = told(epoch, self._runtime.now)
         self._bus.publish(self._epoch_key, message)
         if self._observer is not None:
             self._observer.switched(self, message)
             self._told_waiting = self.progress.phase == "waiting"
         self._on_change()
+
+    def _need(self, epoch: Epoch) -> None:
+        self.watch.need(epoch.graph.neighbours(self.robot) if self.robot in epoch.members else ())
 
     def _tell_observer(self) -> None:
         if self._observer is not None:
@@ -342,7 +365,7 @@ class LockstepDriver:
         if run.phase not in ("running", "done") or not run.begun or self._worker.busy:
             return None
         try:
-            return AppState(run.computed_at, runner.k, runner.state(), runner.result())
+            return AppState(run.computed_at, runner.k, runner.state(), runner.known_result())
         except SwarmError as error:
             self._app_failed(error)
             return None

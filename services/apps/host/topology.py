@@ -175,6 +175,11 @@ class TopologyWatch:
             return
         self._strangers[sender] = reason
 
+    def need(self, neighbours: Iterable[str]) -> None:
+        """The run needs links with other robots from now on."""
+        self._needed = frozenset(neighbours)
+        self._lost &= self._needed
+
     def forget(self) -> None:
         """Other members are in force: what was heard of other hosts says nothing any more."""
         self._strangers.clear()

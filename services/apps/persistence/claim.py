@@ -73,8 +73,14 @@ def _kept(path: Path) -> int:
 
 
 def _keep(path: Path, incarnation: int) -> None:
+    data = b"%0*d" % (_DIGITS, incarnation)
     try:
         make_folder(path.parent)
-        atomic_write(path, b"%d" % incarnation)
+        try:
+            atomic_write(path, data)
+        except OSError:  # on a full disk the old one's block is there
+            with path.open("r+b") as file:
+                file.write(data)
+                os.fdatasync(file.fileno())
     except OSError as error:
         _log.warning("%s: %s; after a reboot neighbours may ignore this app for a while", path, error.strerror)

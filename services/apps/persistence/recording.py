@@ -1,6 +1,5 @@
 """The recording of an app's host: the folder of its run, and the file in it."""
 
-import contextlib
 import os
 import time
 from collections.abc import Sequence
@@ -99,8 +98,10 @@ def _goes_on(path: Path, run: str) -> bool:
     except FileNotFoundError:
         return False
     except (RecordingError, OSError) as error:
-        with contextlib.suppress(OSError):
+        try:
             set_aside(path, error)
+        except OSError:
+            return True  # it stays, and is not begun anew
         return False
 
 

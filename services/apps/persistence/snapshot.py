@@ -26,7 +26,8 @@ class SnapshotFile(SlotFile):
         """Keep `data` in place of the oldest snapshot. Raises `LocalError` where that is impossible."""
         if len(data) > MAX_SNAPSHOT:
             raise AppError(
-                f"the private state makes a snapshot of {len(data)} bytes, at most {MAX_SNAPSHOT} can be kept"
+                f"a snapshot of {len(data)} bytes, at most {MAX_SNAPSHOT} can be kept: the private state and the "
+                "values of all neighbours are too large"
             )
         super().write(data)
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from test_server import Bus, said, talk
 
 from laptop.view import server
-from laptop.view.actions.control import ANSWER_S, Control
+from laptop.view.actions.control import ANSWER_S, ENOUGH, Control
 from laptop.view.actions.simulated_actions import SimulatedActions
 from laptop.view.feeds.feed import SimulationFeed
 from laptop.view.questions import MAX_WAITING, Questions
@@ -304,3 +304,32 @@ def test_questions_beyond_the_bound_are_refused_and_answers_that_nobody_reads_ar
         await asyncio.gather(running, return_exceptions=True)
 
     asyncio.run(main())
+
+
+def test_a_stop_is_repeated_to_those_alone_that_have_not_confirmed_it(feed: SimulationFeed) -> None:
+    """Somebody may arm the others from elsewhere, while one robot is switched off."""
+    control = Control(feed, SimulatedActions(feed))
+    control.do({"act": "stop"})
+    feed.picture.put("r0", "mesh/stopped", {"stopped": True}, 0.0)
+    control.repeat()
+    assert stops(feed) == [1, 2]
+    feed.picture.put("r0", "mesh/stopped", {"stopped": False}, 0.0)
+    control.repeat()
+    assert stops(feed) == [1, 3]
+
+
+def test_what_a_robot_has_said_before_a_stop_confirms_it_only_after_repetitions(feed: SimulationFeed) -> None:
+    """It may have been armed since, and its tunnel may have lost both that news and the stop."""
+    for name in feed.buses:
+        feed.picture.put(name, "mesh/stopped", {"stopped": True}, 0.0)
+    away: Any = feed.buses["r1"]
+    away.connected = False
+    control = Control(feed, SimulatedActions(feed))
+    control.do({"act": "stop"})
+    for _ in range(20):
+        control.repeat()
+    assert stops(feed) == [ENOUGH, 21]
+    away.connected = True
+    for _ in range(20):
+        control.repeat()
+    assert stops(feed) == [ENOUGH, 21 + ENOUGH]

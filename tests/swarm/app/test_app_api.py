@@ -1,7 +1,9 @@
 """What an app author may write, and what the platform says when it is wrong."""
 
+import asyncio
 import enum
 import logging
+import math
 import re
 from collections.abc import Callable
 from typing import Annotated, Any
@@ -9,12 +11,13 @@ from typing import Annotated, Any
 import numpy as np
 import pytest
 
-from services.apps.runner import Runner
+from services.apps.runner import Runner, bounded
 from swarm import SyncApp, Vector, float32, parameter
 from swarm.app.robot import Robot
 from swarm.core.graph import Graph
 from swarm.errors import AppError
-from swarm.messages import Measurement
+from swarm.messages import AppState, Measurement
+from swarm.messages.codec import decode, encode
 
 LINE = Graph.of_shape("line", ["r0", "r1", "r2"])
 
@@ -319,6 +322,8 @@ def test_a_missing_step_is_named() -> None:
         (lambda self: {"x": float("nan")}, "x: expected a finite number, bool, text or vector, got nan"),
         (lambda self: {"x": None}, "x: expected a finite number"),
         (lambda self: {"x": 2**70}, "x: expected a finite number"),
+        (lambda self: {"x": [10**400]}, "x: expected a finite number"),
+        (lambda self: {"x": 10**5000}, "x: expected a finite number, bool, text or vector, got a int"),
         (lambda self: {"x": (1.0, "a")}, "x: expected a finite number"),
         (lambda self: {}[1], "KeyError: 1"),
     ],
@@ -328,6 +333,30 @@ def test_wrong_results_are_named(result: Callable[[Any], Any], message: str) -> 
     runner.start(None)
     with pytest.raises(AppError, match=r"Result on r1, result\(\) at iteration 0: .*" + re.escape(message)):
         runner.result()
+
+
+def test_whatever_a_step_raises_is_the_apps_fault() -> None:
+    def step(self: Any, neighbours: Any) -> None:
+        raise asyncio.CancelledError
+
+    with pytest.raises(AppError, match="CancelledError"):
+        do_step(run(step), 4)
+
+
+def test_an_error_that_is_not_known_is_left_out_of_what_the_bus_carries() -> None:
+    """On a robot the truth is unknown. A message with nan in it is refused as a whole."""
+    kind = type("Known", (Tracker,), {"error": lambda self, truth: 0.5})
+    runner = Runner(kind(Robot("r1", LINE)), __file__)
+    runner.start(None)
+    assert math.isnan(runner.result()["error"])
+    assert "error" not in runner.known_result()
+    decode(AppState, encode(AppState(0.0, 0, runner.state(), runner.known_result())), "key")
+
+
+def test_a_fault_with_a_very_long_text_fits_into_a_message() -> None:
+    text = bounded(AppError("x" * 100_000))
+    assert len(text) == 2000
+    assert text.endswith("...")
 
 
 def test_a_result_keeps_its_names() -> None:

@@ -49,6 +49,15 @@ class Rig:
         return self.bus.take()
 
 
+def test_the_robot_of_an_app_that_makes_no_steps_stands_still_until_the_next_one(rig: Rig) -> None:
+    rig.devices.drive(0.2, 0.5)
+    assert rig.bus.take() == [SetVelocity(0.2, 0.5, DRIVE_CLAIM)]
+    for idle in (True, True, False):
+        rig.now += DRIVE_REPEAT
+        rig.devices.handle_timer(idle=idle)
+        assert rig.bus.take() == [SetVelocity(*((0.0, 0.0) if idle else (0.2, 0.5)), DRIVE_CLAIM)]
+
+
 @pytest.fixture
 def rig() -> Rig:
     return Rig()

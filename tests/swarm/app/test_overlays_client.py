@@ -196,3 +196,14 @@ def test_all_that_is_promised_to_apps_is_taken(bus: FakeBus) -> None:
     each.send("r1", bytes(MAX_BINARY))
     requests = [payload for name, payload in bus.published if "/set/" in name]
     assert len(requests) == 2
+
+
+def test_large_requests_that_wait_are_bounded_by_their_bytes(bus: FakeBus) -> None:
+    """The mesh may be away for minutes, while an app floods on."""
+    each = client(bus)
+    small = each.flood(b"small")
+    first, *others = [each.send("r1", bytes(MAX_BINARY)) for _ in range(5)]
+    assert first.answer is not None
+    assert first.answer.problem == "given up: requests of more than 4 MiB wait for the mesh"
+    assert small.answer is not None  # it was older yet
+    assert not any(handle.done for handle in others)

@@ -8,8 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarm.core.asynchronous import (
+    DEAD_AFTER,
     HANG,
     MAX_QUEUE,
+    MAX_QUEUE_BYTES,
     MIN_GAP,
     REPEAT,
     REPEAT_WAITING,
@@ -99,6 +101,15 @@ def test_a_dead_process_is_not_heard_after_its_successor() -> None:
     each.receive("r0", Channel(7, 0, 1, 1), frame(b"ol", 99), 0.0)
     assert each.known(0.0) == [NeighbourState("r0", b"ne", 0.0)]
     assert each.counters == {"dead_process": 1}
+
+
+def test_a_robot_with_a_new_card_is_heard_though_it_counts_its_starts_anew() -> None:
+    each = started()
+    each.receive("r0", Channel(7, 0, 9, 1), frame(b"ol", 99), 0.0)
+    each.receive("r0", Channel(7, 0, 1, 1), frame(b"ne"), DEAD_AFTER - 0.1)
+    assert each.known(DEAD_AFTER)[0].data == b"ol"
+    each.receive("r0", Channel(7, 0, 1, 1), frame(b"ne", 2), DEAD_AFTER)
+    assert each.known(DEAD_AFTER) == [NeighbourState("r0", b"ne", 0.0)]
 
 
 def test_robots_with_another_version_are_named_until_they_have_ours() -> None:
@@ -211,6 +222,30 @@ def test_too_many_events_lose_the_oldest() -> None:
     assert calls(each) == [HandlerCall("on_button", (3,))]
 
 
+def test_a_full_queue_loses_no_timer() -> None:
+    """An app may plan its next timer in the handler of this one."""
+    each = started()
+    each.happened("on_button", "first", now=0.0)
+    each.after(0.5, "blink", 0.0)
+    each.handle_timer(0.5)
+    for number in range(MAX_QUEUE + 3):
+        each.happened("on_button", number, now=0.6)
+    each.actions()
+    each.returned(b"\0\0", 0.7)
+    assert calls(each) == [HandlerCall("on_timer", ("blink",))]
+
+
+def test_messages_that_wait_are_bounded_by_their_bytes() -> None:
+    each = started()
+    size = MAX_QUEUE_BYTES // 4
+    for number in range(10):
+        each.happened("on_message", number, now=0.0, size=size)
+    assert each.counters["lost_events"] == 5  # one is running, four wait
+    each.actions()
+    each.returned(b"\0\0", 0.0)
+    assert calls(each) == [HandlerCall("on_message", (6,), size)]
+
+
 def test_a_timer_calls_its_handler_when_it_is_due() -> None:
     each = started()
     each.actions()
@@ -318,6 +353,7 @@ def test_a_handler_that_hangs_is_seen_and_its_robot_falls_silent() -> None:
     assert each.hangs(HANG)
     each.handle_timer(HANG + 10.0)
     assert each.actions() == []
+    assert each.next_deadline() > HANG + 10.0  # a time in the past would be planned again for ever
     each.returned(b"\0\1", HANG + 10.0)
     assert not each.hangs(HANG + 10.0)
     assert HandlerCall("step") in each.actions()

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swarm import Matrix, Vector, float32
-from swarm.core.snapshot_fields import pack_private, unpack_private
-from swarm.core.state import MAX_STATE, Field, Schema, field_of
+from swarm.core.snapshot_fields import MOST_LEVELS, pack_private, unpack_private
+from swarm.core.state import MAX_STATE, Field, Schema, field_of, shown
 from swarm.errors import AppError, FrameError
 
 
@@ -163,6 +163,24 @@ def test_private_fields_come_back_as_they_were(values: dict[str, Any]) -> None:
 def test_private_fields_that_cannot_be_saved_are_named(value: object) -> None:
     with pytest.raises(AppError, match=r"^_x: .* cannot be saved for a restart"):
         pack_private({"_x": value})
+
+
+def test_tuples_within_tuples_are_refused_before_a_stack_is_too_small_to_unpack_them() -> None:
+    value: object = 0
+    for _ in range(MOST_LEVELS):
+        value = (value, 1)
+    assert unpack_private(pack_private({"_x": value[0]})) == {"_x": value[0]}  # type: ignore[index]
+    with pytest.raises(AppError, match=r"_x: .*tuples within tuples, more than 32 levels"):
+        pack_private({"_x": value})
+
+
+def test_an_error_shows_also_what_has_no_text() -> None:
+    class Odd:
+        def __repr__(self) -> str:
+            raise RuntimeError("no text")
+
+    assert shown(10**5000) == "a int"
+    assert shown(Odd()) == "a Odd"
 
 
 def test_a_vector_has_a_column_for_each_entry() -> None:

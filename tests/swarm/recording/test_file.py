@@ -1,5 +1,6 @@
 """The file of a recording: whole, cut short, gone on with, on a disk that is full."""
 
+import errno
 import os
 import subprocess
 import sys
@@ -216,3 +217,28 @@ def test_a_recording_that_has_ended_is_on_the_disk(open_file, monkeypatch):
     file.write(TOPIC, 0.0, {"i": 0})
     file.close()
     assert calls[-2:] == ["write", "sync"]
+
+
+@pytest.mark.parametrize("failing", ["survey", "set_aside"])
+def test_a_recording_that_cannot_be_read_is_not_overwritten(open_file, tmp_path, monkeypatch, failing):
+    """A card may give an error once."""
+    file = open_file()
+    for number in range(20):
+        file.write(TOPIC, number, {"value": float(number)})
+    file.close()
+    path = tmp_path / "x.mcap"
+    if failing == "set_aside":
+        path.write_bytes(b"something else" * 100)
+    before = path.read_bytes()
+
+    def fails(*_):
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(module, failing, fails)
+    counters = Counter()
+    file = open_file(counters=counters, append=True)
+    file.write(TOPIC, 21.0, {"value": 21.0})
+    file.close()
+    assert path.read_bytes() == before
+    assert "Input/output error" in file.problem
+    assert counters == {"records_lost": 1}

@@ -164,3 +164,14 @@ def test_a_run_that_waits_for_a_topology_keeps_only_the_newest_answer(tmp_path: 
         assert topology.of_run(service, "x", 7) is None
     assert len(kept) == 3
     assert kept[-1] <= kept[0]
+
+
+def test_after_a_change_of_members_the_run_needs_the_links_of_the_new_ones() -> None:
+    lost: list[str] = []
+    watch = TopologyWatch(("r0", "r1"), lost.append)
+    watch.take(told(*STAR, near="r0 r1"))
+    watch.need(("r1", "r3"))
+    watch.take(told(*STAR, version=5, near="r1 r3"))
+    assert lost == []
+    watch.take(told(*STAR, version=6, near="r1"))
+    assert watch.reason(("r3",)).startswith("topology 6 has no link with r3")

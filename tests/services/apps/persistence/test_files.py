@@ -1,5 +1,6 @@
 """What the app host keeps in files: lock and incarnation, snapshot."""
 
+import errno
 import os
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from services.apps.persistence import claim
 from services.apps.persistence.claim import AppLock
 from services.apps.persistence.snapshot import MAX_SNAPSHOT, SnapshotFile
 from swarm.errors import AppError, LocalError
@@ -68,6 +70,18 @@ def test_an_app_starts_where_its_incarnation_cannot_be_kept(tmp_path: Path, capl
     assert "neighbours may ignore this app" in caplog.text
 
 
+def test_the_incarnation_goes_up_through_a_reboot_on_a_full_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def full(path: Path, data: bytes) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    assert incarnation_after_boot(tmp_path) == 1
+    monkeypatch.setattr(claim, "atomic_write", full)
+    assert [incarnation_after_boot(tmp_path) for _ in range(2)] == [2, 3]
+    assert caplog.text == ""
+
+
 # Snapshot
 
 
@@ -109,7 +123,7 @@ def test_a_torn_write_leaves_the_one_before(tmp_path_factory: pytest.TempPathFac
 def test_a_snapshot_has_a_largest_size(tmp_path: Path) -> None:
     file = SnapshotFile(tmp_path / "app.x.snapshot")
     file.write(bytes(MAX_SNAPSHOT))
-    with pytest.raises(AppError, match=r"the private state makes a snapshot of \d+ bytes, at most \d+ can be kept"):
+    with pytest.raises(AppError, match=r"a snapshot of \d+ bytes, at most \d+ can be kept"):
         file.write(bytes(MAX_SNAPSHOT + 1))
     assert file.read() == [bytes(MAX_SNAPSHOT)]
     file.close()

@@ -60,3 +60,16 @@ def test_a_file_that_a_disk_cannot_read_does_not_keep_the_app_from_its_start(
     monkeypatch.setattr(recording, "run_of", fail)
     assert not _goes_on(path, "7")
     assert aside(path) == [whole]
+
+
+def test_a_damaged_file_that_cannot_be_set_aside_is_not_begun_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "r0.mcap"
+    path.write_bytes(b"damaged" * 100)
+
+    def fails(*_: object) -> None:
+        raise OSError("Read-only file system")
+
+    monkeypatch.setattr(recording, "set_aside", fails)
+    assert _goes_on(path, "7")

@@ -9,7 +9,7 @@ from sim.core.actions import BodyPlace, Lay, Press, Push
 from sim.scenario.options import parse
 from sim.scenario.scenario import build
 from sim.virtual.bus import VirtualBus
-from sim.virtual.run import PLACE
+from sim.virtual.run import PLACE, VirtualRun
 from sim.virtual.world import VirtualWorld
 from swarm.app.devices import Devices
 from swarm.errors import LocalError
@@ -165,3 +165,40 @@ def test_any_sample_of_the_stop_key_on_one_robot_stops_all(rig, payload):
     rig.run(1.0)
     assert [body.fault.startswith("stopped: ") for body in bodies] == [True] * 3
     assert max(len(body.fault) for body in bodies) < 300
+
+
+DRIVES = """
+from swarm import SyncApp
+class Drives(SyncApp):
+    value: float
+    def step(self, neighbours):
+        self.value += 1
+        self.robot.drive(0.1, 0.0)
+        self.robot.leds(True, False, False)
+"""
+
+
+def test_a_robot_stands_still_while_its_lockstep_waits_and_keeps_its_leds(tmp_path):
+    file = tmp_path / "drives.py"
+    file.write_text(DRIVES)
+    options = parse([str(file), "--robots", "2", "--seconds", "12", "--cut", "r0-r1@2s,6s", "--virtual"])
+    run = VirtualRun(options, build(options, PLACE))
+    robot = run.world.robots["r0"]
+    found = {}
+    for at in (1.0, 4.5, 7.8, 11.9):
+        run.world.time.at(at, lambda at=at: found.update({at: robot.balancer.body.x}))
+    run.world.time.at(7.8, lambda: found.update(red=robot.balancer.shown[0]))
+    run.go()
+    assert found[4.5] - found[1.0] > 0.1
+    assert found[7.8] == pytest.approx(found[4.5], abs=0.01)
+    assert found["red"]
+    assert found[11.9] > found[7.8] + 0.02
+
+
+def test_the_lockstep_of_a_robot_that_is_done_is_idle_at_once(tmp_path):
+    file = tmp_path / "drives.py"
+    file.write_text(DRIVES)
+    options = parse([str(file), "--robots", "2", "--iterations", "20", "--virtual"])
+    run = VirtualRun(options, build(options, PLACE))
+    run.go()
+    assert all(robot.apps["drives"].drivers[""].idle for robot in run.world.robots.values())
