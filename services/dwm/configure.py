@@ -97,7 +97,7 @@ def apply(line: ModuleConnection, wish: DesiredModule) -> list[str]:
     if not wish.anchor and before.rate != wish.rate:
         line.ask(calls.upd_rate_set(wish.rate))
         changes.append(f"update rate {_rate(before.rate)} -> {_rate(wish.rate)}")
-    if wish.place is not None and (before.place != wish.place or not before.settings.anchor):
+    if wish.place is not None and (not _same(before.place, wish.place) or not before.settings.anchor):
         line.ask(calls.pos_set(wish.place))
         changes.append(f"place ({wish.place.x:g}, {wish.place.y:g}, {wish.place.z:g}) m")
     if changes:
@@ -113,9 +113,16 @@ def unfulfilled(info: ModuleInfo, wish: DesiredModule) -> list[str]:
         missing.append(f"it is {_role(info.settings)}, not {_role(settings)}")
     if not wish.anchor and info.rate != wish.rate:
         missing.append(f"its update rate is {_rate(info.rate)}, not {_rate(wish.rate)}")
-    if wish.place is not None and info.place != wish.place:
+    if wish.place is not None and not _same(info.place, wish.place):
         missing.append("its place is another")
     return missing
+
+
+def _same(place: Position | None, wish: Position) -> bool:
+    """Return whether a module with this place has the wished one: it holds whole mm."""
+    if place is None:
+        return False
+    return all(abs(a - b) < 0.001 for a, b in zip((place.x, place.y, place.z), (wish.x, wish.y, wish.z), strict=True))
 
 
 def _fulfils(settings: Settings, wish: Settings) -> bool:

@@ -36,7 +36,7 @@ def serve(service: Service, source: str) -> None:
             refuse(service, f"{name}: {error}")
 
     service.bus.subscribe(source, take)
-    localizer = Localizer(service, clock.now())
+    localizer = Localizer(service, clock.now(), external=True)
     service.ready()
     service.degraded(f"nothing is reported on {source} yet")
     heard, sequence = clock.now(), 0
@@ -46,7 +46,7 @@ def serve(service: Service, source: str) -> None:
             report = arrived.get(timeout=_POLL)
         except queue.Empty:
             if clock.now() > heard + SILENT_S:
-                service.degraded(f"nothing is reported on {source} for {clock.now() - heard:.0f} s")
+                service.degraded(f"nothing is reported on {source} any more")
             continue
         heard = clock.now()
         service.ready()

@@ -80,8 +80,9 @@ class _Host(Outlets, Protocol):
 class Localizer:
     """Turns a module's answers into `dwm/ranges` and `dwm/pose`."""
 
-    def __init__(self, service: _Host, now: float) -> None:
-        """Raises `ConfigError` where the robot's calibration does not fit."""
+    def __init__(self, service: _Host, now: float, *, external: bool = False) -> None:
+        """`external`: the answers are no module's (see `Pipeline`). Raises `ConfigError` where the robot's calibration
+        does not fit."""
         config, robot = service.config, service.robot
         self._service = service
         if problem := uncalibrated(config, robot):
@@ -93,6 +94,7 @@ class Localizer:
             kind=kind,
             calibration=load_calibration(config, robot),
             anchors=config.anchors,
+            external=external,
         )
         # An anchor ranges to nobody, so its answers say nothing.
         is_tag = config.robot(robot).uwb_role == "tag"
@@ -118,5 +120,11 @@ class Localizer:
 
     def _move(self) -> None:
         """Give the filter the motion since the last report."""
+        tracker = self._pipeline.tracker
         while self._odometry:
-            self._pipeline.tracker.odometry(*self._increments.take(self._odometry.popleft()))
+            message = self._odometry.popleft()
+            motion = self._increments.take(message)
+            if motion is None:
+                tracker.begin(message.t)
+            else:
+                tracker.odometry(*motion)

@@ -5,6 +5,7 @@ messages. The last ones are answered again from memory, so that nothing is done 
 """
 
 import queue
+import threading
 from collections import OrderedDict
 from collections.abc import Callable
 
@@ -32,6 +33,8 @@ class ModuleRequests:
         self._repeats = repeats
         self._queue: queue.SimpleQueue[ModuleRequest] = queue.SimpleQueue()
         self._answers: OrderedDict[str, ModuleAnswer | None] = OrderedDict()
+        self._lock = threading.Lock()
+        """A lock around the answers: Zenoh's thread and the service's own use them."""
         self._key = key(service.robot, "dwm", "module")
         listen(service, key(service.robot, "dwm", "set", "module"), ModuleRequest, self._take)
 
@@ -41,25 +44,33 @@ class ModuleRequests:
 
     def answer(self, ticket: str, data: bytes, problem: str) -> None:
         """Publish what the module said; nothing where nobody has asked here."""
-        if ticket in self._answers:
+        with self._lock:
+            if ticket not in self._answers:
+                return
             message = self._answers[ticket] = ModuleAnswer(clock.now(), ticket, data, problem)
-            self._service.bus.publish(self._key, message)
+        self._service.bus.publish(self._key, message)
+
+    def fail(self, problem: str) -> None:
+        """Answer everything that is open: the module is gone."""
+        self.new()
+        with self._lock:
+            opened = [ticket for ticket, answer in self._answers.items() if answer is None]
+        for ticket in opened:
+            self.answer(ticket, b"", problem)
 
     def _take(self, request: ModuleRequest) -> None:
         """Runs on Zenoh's thread."""
         if len(request.request) > MAX_REQUEST:
             refuse(self._service, f"a request of {len(request.request)} bytes: at most {MAX_REQUEST} are taken")
             return
-        if request.ticket in self._answers:
-            known = self._answers[request.ticket]
-            if known is not None:
-                self._service.bus.publish(self._key, known)
-                return
-            if not self._repeats:
-                return
-        else:
-            self._answers[request.ticket] = None
+        with self._lock:
+            is_new = request.ticket not in self._answers
+            known = self._answers.setdefault(request.ticket, None)
             if len(self._answers) > MAX_OPEN:
                 self._answers.popitem(last=False)
+        if known is not None:
+            self._service.bus.publish(self._key, known)
+        if known is not None or not (is_new or self._repeats):
+            return
         self._queue.put(request)
         self._wake()

@@ -48,8 +48,7 @@ def serve(service: Service, path: Path) -> None:
             service.counters["port_errors"] += 1
             reason = f"{path}: {(isinstance(error, OSError) and error.strerror) or error}"
             service.degraded(reason)
-            for request in requests.new():
-                requests.answer(request.ticket, b"", reason)
+            requests.fail(reason)
         if service.counters["reports"] > before:
             pause = _FIRST_PAUSE
         service.watchdog()

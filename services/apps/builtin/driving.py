@@ -7,10 +7,13 @@ from typing import Annotated, Any
 from services.apps.core import places, unicycle
 from services.apps.core.avoidance import Barrier, Point
 from swarm import Matrix, PeriodicApp, parameter
+from swarm.errors import AppError
 from swarm.messages.codec import Value
 
 SEEK_SPEED, SEEK_TURN = 0.1, 0.8
 """A circle of 12 cm: UWB ranges tell the heading of a robot only while it moves."""
+SEEK_S = 60.0
+"""Seconds in a circle after which the heading must be known. With four anchors it is within 4 s."""
 
 
 class DrivingApp(PeriodicApp):
@@ -23,10 +26,12 @@ class DrivingApp(PeriodicApp):
     """What the robots keep between their axles, as far as their poses are right."""
     _places: places.Places
     _velocity: Point = (0.0, 0.0)
+    _sought: float = 0.0
+    """Seconds for which it has looked for its heading."""
 
     def start(self) -> None:
         """Nobody's place is known."""
-        self._places = places.Places(self.robot.swarm.index(self.robot.name))
+        self._places = places.Places(self.robot.swarm.index(self.robot.name), len(self.robot.swarm))
         self.table = self._places.tell(self.robot.now)
 
     def look(self, neighbours: Sequence[Any]) -> Point | None:
@@ -56,8 +61,15 @@ class DrivingApp(PeriodicApp):
             self.robot.drive(0.0, 0.0)
             return
         if pose.heading is None:
+            self._sought += self.period
+            if self._sought > SEEK_S:
+                raise AppError(
+                    f"the heading is still unknown after {SEEK_S:g} s in a circle: [dwm] filter must be auto or ekf, "
+                    "and reports of another source need a heading"
+                )
             self.robot.drive(SEEK_SPEED, SEEK_TURN)
             return
+        self._sought = 0.0
         here = unicycle.UnicyclePose(pose.x, pose.y, pose.heading)
         barrier = Barrier(self.apart)
         speed, turn = unicycle.drive(

@@ -31,11 +31,13 @@ class Goto(DrivingApp):
     """A bit for each robot, in the order of swarm.toml, of which is known that it has reached its last waypoint."""
     _goals: tuple[Point, ...] = ()
     _reached: int = 0
+    _stays: bool = False
+    """Whether it is not done when it has arrived."""
 
     def start(self) -> None:
         """Read the waypoints."""
         super().start()
-        self._goals = read_waypoints(self.waypoints)
+        self._goals, self._stays = read_waypoints(self.waypoints)
         if len(self.robot.swarm) > MOST:
             raise AppError(f"goto has room for {MOST} robots, the swarm has {len(self.robot.swarm)}: use fewer robots")
 
@@ -45,7 +47,8 @@ class Goto(DrivingApp):
         if name != "waypoints":
             return
         try:
-            self._goals, self._reached = read_waypoints(self.waypoints), 0
+            self._goals, self._stays = read_waypoints(self.waypoints)
+            self._reached = 0
         except AppError:
             self.robot.display("waypoints", "not read")
 
@@ -73,14 +76,10 @@ class Goto(DrivingApp):
         x, y = self._goals[min(self._reached, len(self._goals) - 1)]
         left = math.dist(here, (x, y))
         self.robot.record("off", left)
-        if self._reached == len(self._goals):
+        if self._reached == len(self._goals) or left == 0.0:
             return 0.0, 0.0
         pace = min(self.speed, SLOWING * left) / left
         return pace * (x - here[0]), pace * (y - here[1])
-
-    @property
-    def _stays(self) -> bool:
-        return self.waypoints.split()[-1:] == [STAY]
 
     def _opposite(self, here: Point) -> Point:
         anchors = self.robot.anchors
@@ -94,11 +93,12 @@ class Goto(DrivingApp):
         return {**self.told(), "reached": self._reached, "of": len(self._goals)}
 
 
-def read_waypoints(text: str) -> tuple[Point, ...]:
-    """ "0.5,1.5 1,1" as points, m, without `stay` at the end; raises `AppError`."""
+def read_waypoints(text: str) -> tuple[tuple[Point, ...], bool]:
+    """Return "0.5,1.5 1,1 stay" as points, m, and whether there is a `stay` at the end; raises `AppError`."""
     points = []
     words = text.split()
-    for word in words[:-1] if words[-1:] == [STAY] else words:
+    stays = words[-1:] == [STAY]
+    for word in words[:-1] if stays else words:
         try:
             x, y = map(float, word.split(","))
         except ValueError:
@@ -106,4 +106,4 @@ def read_waypoints(text: str) -> tuple[Point, ...]:
         if not (math.isfinite(x) and math.isfinite(y)):
             raise AppError(f"waypoints: {word!r}: expected finite numbers, in m")
         points.append((x, y))
-    return tuple(points)
+    return tuple(points), stays

@@ -39,8 +39,10 @@ class Places:
     """The places of other robots that one robot knows. Times are of its own clock, s; a robot is named by its index
     in the swarm."""
 
-    def __init__(self, me: int) -> None:
+    def __init__(self, me: int, robots: int) -> None:
+        """`robots`: how many there are in the swarm."""
         self._me = me
+        self._robots = robots
         self._seen: dict[int, _Seen] = {}
 
     def be(self, place: Point, velocity: Point, age: float, now: float) -> None:
@@ -49,9 +51,12 @@ class Places:
 
     def hear(self, rows: Iterable[Row], age: float, now: float) -> None:
         """Take `rows` that a neighbour sent `age` s ago. The newest entry of each robot counts."""
-        for number, x, y, vx, vy, row_age in rows:
+        for row in rows:
+            number, x, y, vx, vy, row_age = row
+            if not (0 <= number < self._robots and all(map(math.isfinite, row))):
+                continue
             robot, t = int(number), now - age - max(0.0, row_age)
-            if robot < 0 or robot == self._me:
+            if robot == self._me:
                 continue
             if robot not in self._seen or t > self._seen[robot].t:
                 self._seen[robot] = _Seen(t, x, y, vx, vy)

@@ -15,7 +15,7 @@ from services.dwm.core.module import calls
 from services.dwm.core.module.tlv import LOC_GET, AnchorRange, Location
 from services.dwm.line import ModuleConnection, restart
 from swarm import clock
-from swarm.errors import LocalError
+from swarm.errors import LocalError, RemoteError
 
 Pair = tuple[str, str]
 Calibrate = Callable[[str, float], float]
@@ -77,9 +77,7 @@ def take_turns(
             line.ask(calls.upd_rate_set(calls.UpdateRate(1, 1)))
             found = medians(sample(line, seconds, wait), calibrate)
         finally:
-            _restore(line, info)
-            if deputy is not None:
-                _restore(deputy, modules[deputy])
+            _restore({line: info} | ({} if deputy is None else {deputy: modules[deputy]}))
         distances |= _row(info.address, found, set(addresses))
     return distances
 
@@ -89,9 +87,22 @@ def _set(line: ModuleConnection, settings: calls.Settings) -> None:
     restart(line)
 
 
-def _restore(line: ModuleConnection, info: ModuleInfo) -> None:
-    line.ask(calls.upd_rate_set(info.rate))
-    _set(line, info.settings)
+def _restore(found: Mapping[ModuleConnection, ModuleInfo]) -> None:
+    """Let each module be as it was, also where another one does not answer. Raises `LocalError` that names those which
+    are left changed."""
+    left = []
+    for line, info in found.items():
+        try:
+            _set(line, info.settings)
+            if not info.settings.anchor:
+                line.ask(calls.upd_rate_set(info.rate))
+        except (LocalError, RemoteError) as error:
+            left.append(
+                f"{info.address} ({line.name}) is not as it was: {error}; mend it by swarm dwm configure --anchor"
+                f"{' --initiator' if info.settings.initiator else ''} --port {line.name}"
+            )
+    if left:
+        raise LocalError("; ".join(left))
 
 
 def _row(address: str, found: Mapping[str, float], anchors: set[str]) -> dict[Pair, float]:

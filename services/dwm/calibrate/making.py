@@ -7,7 +7,7 @@ from functools import partial
 from math import sqrt
 from pathlib import Path
 
-from services.dwm.core.calibration import calibration_file, fitting, samples
+from services.dwm.core.calibration import calibration_file, fitting, limits, samples
 from services.dwm.core.calibration.calibration_file import CalibrationFile, Evidence
 from services.dwm.core.calibration.models import Calibration, RangeModel
 from services.dwm.core.calibration.samples import Point3, RangeSample, SampleGroup, Spot
@@ -133,6 +133,9 @@ def with_offset(
         )
         return replace(file, distance=(replace(RangeModel.of(config.dwm.distance), robot=learned.offset), evidence))
     model, evidence = file.distance
+    if evidence.sha256 == learned.sha256:
+        raise ConfigError("the calibration has this offset already: it was made of the same samples")
+    limits.check_offset(model.robot + learned.offset)
     return replace(file, distance=(replace(model, robot=model.robot + learned.offset), evidence))
 
 

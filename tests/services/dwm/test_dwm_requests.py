@@ -2,6 +2,8 @@
 
 import threading
 import time
+from collections import Counter
+from types import SimpleNamespace
 
 import pytest
 from conftest import CONFIG, stop, wait_until
@@ -11,10 +13,11 @@ from dwm_rig import ANCHORS, DWM, working
 from services.dwm.core.module.calls import CFG_GET, VER_GET
 from services.dwm.core.module.tlv import encode_refusal
 from services.dwm.line import BusLine, NoAnswerError
+from services.dwm.requests import ModuleRequests
 from swarm import config as configuration
 from swarm.bus.zenoh_bus import Bus
 from swarm.messages import ModuleAnswer, ModuleRequest, Ranges, Status, Uwb, UwbRange
-from swarm.messages.codec import decode
+from swarm.messages.codec import decode, encode
 
 REPORT = Uwb(0.0, "ok", 0, 0, 1, 0, 0.02, 2.635, 1.055, 3.74, 100, 4, tuple(
     UwbRange(r.anchor, r.distance, r.quality, r.position.x, r.position.y, r.position.z, r.position.quality)
@@ -163,3 +166,27 @@ def test_a_module_that_did_not_answer_its_service_is_asked_again(bus, runtime):
     finally:
         line.close()
     assert len(set(asked)) == 3
+
+
+def test_all_requests_are_answered_when_the_module_is_gone() -> None:
+    """Also one that was taken already, to be sent to the module."""
+    answers: list[ModuleAnswer] = []
+    listeners = {}
+    bus = SimpleNamespace(
+        publish=lambda key, message: answers.append(message), subscribe=lambda key, take: listeners.update({key: take})
+    )
+    service = SimpleNamespace(robot="r0", bus=bus, counters=Counter(), log=None)
+    requests = ModuleRequests(service, lambda: None)  # type: ignore[arg-type]
+    take = listeners["swarm/r0/dwm/set/module"]
+    for ticket in "ab":
+        take("key", encode(ModuleRequest(ticket, VER_GET.request)))
+    assert [request.ticket for request in requests.new()] == ["a", "b"]
+    take("key", encode(ModuleRequest("c", VER_GET.request)))
+    requests.answer("a", b"yes", "")
+    requests.fail("no such device")
+    assert [(answer.ticket, answer.problem) for answer in answers] == [
+        ("a", ""),
+        ("b", "no such device"),
+        ("c", "no such device"),
+    ]
+    assert requests.new() == []

@@ -23,6 +23,8 @@ UNIT = 1e-3
 _SPAN = 1 << 17
 """The range of each of the three numbers: 51 bits, which a float64 holds. Places within 65 m of the origin, ranges
 to 131 m."""
+_MOST = float(_SPAN**3)
+"""The largest packed number."""
 
 
 class Flood(Localization):
@@ -64,7 +66,8 @@ class Flood(Localization):
         entries = list(self.entries)
         for i, source in enumerate(self._from):
             if source in known:
-                entries[i] = known[source][i] or entries[i]
+                told = known[source][i]
+                entries[i] = told if 0.0 < told <= _MOST else entries[i]
         self.entries = self._with_own(entries)
 
     def result(self) -> Mapping[str, Value]:

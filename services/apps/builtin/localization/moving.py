@@ -9,6 +9,11 @@ from services.apps.builtin.localization.place import UNKNOWN, Localization
 from swarm import Vector, parameter
 from swarm.messages.codec import Value
 
+LONGEST_S = 5.0
+"""Longest time of an iteration that is believed, s: a longer one is a pause or a restart."""
+SHARE = 0.05
+"""Share of a new period in the smoothed one."""
+
 
 class Moving(Localization):
     """q_i follows the mean over all robots of the information on the last iterations, each moved on to now.
@@ -23,10 +28,10 @@ class Moving(Localization):
     """The number of the newest measurement that went in: a repeated one says nothing new."""
     _velocity: tuple[float, float] = (0.0, 0.0)
     """The last one found, m an iteration: where the next search begins."""
-    _began: float = 0.0
-    """Time of the first measurement, s."""
+    _last: tuple[()] | tuple[float, int] = ()
+    """Time of the newest measurement, s, and the iteration in which it was new."""
     _period: float = 0.0
-    """Mean time of an iteration, s; 0 = not yet known."""
+    """Smoothed time of an iteration, s; 0 = not yet known."""
 
     memory: float = parameter(40.0, unit="iterations", low=2)
     """Mean age of what is remembered. A target that turns wants less, noise wants more."""
@@ -35,7 +40,7 @@ class Moving(Localization):
 
     def start(self) -> None:
         """The first measurement is the first information."""
-        self._began = self.robot.measurement.t
+        self._last = ()
         self.q = self._new()
 
     def step(self, neighbours: Sequence[Any]) -> None:
@@ -44,7 +49,7 @@ class Moving(Localization):
         mixed = tuple([own + fsum(w * (n.q[i] - own) for w, n in weighted) for i, own in enumerate(self.q)])
         predicted = track.predict(mixed, 1.0 - 1.0 / self.memory)
         self.q = tuple([a + b for a, b in zip(predicted, self._new(), strict=True)])
-        self._period = max(0.0, self.robot.measurement.t - self._began) / (self.k + 1)
+        self._measure_period()
         found = self._solved()
         self._velocity = (found.vx, found.vy)
 
@@ -53,6 +58,21 @@ class Moving(Localization):
         found = self._solved()
         rate = 1.0 / self._period if self._period > 0.0 else 0.0
         return {**self.report((found.x, found.y), found.found), "vx": rate * found.vx, "vy": rate * found.vy}
+
+    def _measure_period(self) -> None:
+        """Take the time of an iteration from two measurements that follow each other: after a restart, or in a robot
+        that has joined a run, earlier ones say nothing."""
+        t = self.robot.measurement.t
+        if not self._last:
+            self._last = t, self.k
+            return
+        before, k = self._last
+        if t == before:
+            return
+        self._last = t, self.k
+        period = (t - before) / (self.k - k)
+        if 0.0 < period < LONGEST_S:
+            self._period += (period - self._period) * (SHARE if self._period else 1.0)
 
     def _solved(self) -> track.TargetMotion:
         robots = len(self.robot.swarm)

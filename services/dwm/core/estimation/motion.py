@@ -70,13 +70,14 @@ class Increments:
     def __init__(self) -> None:
         self._last: Odometry | None = None
 
-    def take(self, new: Odometry) -> tuple[float, float, float, float]:
+    def take(self, new: Odometry) -> tuple[float, float, float, float] | None:
         """Time, way (m), turn by the gyro (rad) and tilt, for `Tracker.odometry`.
 
-        The first message, and the first of a balancer that began anew and its sums with it, carry no motion.
+        None for the first message, and for the first of a balancer that began anew and its sums with it: how the robot
+        has moved before is unknown.
         """
         last, self._last = self._last, new
         if last is None or new.sequence <= last.sequence:
-            return new.t, 0.0, 0.0, new.tilt
+            return None
         way = 0.5 * (new.left + new.right - last.left - last.right)
         return new.t, way, new.gyro_heading - last.gyro_heading, new.tilt

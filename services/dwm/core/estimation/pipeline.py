@@ -34,13 +34,15 @@ class Pipeline:
         kind: str = "average",
         calibration: models.Calibration | None = None,
         anchors: Sequence[Anchor] = (),
+        external: bool = False,
     ) -> None:
-        """`robots`: name of the robot that carries a module, by address. `kind` of filter, as in `Dwm.filter`."""
+        """`robots`: name of the robot that carries a module, by address. `kind` of filter, as in `Dwm.filter`.
+        `external`: the ranges are no module's, each report is a measurement, and its time is known."""
         self._settings = settings
         self._kind = kind
         self._models = calibration or models.Calibration(models.RangeModel.of(settings.distance), settings.position)
         self._anchors = {anchor.address: (anchor.x, anchor.y, anchor.z) for anchor in anchors}
-        self._book = RangeBook(settings.rate, robots or {})
+        self._book = RangeBook(settings.rate, robots or {}, repeats=not external)
         self._distances: dict[str, tuple[RangeFilter, float]] = {}
         self._place = PlaceFilter(settings.position_window or settings.window)
         self._fix: tuple[float, float] = (0.0, 0.0)
@@ -50,7 +52,7 @@ class Pipeline:
         self.tracker = Tracker(
             self._anchors,
             settings.height,
-            latency=settings.latency,
+            latency=0.0 if external else settings.latency,
             lever=settings.lever,
             antenna=self._models.ranges.antenna,
         )

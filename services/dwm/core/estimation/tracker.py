@@ -106,10 +106,17 @@ class Tracker:
         self.restarts = 0
         """Number of times that the tracker started again because the ranges contradicted it."""
 
+    def begin(self, t: float) -> None:
+        """Odometry begins at `t`, or begins anew: somebody may have carried or turned the robot meanwhile."""
+        self._motion = DeadReckoning(t)
+        self._filters, self._known, self._doubt = [], False, 0.0
+        self._first.clear()
+        self.problem = "odometry has just begun"
+
     def odometry(self, t: float, distance: float, turn: float, tilt: float = 0.0) -> None:
         """The robot rolled `distance` (m) and turned by `turn` (rad) since the last call, and leans by `tilt`."""
         if self._motion is None:
-            self._motion = DeadReckoning(t)
+            self.begin(t)
             return
         dt = t - self._motion.newest.t
         if dt <= 0.0:

@@ -48,19 +48,21 @@ class TrackedModule:
 class RangeBook:
     """The modules that one robot sees. `counters` tell what was dropped."""
 
-    def __init__(self, rate: float, robots: Mapping[str, str]) -> None:
-        """`rate` of asking, Hz; `robots`: name of the robot that carries a module, by address."""
+    def __init__(self, rate: float, robots: Mapping[str, str], *, repeats: bool = True) -> None:
+        """`rate` of asking, Hz; `robots`: name of the robot that carries a module, by address. `repeats`: whether equal
+        answers are one measurement; those of another source than a module are one each."""
         self.counters: Counter[str] = Counter()
         self.robots = robots
         self.stale_after = max(STALE, 2.5 / rate)
         self.tracks: dict[str, TrackedModule] = {}
+        self._repeats = repeats
         self._last: Location | None = None
 
     def report(self, location: Location, now: float) -> bool:
         """Take an answer; False where it is the last one once more: equal in every number, position and ranges."""
         for track in self.tracks.values():
             track.fresh = False
-        if location == self._last:
+        if self._repeats and location == self._last:
             return False
         self._last = location
         seen = Counter(item.anchor for item in location.ranges)
@@ -85,7 +87,7 @@ class RangeBook:
         else:
             track.same = track.same + 1 if item == track.item else 0
             track.item = item
-            if track.same < STUCK:
+            if track.same < STUCK or not self._repeats:
                 track.gap, track.measured, track.fresh = now - track.measured, now, True
                 track.sequence += 1
         self.tracks[item.anchor] = track

@@ -307,7 +307,7 @@ def encode_position(place: Position) -> bytes:
     """13 bytes; raises `LocalError` where a value does not fit its field."""
     try:
         return _POSITION.pack(round(place.x * 1000), round(place.y * 1000), round(place.z * 1000), place.quality)
-    except struct.error as error:
+    except (struct.error, ValueError, OverflowError) as error:  # the others of nan and inf
         raise LocalError(f"a position that no module can hold: {error}") from None
 
 

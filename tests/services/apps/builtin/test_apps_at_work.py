@@ -168,10 +168,32 @@ def test_waypoints_that_are_none_are_refused(text: str) -> None:
 
 
 def test_waypoints_are_read_from_their_text() -> None:
-    assert read_waypoints("") == ()
-    assert read_waypoints("stay") == ()
-    assert read_waypoints("0.5,1.5 stay") == ((0.5, 1.5),)
-    assert read_waypoints(" 0.5,1.5  -1,2e-1 ") == ((0.5, 1.5), (-1.0, 0.2))
+    assert read_waypoints("") == ((), False)
+    assert read_waypoints("stay") == ((), True)
+    assert read_waypoints("0.5,1.5 stay") == (((0.5, 1.5),), True)
+    assert read_waypoints(" 0.5,1.5  -1,2e-1 ") == (((0.5, 1.5), (-1.0, 0.2)), False)
+
+
+@pytest.mark.parametrize("waypoints", ["stay", "1,1 stay"])
+def test_a_text_that_names_no_places_leaves_a_robot_where_it_is(waypoints: str) -> None:
+    app = Goto(Robot("r0", Graph.of_shape("line", ["r0", "r1"])), {"waypoints": waypoints})
+    app.robot.devices = SimpleNamespace(display=lambda lines: None)  # type: ignore[assignment]
+    app.robot.recording = lambda name, t, value: None
+    app.start()
+    app._wish((1.0, 1.0))
+    app.change({"waypoints": "0.5;1.5"})
+    app.on_parameter("waypoints")
+    assert app._stays
+    assert app._wish((1.0, 1.0)) == (0.0, 0.0)
+
+
+def test_a_robot_that_stands_at_its_next_waypoint_already_goes_on() -> None:
+    app = Goto(Robot("r0", Graph.of_shape("line", ["r0", "r1"])), {"waypoints": "1,1 1,1 2,1"})
+    app.robot.recording = lambda name, t, value: None
+    app.start()
+    for _ in range(3):
+        wish = app._wish((1.0, 1.0))
+    assert wish[0] > 0.0
 
 
 def test_robots_that_are_to_stay_do_so_and_goto_goes_on_for_further_waypoints() -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from services.dwm.calibrate import __main__ as calibrate
 from services.dwm.calibrate import making
 from services.dwm.core.calibration import calibration_file
-from swarm.errors import LocalError, RecordingError
+from swarm.errors import ConfigError, LocalError, RecordingError
 
 SWARM = """network = "lab"
 [[robots]]
@@ -39,15 +39,24 @@ def report(folder: Path, figures: object, robot: str = "r0", verdict: str = "pas
 def test_a_learned_offset_is_added_to_the_model_in_use(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "swarm.toml").write_text(SWARM)
     monkeypatch.setenv("SWARM_CONFIG", str(tmp_path / "swarm.toml"))
-    words = ["offset", str(report(tmp_path, FIGURES)), "--robots", "r0", "--write"]
     path = tmp_path / "of" / "r0.toml"
-    for total in (0.04, 0.08):  # the second report says by how much ranges are too long under the first correction
+    for places, total in (3, 0.04), (4, 0.08):  # the second report: how much too long ranges are under the first one
+        words = ["offset", str(report(tmp_path, {**FIGURES, "places": places})), "--robots", "r0", "--write"]
         assert calibrate.main(words) == 0
         file = calibration_file.parse(path.read_text(), "f")
         assert file.distance is not None
         model, evidence = file.distance
         assert (model.gain, model.offset, model.robot) == (0.95, -0.06, pytest.approx(total))
         assert (evidence.places, evidence.nested) == (3, pytest.approx(0.01))
+
+
+def test_a_report_is_taken_over_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "swarm.toml").write_text(SWARM)
+    monkeypatch.setenv("SWARM_CONFIG", str(tmp_path / "swarm.toml"))
+    words = ["offset", str(report(tmp_path, FIGURES)), "--robots", "r0", "--write"]
+    assert calibrate.main(words) == 0
+    with pytest.raises(ConfigError, match="the calibration has this offset already"):
+        calibrate.main(words)
 
 
 def test_a_report_without_an_offset_or_of_another_robot_is_refused(tmp_path: Path) -> None:

@@ -160,3 +160,12 @@ def test_wrong_addresses_do_not_pile_up():
     ranges, _ = pipeline.report(Location(known, (AnchorRange("C933", 2.0, 100, known),)), 2.0)
     assert len(ranges.ranges) == MAX_MODULES
     assert {item.anchor: item.sequence for item in ranges.ranges}["C933"] == 3 * MAX_MODULES
+
+
+def test_equal_reports_of_another_source_are_measurements_of_their_own():
+    """A standing robot's ranges may be played from a file, or rounded."""
+    pipeline = Pipeline(PLAIN, external=True)
+    for number in range(20):
+        ranges, _ = pipeline.report(location(1.0, 2.0), 0.1 * number)
+        assert ranges.sequence == number
+        assert [item.age for item in ranges.ranges] == [0.0, 0.0]
