@@ -5,6 +5,7 @@ the slack. The same object balances on the Pi, in the simulation's processes and
 """
 
 import logging
+import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Protocol
@@ -35,6 +36,11 @@ LEDS_AGAIN_S = 10.0
 """LEDs that did not change are written again after this time: an ATmega that was reset has forgotten them."""
 
 _log = logging.getLogger("balancer")
+
+WISH_S = 30.0
+"""Seconds for which a command to stand waits for the gyro's zero. Later nobody expects the robot to move."""
+MAX_NOTICE = 300
+"""Letters of a notice, which has to fit into a message."""
 
 
 class Passenger(Protocol):
@@ -78,7 +84,9 @@ class Balancer:
         self._guard = BatteryGuard(settings.battery_warning, settings.battery_limit)
         self._zero: GyroZero | None = GyroZero(kept=kept_zero)
         self._estimator: Estimator | None = None
-        self._wish = start_mode
+        self.stopped = False
+        """Whether a stop is the last that it has obeyed: no command to move has been obeyed since."""
+        self._wish, self._wish_until = start_mode, math.inf
         self.connected = False
         """Whether the devices answer."""
         self._unreachable: MotorFault | None = None
@@ -169,16 +177,18 @@ class Balancer:
         elif mode == "lie":
             self._controller.command(mode, now)
             self._claim.clear()
+            self.stopped = False
         else:
-            self._wish = mode
+            self._wish, self._wish_until = mode, now + WISH_S
             self._claim.clear()
             if self.ready and mode == "stand":
                 self._zero = None  # a calibration under way is given up: the zero of before holds
             self._controller.command(mode if self.ready else "rest", now)
+            self.stopped = self.stopped and mode == "rest"
 
     def notice(self, about: str, text: str) -> None:
         """Tell people something about a command, a little later."""
-        self.notices.append((about, text))
+        self.notices.append((about, text[:MAX_NOTICE]))
 
     def drive(self, speed: float, turn_rate: float, seconds: float, now: float) -> None:
         """Drive forward (m/s) and turn left (rad/s) for a time; a value above its limit is cut, and that is told.
@@ -194,6 +204,7 @@ class Balancer:
         if not self.ready or self.mode == FAULT:
             raise LocalError(f"motors: only an idle robot tests them, this one is {self.mode}: swarm balance rest")
         self._controller.test_motors(request, now)
+        self.stopped = False
 
     def change(self, parameters: Mapping[str, float]) -> None:
         """Change parameters, all or none; raises `LocalError` that names the first that cannot be."""
@@ -213,6 +224,7 @@ class Balancer:
 
     def stop(self, reason: str) -> bool:
         """Motors off until the next command; True where that is new."""
+        self.stopped = True
         self._wish = "rest"
         return self._controller.fail(MotorFault(faults.STOPPED, f"stopped: {reason}"))
 
@@ -339,7 +351,9 @@ class Balancer:
             self.notices.append(("calibrate", "done"))
             return
         self._estimator = Estimator(self._body, zero)
-        if self._controller.mode == IDLE:
+        if self._controller.mode == IDLE and self._wish == "stand" and now > self._wish_until:
+            self.notice("mode", f"stand: given up, the gyro's zero was not found within {WISH_S:g} s: command it again")
+        elif self._controller.mode == IDLE:
             self._controller.command(self._wish, now)
 
     def _connect(self, now: float) -> bool:

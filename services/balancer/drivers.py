@@ -162,5 +162,8 @@ class Balboa:
 def _again(bus: I2CBus, error: OSError) -> None:
     """Free the bus for a second try, or raise `error` where there is no time for one."""
     if error.errno == errno.ETIMEDOUT:
-        raise error
+        try:
+            raise error
+        finally:
+            del error  # it holds this frame, and the loop's process collects no circles
     bus.recover()

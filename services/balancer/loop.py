@@ -12,6 +12,8 @@ import math
 import signal
 import time
 from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 
 from services.balancer import realtime
 from services.balancer.balancer import Balancer
@@ -22,7 +24,6 @@ from services.balancer.core.control.body import body_model
 from services.balancer.core.control.estimation.gyro import Zero
 from services.balancer.core.control.lqr import PERIOD_S
 from services.balancer.core.devices import leds
-from services.balancer.core.faults import STOPPED
 from services.balancer.core.lateness import Lateness
 from services.balancer.i2c import I2CBus, open_patiently
 from services.balancer.slack_tasks import SlackTasks
@@ -30,6 +31,7 @@ from services.balancer.telemetry import Telemetry
 from services.balancer.zero_file import ZeroFile
 from swarm import clock
 from swarm.config import Config, load, who_am_i
+from swarm.errors import SwarmError
 from swarm.messages import BalancerState, Firmware, Leds
 from swarm.process import log
 from swarm.process.edges import die_with_parent, notify
@@ -40,6 +42,8 @@ TELEMETRY_TICKS = round(TELEMETRY_S / PERIOD_S)
 SECOND_TICKS = 100
 PARAMETERS_TICKS = 1000
 """Ticks between two messages with the parameters: every 10 s."""
+STOPPED_FILE = "balancer.stopped"
+"""The file in the runtime directory that is there while a stop holds."""
 FEED_S = 1.0
 """Seconds between two messages to systemd's watchdog; its unit is given 3 s."""
 
@@ -56,10 +60,13 @@ class Loop:
         tasks: SlackTasks,
         bridge: Bridge,
         keep: Callable[[Zero, float], None] = lambda *_: None,
+        keep_stopped: Callable[[bool], None] = lambda _: None,
     ) -> None:
-        """`keep` is given the gyro's zero once a second, for the process after this one."""
+        """For the process after this one, `keep` is given the gyro's zero once a second, and `keep_stopped` whether a
+        stop holds; it may raise `OSError`."""
         self._balancer = balancer
         self._keep = keep
+        self._keep_stopped = keep_stopped
         self._telemetry = telemetry
         self._tasks = tasks
         self._bridge = bridge
@@ -68,6 +75,7 @@ class Loop:
         self._announced = False
         self._leds_at = 0.0
         self._stopped_at = -math.inf
+        self._kept = balancer.stopped
         self._fed_at = -math.inf
         self.ticks = 0
         self.missed = 0
@@ -108,7 +116,18 @@ class Loop:
             return False
         # Not the time at which the tick began: it may have stood still since, and have been given commands meanwhile.
         self._stopped_at = clock.now()
-        return halt(self._balancer, stop)
+        is_new = halt(self._balancer, stop)
+        self._remember_stop()
+        return is_new
+
+    def _remember_stop(self) -> None:
+        """Let the process after this one know whether a stop holds."""
+        if self._kept != (stopped := self._balancer.stopped):
+            try:
+                self._keep_stopped(stopped)
+            except OSError as error:
+                _log.warning("a stop cannot be kept for a restart: %s", error)
+            self._kept = stopped
 
     def _use_slack(self, until: float) -> None:
         """Do a little of the other work in the slack before the next tick, at `until`. So no tick has to do all of
@@ -155,8 +174,8 @@ class Loop:
 
     def _each_second(self, tick: int) -> None:
         if tick == 25:
-            fault = self._balancer.fault
-            self._bridge.keep_up(clock.now(), stopped=fault is not None and fault.name == STOPPED)
+            self._bridge.keep_up(clock.now(), stopped=self._balancer.stopped)
+            self._remember_stop()
         elif tick == 49:
             self._tell_again()
         elif tick == 61:
@@ -198,6 +217,10 @@ class Loop:
             self._bridge.send(Leds(self._leds_at, *self._balancer.leds))
 
 
+def _keep_stopped(path: Path, stopped: bool) -> None:
+    path.touch() if stopped else path.unlink(missing_ok=True)
+
+
 def main(
     open_bus: Callable[[Config, str], I2CBus] = lambda _config, _robot: open_patiently(time.sleep),
     *,
@@ -215,7 +238,7 @@ def main(
     body = body_model(config.robot(robot).board, shape)
     bus = open_bus(config, robot)
     try:
-        zeros = ZeroFile(runtime_dir())
+        zeros, stopped_file = ZeroFile(runtime_dir()), runtime_dir() / STOPPED_FILE
         balancer = Balancer(
             bus,
             body,
@@ -227,14 +250,20 @@ def main(
             kept_zero=zeros.read(clock.now()),
         )
         try:
-            bridge = Bridge(clock.now())
+            if stopped_file.exists():
+                balancer.stop("before the balancer was started anew")
+            bridge = Bridge(clock.now(), stopped=balancer.stopped)
             try:
                 telemetry = Telemetry(balancer, settings.controller)
-                loop = Loop(balancer, telemetry, SlackTasks(balancer, clock.now), bridge, zeros.keep)
+                keep_stopped = partial(_keep_stopped, stopped_file)
+                loop = Loop(balancer, telemetry, SlackTasks(balancer, clock.now), bridge, zeros.keep, keep_stopped)
                 for number in (signal.SIGTERM, signal.SIGINT):
                     signal.signal(number, lambda *_: loop.stop())
                 realtime.enter(_log)
-                loop.run()
+                try:
+                    loop.run()
+                except SwarmError as error:  # no wrong configuration, after which systemd would not start it again
+                    raise RuntimeError(str(error)) from error
                 _log.info("stopping ticks=%d missed=%d bus_errors=%d", loop.ticks, loop.missed, balancer.bus_errors)
             finally:
                 balancer.motors_off()  # first of all: ending the bridge takes its time

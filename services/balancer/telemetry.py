@@ -24,7 +24,7 @@ class Telemetry:
         fault = balancer.fault
         demanded_speed, demanded_turn_rate = balancer.demand
         return BalancerState(
-            t=clock.now() if estimate is None else estimate.t,
+            t=clock.now() if estimate is None or not balancer.connected else estimate.t,
             mode=balancer.mode,
             tilt=0.0 if estimate is None else estimate.tilt,
             tilt_rate=0.0 if estimate is None else estimate.tilt_rate,
@@ -48,9 +48,9 @@ class Telemetry:
         )
 
     def odometry(self) -> Odometry | None:
-        """The body's own motion; None before the first estimate."""
+        """The body's own motion; None before the first estimate, and while the devices are away."""
         estimate = self._balancer.estimate
-        if estimate is None:
+        if estimate is None or not self._balancer.connected:
             return None
         self._sequence += 1
         return Odometry(

@@ -69,6 +69,10 @@ def parse_address(address: str, whole: str) -> Tcp:
         host = host[1:-1]
     if not host or not port.isascii() or not port.isdigit() or len(port) > 5 or not 1 <= int(port) <= 65535:
         raise ConfigError(f"{whole!r}: expected HOST:PORT with a port from 1 to 65535")
+    try:
+        host.encode("idna")
+    except UnicodeError as error:
+        raise ConfigError(f"{whole!r}: {host!r} is no name of a host: {error}") from None
     return Tcp(host, int(port))
 
 

@@ -270,6 +270,8 @@ class Sockets:
             pipe = self._connect(peer)
         except OSError as error:
             reason = describe(error)
+        except ValueError as error:  # a name that no host can have
+            reason = str(error)
         self._dialled(peer, pipe, reason)
 
     def _run(self) -> None:

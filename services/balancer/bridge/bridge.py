@@ -145,7 +145,7 @@ class _Relay:
     def take(self, command: LoopCommand, heard: float) -> bool:
         try:
             self._loop.send(pack_command(heard, command), socket.MSG_DONTWAIT)
-        except BlockingIOError:
+        except (BlockingIOError, LocalError):  # it is full, or the command is too large
             return False
         except OSError:
             pass  # the loop is gone, and so is this process in a moment

@@ -10,7 +10,7 @@ import sys
 
 from services.balancer.bridge.link import COMMANDS_A_TICK, MAX_DATAGRAM, LoopMessage, pack, unpack, unpack_command
 from services.balancer.core.faults import STOPPED
-from swarm.errors import PayloadError
+from swarm.errors import LocalError, PayloadError
 from swarm.messages import Stop
 
 MODULE = "services.balancer.bridge.bridge"
@@ -34,8 +34,8 @@ _log = logging.getLogger("balancer")
 class Bridge:
     """One running bridge process, or the wait for the next."""
 
-    def __init__(self, now: float) -> None:
-        """Start the process."""
+    def __init__(self, now: float, *, stopped: bool = False) -> None:
+        """Start the process; `stopped` as in `keep_up`."""
         self.pid = 0
         """The process id; 0 where there is none."""
         self._socket: socket.socket | None = None
@@ -48,13 +48,13 @@ class Bridge:
         self._took_at = now
         self.dropped = 0
         """Messages that did not fit or found no bridge."""
-        self._start(now)
+        self._start(now, stopped=stopped)
 
     def send(self, message: LoopMessage) -> bool:
         """Hand over a message, or drop it; True when it was taken."""
         if self._socket is not None:
-            # Full, or the bridge is gone; which one shows in keep_up.
-            with contextlib.suppress(OSError):
+            # Full, or the bridge is gone; which one shows in keep_up. Or it is too large: no message ends the loop.
+            with contextlib.suppress(OSError, LocalError):
                 self._socket.send(pack(message))
                 self._took = True
                 return True
@@ -101,7 +101,11 @@ class Bridge:
             _log.warning("the bridge ended code=%d", os.waitstatus_to_exitcode(status))
             self._forget()
         if now - self._started >= RESTART_S:
-            self._start(now, stopped=stopped)
+            try:
+                self._start(now, stopped=stopped)
+            except OSError as error:  # no memory, process or descriptor is left
+                _log.error("the bridge cannot be started, and is tried again: %s", error.strerror)
+                self._forget()
 
     def close(self) -> None:
         """End the process and wait for it."""
@@ -140,7 +144,9 @@ class Bridge:
         parent until the child, which has no real-time priority, was given a CPU and reached its exec."""
         self._started, self._took = now, True
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._socket = ours
         our_stops, their_stops = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._stops = our_stops
         ours.setblocking(False)
         our_stops.setblocking(False)
         environment = {name: value for name, value in os.environ.items() if name not in _NOT_FOR_THE_BRIDGE}
@@ -159,6 +165,6 @@ class Bridge:
                 os._exit(127)
         theirs.close()
         their_stops.close()
-        self.pid, self._socket, self._stops = pid, ours, our_stops
+        self.pid = pid
         self._stop_is_there = select.poll()
         self._stop_is_there.register(our_stops, select.POLLIN)

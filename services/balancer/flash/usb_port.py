@@ -57,8 +57,10 @@ def wait_for_bootloader(seconds: float, sysfs: Path = SYSFS, sleep: Callable[[fl
 
 def touch(port: str) -> None:
     """Have a sketch of the Arduino IDE start the bootloader."""
-    import serial
-
+    try:
+        import serial
+    except ImportError:
+        raise MissingPackageError("a USB port", "pyserial", "lab", "robot") from None
     with contextlib.suppress(serial.SerialException, OSError):  # it goes away while it is closed
         line = serial.Serial(port, TOUCH_BAUD)
         line.dtr = False

@@ -262,6 +262,8 @@ class Connections:
                     self._actions.add(event)
             else:
                 self._on_event(session, event, now)
+                if type(event) is LinkUp and self._session_of(event.peer) is not session:
+                    break  # it was refused: what it has sent behind its handshake is void
         if session.state == DOWN:
             self._remove(session)
         elif session.wants_to_send:
@@ -306,6 +308,9 @@ class Connections:
                 if self._overlays.link_up(name, now):
                     self._actions.log_link(f"link up peer={name} connection={link.connection}")
                     self._links_changed()
+                elif link.lasting:  # it is wanted, and called again when there is room
+                    self._end(link, session, frames.FULL, frames.BYE_TEXT[frames.FULL], now)
+                    self._links_changed()
                 else:
                     self.disconnect(name, frames.UNWANTED)
                 self._serve()
@@ -324,10 +329,13 @@ class Connections:
             case HandshakeFailed(reason, code, said):
                 self._on_failed(session, reason, code, said, now)
 
+    def _session_of(self, robot: str) -> Session | None:
+        link = self.links.get(robot)
+        return None if link is None else link.session
+
     def _clash(self, robot: str, process: int, now: float) -> str:
         """Why a robot's process may have no link because another robot has its name; empty where it may."""
-        link = self.links.get(robot)
-        session = link.session if link is not None else None
+        session = self._session_of(robot)
         if session is not None and session.state == SUSPECT and session.process not in (0, process):
             return ""  # it was started anew, perhaps: no need to wait for silence
         return self._overlays.clashes.refusal(robot, process, session.process if session is not None else 0, now)

@@ -19,7 +19,7 @@ from services.balancer.core.control.estimation.estimator import BodyEstimate
 from services.balancer.core.control.manoeuvres.lie_down import LieDown
 from services.balancer.core.control.manoeuvres.motor_trial import MotorTest, check_test
 from services.balancer.core.control.manoeuvres.stand_up import StandUpAttempt
-from services.balancer.core.control.regulator import DUTY_LIMIT, Deviation, Regulator, limited
+from services.balancer.core.control.regulator import Deviation, Regulator, limited
 from services.balancer.core.faults import MotorFault
 from services.balancer.core.parameters import BalancerParameter, BalancerParameters
 from swarm.errors import LocalError
@@ -38,6 +38,7 @@ COMMANDS = ("stand", "rest", "lie", "calibrate")
 
 FALLEN = math.radians(70)
 FALLEN_TICKS = 5
+_ROUNDING = 1e-9
 FULL_POWER_S = 1.0
 """Full power for longer than a push ever takes means wheels in the air."""
 STUCK_TICKS = 20
@@ -231,8 +232,8 @@ class Controller:
 
     def _lie(self, now: float, then: MotorFault | None) -> None:
         if self.mode != LYING_DOWN:
-            self.mode, self._lie_down = LYING_DOWN, LieDown(now)
-        self._then = then
+            self.mode, self._lie_down, self._then = LYING_DOWN, LieDown(now), None
+        self._then = then or self._then
 
     def _lying_down(self, estimate: BodyEstimate) -> float:
         assert self._lie_down is not None  # of this mode
@@ -253,7 +254,7 @@ class Controller:
         way = limited(estimate.way - self._drive.way, WAY_LIMIT)
         off = Deviation(way, estimate.speed - demand.speed, tilt, estimate.tilt_rate, estimate.dt)
         duty = self._regulator.duty(off, demand)
-        if abs(duty) < DUTY_LIMIT:
+        if abs(duty) < self._regulator.limit - _ROUNDING:
             self._full_power_s = 0.0
             if demand.speed == 0.0:
                 self._learn_trim(way, estimate.dt)

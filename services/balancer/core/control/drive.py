@@ -95,7 +95,8 @@ class Drive:
     def step(self, way: float, heading: float, now: float, dt: float) -> None:
         """Move the set-point on by one tick; `way` and `heading` are where the robot is."""
         speed, turn_rate = self._wanted if now < self._until else (0.0, 0.0)
-        limits = self.limits
+        limits = self.limits  # they may have become narrower since the command
+        speed, turn_rate = limited(speed, limits.speed), limited(turn_rate, limits.turn_rate)
         change = limited(speed - self.speed, limits.acceleration * dt)
         self._acceleration = change / dt if dt > 0.0 else 0.0
         self.speed += change

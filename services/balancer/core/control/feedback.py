@@ -17,6 +17,8 @@ GAINS = ("k_way", "k_speed", "k_tilt", "k_tilt_rate", "k_last")
 class StateFeedback:
     """The regulator `lqr`; see `Regulator`."""
 
+    limit = DUTY_LIMIT
+
     def __init__(self, body: BodyModel) -> None:
         self._gains = lqr.gains(body)
         self.parameters: Mapping[str, BalancerParameter] = {

@@ -56,7 +56,7 @@ class Pololu:
             "distance_response": BalancerParameter(constants.distance_response, 0.0, 300.0),
             "speed_response": BalancerParameter(constants.speed_response, 500.0, 9000.0),
         }
-        self._limit = constants.limit
+        self.limit = constants.limit
         self._radius = body.wheel_radius
         self._counts_per_radian = body.counts_per_turn / math.tau
         self._gear_ratio = body.counts_per_turn / 12
@@ -91,5 +91,5 @@ class Pololu:
             + values["speed_response"] * speed
         )
         motor = self._motor + ticks * response / 100 / self._gear_ratio
-        self._motor = limited(motor, self._limit * _MOTOR_UNITS)
+        self._motor = limited(motor, self.limit * _MOTOR_UNITS)
         return self._motor / _MOTOR_UNITS

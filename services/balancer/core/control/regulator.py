@@ -46,6 +46,9 @@ class Regulator(Protocol):
     parameters: Mapping[str, BalancerParameter]
     """What may be changed while it runs, with the values it begins with."""
 
+    limit: float
+    """The largest command."""
+
     @property
     def tilt_per_way(self) -> float:
         """rad a metre: this error of upright makes it stand a metre off; 0 where it finds upright by itself."""
@@ -57,7 +60,7 @@ class Regulator(Protocol):
         """Begin after `duty` was commanded, at a tilt of `tilt` from the balance point."""
 
     def duty(self, off: Deviation, demand: Demand) -> float:
-        """The next command of both motors, -DUTY_LIMIT..DUTY_LIMIT."""
+        """The next command of both motors, -limit..limit."""
 
 
 def limited(value: float, limit: float) -> float:

@@ -5,13 +5,15 @@ from services.balancer.core.devices.mailbox import check_request
 from services.balancer.core.devices.rates import check_measurement
 from services.balancer.core.devices.tune import check_notes
 from swarm.errors import LocalError
-from swarm.messages import ImuRequest, MeasureI2C, ModuleRequest, SetDisplay, SetNotes, TryMotors
+from swarm.messages import ImuRequest, MeasureI2C, ModuleRequest, SetDisplay, SetNotes, SetParameters, TryMotors
 
 IMU_RATE = 100.0
 """The highest rate of IMU samples, Hz: that of the control loop."""
 IMU_DURATION_S = 60.0
 TEXT_LIMIT = 200
 """The most letters of a text for the display, which is more than it can show."""
+MAX_PARAMETERS, MAX_NAME = 32, 40
+"""The most parameters of a command, and letters of a name: more than there are."""
 TEXT_SECONDS = 60.0
 """The most seconds of a claim of the display. A longer claim must be renewed."""
 
@@ -27,6 +29,9 @@ def check(command: object) -> None:
             check_notes(command)
         case TryMotors():
             check_test(command)
+        case SetParameters(values):
+            if len(values) > MAX_PARAMETERS or any(len(name) > MAX_NAME for name in values):
+                raise LocalError(f"parameters: expected at most {MAX_PARAMETERS}, with names of {MAX_NAME} letters")
         case SetDisplay(text, seconds):
             if len(text) > TEXT_LIMIT:
                 raise LocalError(f"text: {len(text)} letters, at most {TEXT_LIMIT}")

@@ -220,6 +220,21 @@ class _Neighbour:
     claim: ClockClaim | None = None
     advanced: float = -math.inf
     """The time at which it last told a new epoch of the root that it claims."""
+    sampled: bool = False
+    """Whether its clock was compared since the link is up: its machine may have been started anew before."""
+
+
+class _Root(NamedTuple):
+    """What was heard of a root."""
+
+    epoch: int
+    """The newest one."""
+    at: float
+    """When that came."""
+    settled: bool
+    early: bool
+    """Whether it was heard of first while this robot listened itself. One that starts later has no time yet, and must
+    hear of ours first, also where it is to be our root."""
 
 
 class ClockSync:
@@ -231,8 +246,8 @@ class ClockSync:
         self._incarnation = incarnation & 0xFFFFFFFF
         self._robots = robots
         self._neighbours: dict[str, _Neighbour] = {}
-        self._roots: dict[tuple[str, int], tuple[int, float, bool]] = {}
-        """Newest epoch of each root (and its incarnation) heard of, when it came, and whether that root is settled."""
+        self._roots: dict[tuple[str, int], _Root] = {}
+        """What was heard of each root and incarnation."""
         self._started: float | None = None
         self._root = (robot, self._incarnation)
         self._followed = robot
@@ -253,7 +268,9 @@ class ClockSync:
 
     def sample(self, peer: str, now: float, rtt: float, offset: float) -> None:
         """Take the sample of a heartbeat: round trip, and the peer's monotonic clock minus ours, s."""
-        self._neighbour(peer).link.add(now, rtt, offset)
+        neighbour = self._neighbour(peer)
+        neighbour.sampled = True
+        neighbour.link.add(now, rtt, offset)
 
     def hear(self, peer: str, claim: ClockClaim, now: float) -> None:
         """Take a neighbour's claim."""
@@ -267,15 +284,17 @@ class ClockSync:
         root = (claim.root, claim.incarnation)
         if before is None or (before.root, before.incarnation) != root or claim.epoch > before.epoch:
             neighbour.advanced = now
-        if claim.epoch > self._roots.get(root, (-1, 0.0, False))[0]:
-            self._roots[root] = (claim.epoch, now, claim.settled)
+        known = self._roots.get(root)
+        if known is None or claim.epoch > known.epoch:
+            early = known.early if known is not None else self._started is None or now < self._started + LISTEN
+            self._roots[root] = _Root(claim.epoch, now, claim.settled, early)
             if len(self._roots) > _MAX_ROOTS:
-                del self._roots[min(self._roots, key=lambda each: self._roots[each][1])]
+                del self._roots[min(self._roots, key=lambda each: self._roots[each].at)]
 
     def lost(self, peer: str) -> None:
         """The link to a neighbour is down: what it said is void, how its clock runs is not."""
         if (neighbour := self._neighbours.get(peer)) is not None:
-            neighbour.claim = None
+            neighbour.claim, neighbour.sampled = None, False
 
     # -- outputs --
 
@@ -355,12 +374,14 @@ class ClockSync:
     def _choose_root(self, now: float) -> tuple[str, int]:
         """The smallest name heard of lately, or the own one; of two incarnations the one heard of last."""
         assert self._started is not None
-        lately = [(root, at, settled) for root, (_, at, settled) in self._roots.items() if now < at + ROOT_LOST]
-        if now < self._started + LISTEN and any(settled for _, _, settled in lately):
-            lately = [each for each in lately if each[2]]
+        lately = [(root, each) for root, each in self._roots.items() if now < each.at + ROOT_LOST]
+        settled = [(root, each) for root, each in lately if each.settled]
+        candidates = [(root[0], -each.at, root) for root, each in lately if each.early or each.settled]
+        if now < self._started + LISTEN and settled:
+            candidates = [(root[0], -each.at, root) for root, each in settled]
         else:
-            lately.append(((self._robot, self._incarnation), now, True))
-        return min(lately, key=lambda each: (each[0][0], -each[1]))[0]
+            candidates.append((self._robot, -now, (self._robot, self._incarnation)))
+        return min(candidates)[2]
 
     def _choose_parent(self, now: float) -> str | None:
         """The neighbour with the fewest hops to the root, the present one where several have."""
@@ -369,7 +390,7 @@ class ClockSync:
             claim = neighbour.claim
             if claim is None or claim.child or (claim.root, claim.incarnation) != self._root:
                 continue
-            if now >= neighbour.advanced + FRESH or claim.hop >= MAX_HOPS or neighbour.link.fit is None:
+            if now >= neighbour.advanced + FRESH or claim.hop >= MAX_HOPS or not neighbour.sampled:
                 continue
             rank = (claim.hop, peer != self._parent, peer)
             if best is None or rank < best[0]:

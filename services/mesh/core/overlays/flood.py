@@ -158,6 +158,10 @@ class FloodOverlay:
         """Stop passing on the values of a robot that has been gone for long."""
         self._store.forget(origin)
 
+    def take_again(self, origin: str) -> None:
+        """Pass on the values of a robot that is back, also those that have not changed since it was forgotten."""
+        self._store.take_again(origin)
+
     def known(self, origin: str) -> int:
         """The newest incarnation of a robot that was heard of; 0 = none."""
         return self._store.incarnation(origin)

@@ -142,6 +142,11 @@ class Store:
             origin = self.begin(name, incarnation)
             origin.window, origin.floor = window, floor
 
+    def take_again(self, name: str) -> None:
+        """Keep values of any age again of an origin that was forgotten."""
+        if (origin := self._origins.get(name)) is not None:
+            origin.floor = 0
+
     def digest(self) -> dict[str, tuple[int, int]]:
         """Incarnation and checksum of every origin."""
         return {name: (origin.incarnation, origin.checksum) for name, origin in self._origins.items()}

@@ -93,6 +93,7 @@ class RobotOverlays:
             metric=metric,
             publish=self._publish_links,
             aged=self._flood.forget,
+            returned=self._flood.take_again,
             random=random,
             process=process,
         )

@@ -116,17 +116,18 @@ class LinkStateMap:
         metric: str,
         publish: Callable[[bytes], None],
         aged: Callable[[str], None],
+        returned: Callable[[str], None],
         random: Callable[[], float],
         process: int = 0,
     ) -> None:
         """`robots` of the configuration: an LSA that names another one is refused. `process` is the number of this mesh
         process, 0 where it has none. `publish(payload)` floods the own LSA; `aged(robot)` is called for one that was
-        dropped by age."""
+        dropped by age, `returned(robot)` for one that was not known, or not any more."""
         self._me = me
         self._robots = robots
         self._metric = metric
         self._publish = publish
-        self._aged = aged
+        self._aged, self._returned = aged, returned
         self._random = random
         self._links: dict[str, _Own] = {}
         self._known: dict[str, AdvertisedLinks] = {}
@@ -223,6 +224,8 @@ class LinkStateMap:
             raise FrameError(f"LSA of {origin}: a neighbour is not in our configuration")
         known = self._known.get(origin)
         same = known is not None and known.advertisement == advertisement and known.incarnation == incarnation
+        if known is None:
+            self._returned(origin)
         self._own_known()[origin] = AdvertisedLinks(incarnation, advertisement, now)
         if advertisement.twins:
             self.tellers.add(origin)

@@ -274,6 +274,7 @@ def test_link_addresses_are_read() -> None:
         ("sim:", "expected sim:PATH"),
         ("sim:/" + "x" * 120, "at most 107"),
         ("tcp:host", "expected HOST:PORT"),
+        ("tcp:robot..local:5000", "'robot..local' is no name of a host"),
         ("tcp:host:0", "port from 1 to 65535"),
         ("tcp::7447", "expected HOST:PORT"),
         ("tcp:host:port", "expected HOST:PORT"),

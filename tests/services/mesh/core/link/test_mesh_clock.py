@@ -238,6 +238,39 @@ def test_a_root_started_anew_takes_over_the_time_of_the_others() -> None:
     assert abs(world.times()["r5"] - world.now - before) < 0.02
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_a_root_whose_machine_was_started_anew_at_once_takes_over_the_time_of_the_others(seed: int) -> None:
+    """Its first claim may come before it has heard anybody, and its neighbours still know how its old clock ran."""
+    world = Clocks(shaped("line", 3), seed=seed)
+    world.run(60.0)
+    before = world.times()["r2"] - world.now
+    world.kill("r0")
+    world.run(0.3)
+    world.dead.clear()
+    world.stamps = {pair: stamps for pair, stamps in world.stamps.items() if "r0" not in pair}
+    world.clocks["r0"] = world.new("r0", 2)
+    world.since["r0"] = 5.0 - world.now
+    apart: list[float] = []
+    world.run(40.0, 0.1, lambda: apart.append(abs(world.times()["r2"] - world.now - before)))
+    assert world.roots() == {"r0"}
+    assert max(apart) < 0.02
+    assert world.spread() < 0.02
+
+
+def test_after_a_link_was_down_its_neighbours_clock_is_compared_before_it_is_followed() -> None:
+    """The neighbour's machine may have been started anew, and have joined the swarm by another link before."""
+    each = ClockSync("r1", 1, frozenset(("r0", "r1")))
+    claim = ClockClaim("r0", 1, 1, 0, False, True, 5000.0, 0.0, 0.0, 0.0)
+    each.hear("r0", claim, 100.0)
+    each.sample("r0", 100.0, 0.03, 4900.0)
+    assert each.state(100.0).offset == pytest.approx(4900.0)
+    each.lost("r0")
+    each.hear("r0", claim._replace(epoch=2, at=10.0, offset=4991.0), 101.0)  # its clock began anew
+    assert each.state(101.0).offset == pytest.approx(4900.0)
+    each.sample("r0", 101.5, 0.03, -91.0)
+    assert each.state(101.5).offset == pytest.approx(4900.0, abs=0.1)
+
+
 def test_a_root_process_started_anew_at_once_is_followed_again() -> None:
     world = Clocks(shaped("line"))
     world.run(60.0)

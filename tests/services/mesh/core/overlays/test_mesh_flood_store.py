@@ -227,3 +227,14 @@ def test_what_was_missed_long_ago_is_new_and_what_is_older_than_the_kept_value_i
     assert kept.take("r0", "rare", Spread(1, 3, b"y", latest=True), BULK) == flood_store.NEW
     assert kept.take("r0", "often", Spread(1, 4999, b"older", latest=True), BULK) == flood_store.DUPLICATE
     assert kept.take("r0", "plain", Spread(1, 4, b"z"), BULK) == flood_store.DUPLICATE
+
+
+def test_a_robot_that_is_back_has_its_unchanged_values_kept_again() -> None:
+    kept = flood_store.Store()
+    packet = Spread(1, 5, b"value", latest=True)
+    assert kept.take("r1", "key", packet, BULK) == flood_store.NEW
+    kept.forget("r1")
+    assert kept.take("r1", "key", packet, BULK) == flood_store.DUPLICATE
+    kept.take_again("r1")
+    assert kept.take("r1", "key", packet, BULK) == flood_store.NEW
+    assert [key for key, _ in kept.kept("r1")] == ["key"]

@@ -77,7 +77,15 @@ def linkstate_of(name: str) -> tuple[LinkStateMap, list[bytes], list[str]]:
     published: list[bytes] = []
     aged: list[str] = []
     robots = frozenset(f"r{n}" for n in range(9))
-    each = LinkStateMap(name, robots, metric=HOPS, publish=published.append, aged=aged.append, random=lambda: 0.5)
+    each = LinkStateMap(
+        name,
+        robots,
+        metric=HOPS,
+        publish=published.append,
+        aged=aged.append,
+        returned=lambda _: None,
+        random=lambda: 0.5,
+    )
     return each, published, aged
 
 

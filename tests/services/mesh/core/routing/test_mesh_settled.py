@@ -34,7 +34,13 @@ def test_levels_give_the_routes_that_dijkstra_gives(edges):
 
 def map_of(published):
     return LinkStateMap(
-        "r0", frozenset(NAMES), metric=HOPS, publish=published.append, aged=lambda name: None, random=lambda: 0.5
+        "r0",
+        frozenset(NAMES),
+        metric=HOPS,
+        publish=published.append,
+        aged=lambda name: None,
+        returned=lambda name: None,
+        random=lambda: 0.5,
     )
 
 
