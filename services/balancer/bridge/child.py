@@ -153,7 +153,12 @@ class Bridge:
         environment["SWARM_PARENT"] = str(os.getpid())
         command = [sys.executable, "-P", "-m", MODULE, str(theirs.fileno()), str(their_stops.fileno())]
         command += [STOPPED] if stopped else []
-        pid = os.fork()
+        try:
+            pid = os.fork()
+        except OSError:
+            theirs.close()
+            their_stops.close()
+            raise
         if pid == 0:
             try:
                 theirs.set_inheritable(True)

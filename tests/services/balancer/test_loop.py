@@ -1,6 +1,10 @@
 """The loop on a virtual clock with a bridge made of lists: what it does when, and what it leaves out when late."""
 
+import contextlib
+import errno
+import gc
 import math
+import os
 from itertools import pairwise
 
 import pytest
@@ -10,9 +14,12 @@ from hypothesis import strategies as st
 from loop_rig import VirtualLoop
 
 from services.balancer import loop as loop_module
+from services.balancer.bridge import child
 from services.balancer.bridge.link import pack, pack_command, unpack, unpack_command
 from services.balancer.core.control.estimation.gyro import Zero
-from swarm.errors import PayloadError
+from services.balancer.core.devices import requests
+from services.balancer.drivers import Balboa
+from swarm.errors import LocalError, PayloadError
 from swarm.messages import (
     BalancerFault,
     BalancerState,
@@ -292,3 +299,60 @@ def test_any_datagram_of_the_bridge_is_a_command_or_refused(data: bytes) -> None
     again = unpack_command(pack_command(heard, message))
     assert again[1] == message
     assert again[0] == heard or math.isnan(heard)
+
+
+def test_a_stop_is_kept_at_once_for_the_process_after_this_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = VirtualLoop(monkeypatch, upright().run(1))
+    kept: list[bool] = []
+    loop.loop._keep_stopped = kept.append
+    loop.run(20)
+    loop.bridge.incoming = [Stop(1.0, "r1", "enough")]
+    loop.run(2)
+    assert kept == [True]
+    loop.run(150)
+    loop.bridge.incoming = [SetMode("stand")]
+    loop.run(150)
+    assert kept == [True, False]
+
+
+def test_no_parameters_end_the_loop_or_the_bridge() -> None:
+    """Those that an app names come back in a notice, which has to fit into a message."""
+    for values in ({"a" * 65_000: 1.0}, {str(number): 1.0 for number in range(10_000)}):
+        with pytest.raises(LocalError, match="parameters: expected at most 32"):
+            requests.check(SetParameters(values))
+    rig = upright()
+    rig.balancer.notice("parameters", "x" * 65_000)
+    pack(Notice(0.0, *rig.balancer.notices[-1]))
+
+
+def test_a_bridge_that_cannot_be_started_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails() -> int:
+        raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
+
+    bridge = child.Bridge.__new__(child.Bridge)
+    monkeypatch.setattr(child.Bridge, "_start", lambda self, now, stopped=False: None)
+    bridge.__init__(0.0)
+    monkeypatch.undo()
+    monkeypatch.setattr(os, "fork", fails)
+    bridge.keep_up(2.0)
+    bridge.keep_up(4.0)
+    assert (bridge.pid, bridge._socket, bridge._stops) == (0, None, None)
+
+
+def test_an_i2c_bus_that_times_out_leaves_no_memory_behind() -> None:
+    """The loop's process collects no circles."""
+
+    class Silent:
+        def write(self, address: int, data: bytes) -> None:
+            raise OSError(errno.ETIMEDOUT, "Connection timed out")
+
+    driver = Balboa(Silent(), lambda: 0.0, lambda _: None)  # type: ignore[arg-type]
+    gc.collect()
+    gc.disable()
+    try:
+        for _ in range(10):
+            with contextlib.suppress(OSError):
+                driver.select(8)
+        assert gc.collect() == 0
+    finally:
+        gc.enable()

@@ -7,6 +7,7 @@ from balancer_rig import CONFIGURED, Rig, upright
 from hypothesis import given
 from hypothesis import strategies as st
 
+from services.balancer.balancer import WISH_S
 from services.balancer.core import faults
 from services.balancer.core.control.controller import STUCK_TICKS
 from services.balancer.core.devices.battery import EMPTY, LOW, OK, WINDOW_S, BatteryGuard
@@ -313,3 +314,66 @@ def test_a_lying_robot_says_so_and_not_that_it_stands() -> None:
     rig = Rig(CONFIGURED, start_mode="rest", tilt=-REST_TILT, held=False).run(4)
     assert rig.robot.atmega.leds == OFF
     assert rig.balancer.posture == "back"
+
+
+# What others command, and what a person does with the robot
+
+
+@pytest.mark.parametrize("controller", ["lqr", "pololu", "thesis"])
+def test_a_robot_that_is_lifted_switches_its_motors_off_under_each_controller(controller: str) -> None:
+    rig = upright(controller=controller).run(2)
+    rig.body.lift(0.05, 0.0)
+    rig.run(5)
+    assert rig.balancer.fault is not None
+    assert rig.balancer.fault.name in ("lifted", "fell")
+    assert rig.robot.atmega.motors == (0.0, 0.0)
+
+
+def test_a_stop_is_known_until_a_command_to_move_is_obeyed_whatever_the_fault() -> None:
+    rig = upright().run(1)
+    rig.body.push(0.5)
+    rig.run(3)
+    assert rig.balancer.fault.name in ("fell", "cannot_stand")
+    assert not rig.balancer.stop("enough")  # the robot does not move already
+    assert rig.balancer.stopped
+    rig.balancer.command("rest", rig.now)
+    assert rig.balancer.stopped
+    rig.balancer.command("stand", rig.now)
+    assert not rig.balancer.stopped
+
+
+def test_a_command_to_stand_is_given_up_where_the_robot_is_carried_for_long() -> None:
+    rig = Rig(start_mode="rest", held=True)
+    zero = rig.balancer._seek_zero
+    rig.balancer._seek_zero = lambda *_: None  # it is carried
+    rig.run(0.5)
+    rig.balancer.command("stand", rig.now)
+    rig.run(WISH_S + 1.0)
+    rig.balancer._seek_zero = zero
+    rig.run(4)
+    assert rig.balancer.ready
+    assert rig.balancer.mode == "idle"
+    assert any("given up" in text for _, text in rig.balancer.notices)
+
+
+def test_a_limit_that_becomes_narrower_binds_the_command_in_force() -> None:
+    rig = upright().run(1)
+    rig.balancer.drive(0.5, 0.0, 10.0, rig.now)
+    rig.run(3)
+    rig.balancer.change({"max_speed": 0.1})
+    rig.run(2)
+    assert rig.balancer.demand[0] == pytest.approx(0.1)
+
+
+def test_to_lie_down_again_does_not_hide_that_the_battery_is_empty() -> None:
+    rig = upright().run(1)
+    set_battery(rig, TIRED - 0.3)
+    for _ in range(100):
+        rig.balancer.watch_battery(rig.now)
+        rig.run(1.0, until=lambda rig: rig.balancer.mode == "lying_down")
+        if rig.balancer.mode == "lying_down":
+            break
+    rig.balancer.command("lie", rig.now)
+    rig.run(3)
+    assert rig.balancer.fault is not None
+    assert rig.balancer.fault.name == "battery"
