@@ -36,7 +36,9 @@ if [ -n "{folder}" ]; then
     find {folder}.new -exec sync {{}} +
     [ -d {folder} ] || mv -T {folder}.new {folder}; rm -rf {folder}.new; sync {apps}
 fi
-cat >{settings}.new; sync {settings}.new; mv {settings}.new {settings}; sync {directory}
+head -c {settings_size} >{settings}.new
+[ "$(wc -c <{settings}.new)" -eq {settings_size} ]
+sync {settings}.new; mv {settings}.new {settings}; sync {directory}
 systemctl restart --no-block {unit}
 find {apps} -mindepth 1 -maxdepth 1 -name "{name}-????????????" ! -path "{folder}" -exec rm -rf {{}} +"""
 """For the robot's shell, in single quotes: the app lies in a folder that is named by its content and comes whole, and
@@ -98,13 +100,15 @@ class AppStart:
             plain = _PLAIN.fullmatch(setting) is not None
             words += ["--set", setting] if plain else ["--escaped", quote(setting, safe=",:+=[]/")]
         place = name if files is None else f"{folder}/{name}.py"
-        self._feed = [data, f"APP={place}\nARGUMENTS={' '.join(words)}\n".encode()]
+        environment = f"APP={place}\nARGUMENTS={' '.join(words)}\n".encode()
+        self._feed = [data, environment]
         self._script = _START.format(
             folder=folder,
             size=len(data),
             name=name,
             directory=SETTINGS,
             settings=f"{SETTINGS}/{name}.env",
+            settings_size=len(environment),
             unit=self.unit,
             apps=APPS,
         )

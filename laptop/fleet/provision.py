@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 from typing import Any
 
-from laptop.fleet.core import packages, steps
+from laptop.fleet.core import before, packages, steps
 from laptop.fleet.core.wish import (
     FIRMWARE_PACKAGE,
     KERNEL_PACKAGE,
@@ -91,12 +91,13 @@ class Provisioning:
         facts = await self.look()
         facts, wait = await self._packages(facts)
         facts, wait_too = await self._stage(facts, steps.THEN)
-        if wait or wait_too:
+        # Or an earlier run was broken off before the reboot.
+        if wait or wait_too or (facts["files"].get(steps.REBOOT) or "").strip() == facts["boot_id"].strip():
             if not reboot:
                 self._tell("reboot: needed: some of it is in force only then")
                 return False
             await self._reboot(facts["boot_id"])
-            facts = await self.look()
+            facts, _ = await self._stage(await self.look(), [step for step in steps.FIRST if step.name == "clock"])
             late = {step.name: step.judge(facts, self._wish) for step in (*steps.FIRST, *steps.THEN)}
             if wrong := [f"{name}: {verdict.text}" for name, verdict in late.items() if verdict.state != "ok"]:
                 raise HostError(f"wrong again after the reboot: {'; '.join(wrong)}")
@@ -174,14 +175,18 @@ class Provisioning:
             return facts, False
         if "packages" in wanted and repository is not None:
             await self._send(repository, files)
-        await self._change(wanted)
+        if "clock" in wanted:  # to resolve and send packages may have taken minutes
+            passed = time.time() - self._wish.now
+            self._wish = replace(self._wish, now=self._wish.now + passed)
+            wanted["clock"] = before.clock({**facts, "time": facts["time"] + passed}, self._wish)
+        await self._change(wanted, facts["boot_id"])
         facts = await self.look()
         for step in stage:
             if step.name in wanted:
                 self._verify(step, wanted[step.name], step.judge(facts, self._wish))
         return facts, any(verdict.reboot for verdict in wanted.values())
 
-    async def _change(self, wanted: Mapping[str, Verdict]) -> None:
+    async def _change(self, wanted: Mapping[str, Verdict], boot_id: str) -> None:
         """Carry out all of them, until one fails."""
 
         def here(change: Change) -> Change:
@@ -190,6 +195,8 @@ class Provisioning:
             return {**change, "words": [word.replace(packages.CACHE, self._cache) for word in change["words"]]}
 
         pairs = [(name, [here(change) for change in verdict.changes]) for name, verdict in wanted.items()]
+        if rebooting := [name for name, verdict in wanted.items() if verdict.reboot]:
+            pairs.insert(0, (rebooting[0], [{"do": "write", "path": steps.REBOOT, "text": boot_id, "mode": "0644"}]))
         said = await remote.call(self._ssh, self._host, "changes", {"root": self._rig.root, "steps": pairs})
         if said["problem"]:
             self._tell(f"{said['step']}: failed: {said['problem']}")

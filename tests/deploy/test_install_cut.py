@@ -5,6 +5,7 @@ that changes the disk the tree is written down. A power cut leaves what the last
 the changes since then none, all, any single one, or all but one; a file that is new among them may be empty.
 """
 
+import fcntl
 import os
 import re
 import shutil
@@ -45,7 +46,13 @@ systemctl)
         for unit in swarm-bus.service swarm-mesh.service; do
             [ -L $wants/$unit ] || ln -s @ROOT@/usr/local/lib/systemd/system/$unit $wants/$unit
         done ;;
-    is-active) ! grep -q broken @ROOT@/opt/swarm/current/bin/python ;;
+    is-active) # of several names, whether one is
+        code=3
+        for unit; do
+            case $unit in is-active | --quiet) ;; *) [ -e "@ROOT@/dead-$unit" ] || code=0 ;; esac
+        done
+        ! grep -q broken @ROOT@/opt/swarm/current/bin/python || code=3
+        (exit $code) ;;
     show) echo 0 ;;
     esac ;;
 *) $name "$@" ;;
@@ -252,6 +259,25 @@ def test_another_release_with_its_config_and_key_comes_whole_or_not_at_all(robot
     robot.run(robot.release("1") / "install", *files(robot, "1"))
     steps = robot.run(robot.release("2") / "install", *files(robot, "2"))
     check(robot, steps, whole("1"), whole("2"))
+
+
+def test_a_release_of_which_one_service_is_dead_does_not_run_already(robot: Robot) -> None:
+    release = robot.release("1")
+    robot.run(release / "install", *files(robot, "1"))
+    names = [name for name, _ in robot.run(release / "install", *files(robot, "1"))]
+    assert "systemd-sysusers" not in names
+    (robot.root / "dead-swarm-mesh").touch()
+    names = [name for name, _ in robot.run(release / "install", *files(robot, "1"), code=1)]
+    assert "systemd-sysusers" in names
+
+
+def test_two_installations_at_once_do_not_meet(robot: Robot) -> None:
+    release = robot.release("1")
+    with (robot.root / "run/swarm-install.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        steps = robot.run(release / "install", *files(robot, "1"), code=2)
+    assert not (robot.root / "opt/swarm").exists()
+    assert len(steps) < 5
 
 
 @pytest.mark.slow

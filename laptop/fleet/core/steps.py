@@ -8,8 +8,11 @@ while any step that comes before packages (`FIRST`) cannot be helped.
 from laptop.fleet.core import before, packages, settings
 from laptop.fleet.core.wish import MIN_FREE, ProvisioningStep
 
+REBOOT = "/run/swarm-reboot-needed"
+"""The file on the robot with the boot id of the boot in which something was changed that the next one puts in force."""
+
 LOOK = {
-    "files": [*settings.FILES],
+    "files": [*settings.FILES, REBOOT],
     "links": [*packages.FIRMWARE],
     "there": [
         "/etc/cloud",

@@ -54,8 +54,11 @@ async def bring_back(ssh: Ssh, host: Host, config: Config) -> str:
         theirs = calibration_file.parse(data.decode(), f"its {place}")
     except ConfigError as error:
         raise HostError(str(error)) from None
-    if path.exists():
-        before = path.read_bytes()
+    try:
+        before = path.read_bytes() if path.exists() else None
+    except OSError as error:
+        raise HostError(f"{path}: {error.strerror}") from None
+    if before is not None:
         if before == data:
             return ""
         try:
@@ -64,9 +67,13 @@ async def bring_back(ssh: Ssh, host: Host, config: Config) -> str:
             ours = None
         if ours is not None and _made(ours) >= _made(theirs):
             return f"its calibration is older than {path}: swarm deploy brings yours"
-        atomic_write(path.with_name(path.name + "~"), before)
-    make_folder(path.parent)
-    atomic_write(path, data)
+    try:
+        make_folder(path.parent)
+        if before is not None:
+            atomic_write(path.with_name(path.name + "~"), before)
+        atomic_write(path, data)
+    except OSError as error:
+        raise HostError(f"{path}: {error.strerror}") from None
     return f"calibration: {path}"
 
 

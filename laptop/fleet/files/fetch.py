@@ -103,8 +103,14 @@ class RecordingFetch:
             _set_aside(path)
         elif path != common:
             # What all robots have is kept once; where another robot has something else under that name, both are.
-            with contextlib.suppress(FileExistsError):
+            try:
                 os.link(path, common)
+            except FileExistsError:
+                pass
+            except OSError:  # a stick's file system has no second names
+                if not common.exists():
+                    path.rename(common)
+                    return
             if _sum(path) == _sum(common):
                 path.unlink()
 

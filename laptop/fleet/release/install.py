@@ -22,7 +22,7 @@ from swarm.frozen import frozen
 FOLDER = ".cache/balboa-swarm"
 """The folder on the robot, below the home of the user who logs in."""
 
-_LACKS = f"""set -e; umask 022; mkdir -p {FOLDER}; cd {FOLDER}; cat > SUMS
+_LACKS = f"""set -e; umask 022; export LC_ALL=C; mkdir -p {FOLDER}; cd {FOLDER}; cat > SUMS
 sha256sum --check --quiet SUMS 2>/dev/null | sed -n 's/: FAILED.*//p'
 find . -type f ! -name SUMS | cut -c3- | while read -r name; do
     grep -qF "  $name" SUMS || rm -f "$name"

@@ -21,6 +21,7 @@ from swarm.errors import LocalError, PayloadError
 from swarm.files import atomic_write
 from swarm.messages import Arm, ImuRequest, MeasureI2C, SetDisplay, SetMode, Stop, TryMotors, read
 from swarm.messages.keys import STOP, key
+from swarm.onboard import halt
 from swarm.onboard.body.drive import one
 from swarm.onboard.body.keyboard import Keyboard
 from swarm.onboard.buses import buses
@@ -48,6 +49,8 @@ _KEYS: dict[type, str] = {
 _TICK_S = 0.05
 _QUEUE = 4000
 """Messages that may wait: 20 s of all that a robot says."""
+REASON = "swarm commission"
+STOPPED = "stopped by the person: swarm arm takes the stop back"
 YES, NO = ("enter", "a", "y"), ("n", "c")
 ENDS = ("x", "escape")
 RELEASE = Path("/opt/swarm/current")
@@ -79,6 +82,10 @@ def run(args: argparse.Namespace) -> int:
             ended = "ended by Ctrl-C"
         finally:
             session.command(SetMode("rest"))
+    if ended == STOPPED:  # until all have confirmed it
+        stop = argparse.Namespace(act="stop", reason=REASON, timeout=5.0)
+        lines = halt.table(halt.give(stop, {robot: directory}), stop=True)
+        write_lines([json.dumps({"say": line}) for line in lines] if args.json else lines)
     report = procedure.report() | ({"ended": ended} if ended else {})
     if args.json:
         write_lines([json.dumps({"report": report})])
@@ -132,8 +139,8 @@ class _Session:
         while not procedure.done:
             for pressed in self.keys.read(_TICK_S):
                 if pressed == " ":
-                    self._bus.publish(STOP, Stop(clock.now(), self._robot, "swarm commission"))
-                    return "stopped by the person: swarm arm takes the stop back"
+                    self._bus.publish(STOP, Stop(clock.now(), self._robot, REASON), urgent=True)
+                    return STOPPED
                 if pressed in ENDS:
                     return "ended by the person"
                 if pressed in (*YES, *NO):

@@ -11,6 +11,7 @@ import os
 import select
 import struct
 import sys
+import time
 from pathlib import Path
 
 from swarm.errors import LocalError
@@ -87,10 +88,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _write_keys(pad: int) -> None:
-    state, before = PadKeys(), ""
+    state, before, due = PadKeys(), "", 0.0
     while True:
         said = ""
-        if select.select([pad], [], [], REPEAT_S if before else None)[0]:
+        if select.select([pad], [], [], max(0.0, due - time.monotonic()) if before else None)[0]:
             try:
                 event = os.read(pad, EVENT.size)
             except OSError:  # it was unplugged
@@ -98,8 +99,8 @@ def _write_keys(pad: int) -> None:
             if len(event) < EVENT.size:
                 return
             said = state.take(event)
-            if not said and state.key == before:
-                continue
+            if not said and state.key == before and not (before and time.monotonic() >= due):
+                continue  # a stick that is held trembles: its events must not keep the key from being repeated
         said = said or state.key or RELEASE
-        before = state.key
+        before, due = state.key, time.monotonic() + REPEAT_S
         os.write(sys.stdout.fileno(), said.encode())
