@@ -85,7 +85,7 @@ def simulate(
     except BaseException:
         shutil.rmtree(held)
         raise
-    weakref.finalize(run, shutil.rmtree, held, ignore_errors=True)
+    weakref.finalize(run.recording, shutil.rmtree, held, ignore_errors=True)
     if check and run.problems:
         raise AppError("; ".join(run.problems))
     return run
@@ -109,7 +109,7 @@ def settings_for(
     kind, _ = app.choose({"algorithm": choice} if isinstance(choice, str) else {})
     names = [f"r{index}" for index in range(robots)]
     if options.get("config") is not None:
-        names = list(configuration.load(Path(options["config"])).names)
+        names = list(configuration.load(Path(options["config"]), addressed=False).names)
     return settings_of(kind, values or {}, names)
 
 

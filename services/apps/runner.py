@@ -137,9 +137,10 @@ class AppRunner:
             return function()
         except AppError as error:
             raise AppError(f"{self._where(where)}: {called_from(error, self.source)}{error}") from None
-        except KeyboardInterrupt:
-            raise
-        except BaseException as error:  # an author's sys.exit() would end this thread alone
+        except BaseException as error:
+            # An author's sys.exit(), or a cancelled task of asyncio, would end this thread alone. Ctrl-C passes.
+            if not isinstance(error, Exception | SystemExit) and type(error).__name__ != "CancelledError":
+                raise
             hint = mend_of(error, self.schema.fields)
             raise AppError(f"{self._where(where)}: {describe(error, self.source)}{hint}") from error
 

@@ -71,6 +71,8 @@ def judge(one: list[Json], other: list[Json]) -> Json:
         # The same fault on another graph says nothing new.
         if not any(_kind(entry["fault"]) == _kind(known) for known in problems):
             problems.append(f"{entry['fault']}{place}")
+    if not graphs and not problems:
+        problems.append("nothing of it was run")
     for entry in graphs:
         if entry["trend"].get("grows"):
             problems.append(f"it diverges on graph {entry['graph']}: the results grow without end ({_step(app)})")
@@ -164,9 +166,9 @@ def _rehearse(options: argparse.Namespace, seed: str) -> list[Json]:
             errors += f"\nit hangs: nothing within {PATIENCE:g} s, and Python could not be interrupted"
     found = []
     for line in output.splitlines():
-        with contextlib.suppress(PayloadError):  # what the app itself prints
+        with contextlib.suppress(PayloadError):  # it was ended within a line
             entry = read_json(line)
-            if isinstance(entry, dict) and ("graph" in entry or "app" in entry or "fault" in entry):
+            if isinstance(entry, dict):
                 found.append(entry)
     if child.returncode != 0:
         last = errors.strip().splitlines()[-1] if errors.strip() else f"it ended with code {child.returncode}"

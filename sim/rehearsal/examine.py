@@ -7,6 +7,7 @@ It prints one JSON object a line: what the app declares, then what came of each 
 
 import argparse
 import json
+import os
 import signal
 import sys
 import time
@@ -14,7 +15,7 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from services.apps import loader
 from services.apps.event_runner import EventRunner
@@ -100,8 +101,8 @@ class _Finding:
     """Checksum of all robots' states, by iteration: must be the same in another process."""
 
 
-def main(arguments: list[str]) -> int:
-    """Examine one app."""
+def main(arguments: list[str], out: TextIO) -> int:
+    """Examine one app; findings go to `out`, a line each."""
     parser = argparse.ArgumentParser(prog="python -m sim.rehearsal.examine")
     parser.add_argument("file")
     parser.add_argument("--robots", type=int, default=6)
@@ -113,19 +114,19 @@ def main(arguments: list[str]) -> int:
     try:
         app = limited(str(Path(chosen.file).resolve()), lambda: loader.load(chosen.file))
         task = Task(app, chosen.robots, chosen.iterations, [settings.parse(one) for one in chosen.set])
-        _tell(describe(task))
+        _tell(out, describe(task))
         for finding in examine(task):
-            _tell(vars(finding))
+            _tell(out, vars(finding))
     except Hang as hang:
-        _tell({"fault": f"it hangs while it is loaded: it {hang.why}", "line": hang.line})
+        _tell(out, {"fault": f"it hangs while it is loaded: it {hang.why}", "line": hang.line})
     except LocalError as error:
-        _tell({"fault": str(error), "line": None})
+        _tell(out, {"fault": str(error), "line": None})
     return 0
 
 
-def _tell(what: Mapping[str, object]) -> None:
-    sys.stdout.write(json.dumps(what) + "\n")
-    sys.stdout.flush()
+def _tell(out: TextIO, what: Mapping[str, object]) -> None:
+    out.write(json.dumps(what) + "\n")
+    out.flush()
 
 
 def describe(task: Task) -> dict[str, object]:
@@ -368,4 +369,7 @@ def _digest(states: list[bytes]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    # What the app prints, with or without an end of its line, goes elsewhere than the findings.
+    with os.fdopen(os.dup(1), "w") as findings:
+        os.dup2(2, 1)
+        sys.exit(main(sys.argv[1:], findings))

@@ -95,6 +95,8 @@ class VirtualRun:
         links = links_of(scenario.config)
         if mesh != FROM_START and links != GRAPH:
             raise ConfigError(f"--mesh {mesh}: links = {links!r} are made by meshes from their start")
+        if scenario.iterations is None and not (options.slots or options.latency or options.jitter):
+            raise ConfigError("--latency 0: such a run needs --iterations, since it takes no time and never ends by it")
         model = AirModel(options.latency, options.jitter, options.bandwidth, options.seed, loss=options.loss)
         self._scene_record = SceneRecord(names) if scenario.app in scene.WATCHED else None
         self.world = VirtualWorld(
@@ -123,7 +125,7 @@ class VirtualRun:
         self._members = frozenset(names)
         """Of the newest epoch."""
         self._started: float | None = None
-        self._last_progress = 0.0
+        self._last_progress = max(self._late.values(), default=0.0)
         self._newest = 0
         """The iteration that a robot did last."""
         self._problems: list[str] = []
@@ -192,7 +194,8 @@ class VirtualRun:
             if self._look is not None and self._started is not None:
                 last, past = self._scenario.iterations, time.now - self._started
                 self._look(min(1.0, past / lasts if lasts is not None else self._newest / last if last else 0.0))
-            if seconds is None and self._scenario.app is not None and time.now > self._last_progress + STALLED:
+            waits = seconds is None or self._started is None
+            if waits and self._scenario.app is not None and time.now > self._last_progress + STALLED:
                 self._stalled()
                 return
 
@@ -248,6 +251,8 @@ class VirtualRun:
         for each in self._scenario.disturbances:
             if each.at is not None:
                 self.world.time.at(now + each.at, self._let_happen, each)
+        if self._options.seconds is not None:
+            self.world.time.at(now + self._options.seconds, self.world.time.stop)
 
     def _let_happen(self, what: Disturbance) -> None:
         self._happened.append(what)
@@ -275,6 +280,10 @@ class VirtualRun:
             if not self._scenario.run_options.drop:
                 self.world.time.stop()
                 return
+            if self._started is None and source.robot in self._missing_first:  # the others go on without it
+                self._missing_first.discard(source.robot)
+                if not self._missing_first:
+                    self._first_done()
         if source.part:
             return
         self._running.discard(source.robot)
@@ -335,7 +344,9 @@ class VirtualRun:
             bodies={name: robot.balancer.state() for name, robot in self.world.robots.items()},
             messages=self._messages(),
             rss_mib={},
-            restarts={name: self.world.robots[name].starts - (2 if name in self._late else 1) for name in names},
+            restarts={
+                name: max(0, self.world.robots[name].starts - (2 if name in self._late else 1)) for name in names
+            },
             problems=tuple(self._problems),
             missing=tuple(name for name in names if name not in self._members),
             computed_s=self.computed,

@@ -78,6 +78,8 @@ class VirtualRobot:
     apps: dict[str, LockstepHost | EventHost] = field(default_factory=dict)
     buses: dict[str, VirtualBus] = field(default_factory=dict)
     """The session of each app."""
+    off_until: float = 0.0
+    """The end of its last time without power."""
     starts: int = 1
     """How often it was switched on, or a process of it started again."""
     sent_before: int = 0
@@ -166,8 +168,9 @@ class VirtualWorld:
         `seconds` they start anew. Its body falls (or where it does not `falls`, as one that is still held, stays as it
         is) and stands up when it is on again."""
         there = self.robots[robot]
+        there.off_until = max(there.off_until, self.time.now + seconds)
         if not there.balancer.powered:
-            return
+            return  # it stays off for longer
         begun = [launch for (name, _), launch in self._launched.items() if name == robot]
         for app in tuple(there.apps):
             self._end(there, app)
@@ -228,6 +231,9 @@ class VirtualWorld:
 
     def _switch_on(self, robot: str, begun: list[Launch]) -> None:
         there = self.robots[robot]
+        if self.time.now < there.off_until:
+            self.time.at(there.off_until, self._switch_on, robot, begun)
+            return
         there.balancer.switch_on()
         self._start_again(there, begun)
 
@@ -243,14 +249,17 @@ class VirtualWorld:
         else:
             self.time.soon(self._begin, robot, launch)
 
-    def _begin(self, robot: str, launch: Launch) -> None:
+    def _begin(self, robot: str, launch: Launch, starts: int | None = None) -> None:
+        """Start an app on a robot, or look again later; `starts`: of the robot when this was planned."""
         app, run, run_options, recording, observer, make_runner = launch
         config, epoch, there = self.config, topology.CONFIGURED, self.robots[robot]
+        if starts not in (None, there.starts) or not there.balancer.powered or app.name in there.apps:
+            return  # the robot was switched off meanwhile
         if config.auto:
             assert isinstance(there.mesh, VirtualMesh)  # an automatic topology is found by meshes
             in_force = there.mesh.look(lambda overlays, now: overlays.topology(now))
             if topology.lacking(config, in_force, there.time.now):
-                self.time.at(self.time.now + topology.ASK_EVERY, self._begin, robot, launch)
+                self.time.at(self.time.now + topology.ASK_EVERY, self._begin, robot, launch, there.starts)
                 return
             links = topology.of_edges(config, in_force.edges)
             config, epoch = links.config, links.epoch

@@ -378,3 +378,15 @@ def test_results_settle_spread_or_grow_as_their_trend_says() -> None:
     assert of(*(2.0**k for k in range(50)))["grows"]
     assert not of(*(float(k**2) for k in range(50)))["grows"]
     assert trends.judge({"r0": [{"name": "text"}] * 9}) == {"settles": None, "spread": None, "grows": False}
+
+
+def test_an_app_that_prints_without_an_end_of_the_line_hides_no_fault(tmp_path: Path) -> None:
+    file = tmp_path / "dots.py"
+    file.write_text(
+        "from swarm import SyncApp\nclass Dots(SyncApp):\n    value: float\n    def step(self, neighbours):\n"
+        "        print('.', end='')\n        if self.k == 5:\n            raise ValueError('broken')\n"
+    )
+    command = [sys.executable, "-m", "sim.rehearsal.check", str(file), "--robots", "3", "--iterations", "20"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 1
+    assert "ValueError: broken" in done.stdout

@@ -9,6 +9,7 @@ from sim.scenario.options import parse
 from sim.scenario.scenario import build
 from sim.virtual.run import PLACE, simulate
 from sim.virtual.run import VirtualRun as Virtual
+from swarm.errors import ConfigError
 from swarm.messages import SetAppParameters, read
 from swarm.recording.run import Run
 from swarm.recording.thesis_ranges import cost
@@ -268,3 +269,51 @@ def test_parameters_of_a_channel_change_while_it_runs(tmp_path):
     assert told[0]["inner_gain"].value == 0.25
     assert told[-1]["inner_gain"].value == 0.75
     assert told[-1]["inner_fixed"].live is False
+
+
+def test_a_run_without_latency_needs_a_limit_of_iterations():
+    with pytest.raises(ConfigError, match="--latency 0: such a run needs --iterations"):
+        simulate("consensus", "--robots", "2", "--latency", "0ms", "--seconds", "1")
+    report, _ = simulate("consensus", "--robots", "2", "--latency", "0ms", "--iterations", "20")
+    assert report["iterations"] == 20
+
+
+def test_a_run_of_less_than_a_second_ends_in_time():
+    report, _ = simulate("consensus", "--robots", "2", "--seconds", "0.3")
+    assert report["seconds"] == pytest.approx(0.3, abs=0.05)
+
+
+def test_a_run_for_some_seconds_ends_though_a_robot_never_comes_to_its_first_iteration(tmp_path):
+    file = tmp_path / "fails.py"
+    file.write_text(
+        "from swarm import SyncApp\nclass Fails(SyncApp):\n    value: float\n    def start(self):\n"
+        "        if self.robot.name == 'r1':\n            raise ValueError('broken')\n"
+        "    def step(self, neighbours):\n        self.value += 1\n"
+    )
+    report, _ = simulate(str(file), "--robots", "3", "--seconds", "5", "--absent", "drop", "--drop-after", "2")
+    assert any("broken" in problem for problem in report["problems"])
+    assert report["seconds"] < 100
+
+
+def test_a_robot_that_is_switched_off_twice_before_its_app_begins_runs_it_once():
+    """With an automatic topology an app waits for its links."""
+    text = "led_sync --robots 3 --topology auto --seconds 30 --virtual --off r1@1s,1s --off r1@2500ms,3s"
+    options = parse(text.split())
+    run = Virtual(options, build(options, PLACE))
+    robot = run.world.robots["r1"]
+    hosts = []
+
+    class Apps(dict):
+        def __setitem__(self, name, host):
+            hosts.append(host)
+            super().__setitem__(name, host)
+
+    robot.apps = Apps()
+    run.go()
+    running = [host for host in hosts if not host._closed]
+    assert running == list(robot.apps.values())
+
+
+def test_a_robot_that_is_off_stays_off_for_longer_when_it_is_switched_off_again():
+    report, _ = simulate("consensus", "--robots", "3", "--iterations", "300", "--off", "r1@1s,2s", "--off", "r1@2s,5s")
+    assert report["seconds"] > 7.0
