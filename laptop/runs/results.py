@@ -225,7 +225,9 @@ class RunData:
         """Return what the world told of each robot under a topic, at the times of its states."""
         said: dict[str, list[tuple[float, ...]]] = {robot: [] for robot in self.robots}
         for sample in self.recording.samples(f"swarm/*/sim/{topic}"):
-            said[sample.topic.split("/")[1]].append((sample.t, *(sample.message[field] for field in fields)))
+            rows = said.get(sample.topic.split("/")[1])
+            if rows is not None:  # a robot may never have told a state
+                rows.append((sample.t, *(sample.message[field] for field in fields)))
         if not any(said.values()):
             return None
         found = np.full((*self.times.shape, len(fields)), np.nan)

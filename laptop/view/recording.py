@@ -8,7 +8,7 @@ from typing import Any
 
 from laptop.view import series
 from laptop.view.feeds.feed import config_of
-from laptop.view.feeds.picture import TRAIL_S, Event, Picture, places
+from laptop.view.feeds.picture import MAX_EVENTS, TRAIL_S, Event, Picture, places
 from laptop.view.series import dig
 from swarm.errors import RecordingError, SwarmError
 from swarm.messages.json_values import json_value
@@ -72,7 +72,8 @@ class ViewedRecording:
                     new[topic] = value
             if new:
                 robots[robot] = new
-        events = [event for event in self._events if (since is None or event.t > since) and event.t <= t]
+        # Of a jump only the last: a page keeps no more.
+        events = [event for event in self._events if (since is None or event.t > since) and event.t <= t][-MAX_EVENTS:]
         step: dict[str, Any] = {"t": t, "live": True, "fresh": since is None, "robots": robots}
         if events:
             step["events"] = [event._asdict() for event in events]

@@ -9,12 +9,12 @@ import asyncio
 import concurrent.futures
 import contextlib
 import hmac
-import itertools
 import json
 import logging
 import secrets
 import signal
 from collections.abc import AsyncIterator, Awaitable, Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +71,9 @@ _CONTROL: web.AppKey[Control | None] = web.AppKey("control")
 _LAYOUTS: web.AppKey[Layouts] = web.AppKey("layouts")
 _HALTS: web.AppKey[concurrent.futures.Executor] = web.AppKey("halts")
 """A thread that carries out stops, and nothing else."""
+_BUILDERS: web.AppKey[concurrent.futures.Executor] = web.AppKey("builders")
+BUILDERS = 4
+"""Threads that build what pages are told."""
 
 _log = logging.getLogger("view")
 
@@ -82,12 +85,18 @@ def application(feed: Feed, control: Control | None, token: str, layouts: Path |
     app[_FEED], app[_CONTROL], app[_TOKEN] = feed, control, token
     app[_LAYOUTS] = Layouts(layouts or default_path())
     app[_HALTS] = halts = concurrent.futures.ThreadPoolExecutor(1, "stops")
-    app.on_cleanup.append(lambda _: asyncio.to_thread(halts.shutdown, cancel_futures=True))
+    app[_BUILDERS] = builders = concurrent.futures.ThreadPoolExecutor(BUILDERS, "steps")
+    for pool in (halts, builders):
+        app.on_cleanup.append(partial(_shut_down, pool))
     app.router.add_get("/", _index)
     app.router.add_get("/live", _live)
     app.router.add_static("/page", PAGE)
     add_camera(app, feed if isinstance(feed, ViewedRecording) else None)
     return app
+
+
+async def _shut_down(pool: concurrent.futures.Executor, _: web.Application) -> None:
+    await asyncio.to_thread(pool.shutdown, cancel_futures=True)
 
 
 @web.middleware
@@ -129,7 +138,8 @@ async def _live(request: web.Request) -> web.StreamResponse:
         lambda asked: asyncio.to_thread(_answer, feed, control, layouts, asked),
         socket.send_str,
     )
-    tasks = [asyncio.create_task(_steps(feed, control, layouts, socket)), asyncio.create_task(questions.run())]
+    told = _tell(_PageSteps(feed, control, layouts), socket, request.app[_BUILDERS])
+    tasks = [asyncio.create_task(told), asyncio.create_task(questions.run())]
     try:
         async for asked, problem in _messages(socket):
             if problem:
@@ -164,40 +174,57 @@ def _tell_defect(ended: object) -> None:
         _log.error("a page is told no more", exc_info=ended)
 
 
-async def _steps(feed: LiveFeed, control: Control | None, layouts: Layouts, socket: web.WebSocketResponse) -> None:
-    """Tell a page what there is, then what changes."""
-    known: dict[str, Any] = {}
-    moved = rest = number = 0
-    for count in itertools.count():
-        if socket.closed:
-            return
+class _PageSteps:
+    """What one page has been told of a feed, and what it is to be told next."""
+
+    def __init__(self, feed: LiveFeed, control: Control | None, layouts: Layouts) -> None:
+        self._feed, self._control, self._layouts = feed, control, layouts
+        self._known: dict[str, Any] = {}
+        self._moved = self._rest = self._number = self._count = 0
+
+    @property
+    def crowd(self) -> bool:
+        """Whether the swarm is so large that the page is told seldom."""
+        return self._feed.config is not None and len(self._feed.config.names) >= CROWD
+
+    def next(self) -> str:
+        """What there is, and later what has changed, as JSON. It takes long where robots say much."""
+        feed = self._feed
         now = feed.now()
         step: dict[str, Any] = {"t": now, "live": feed.live}
         parts: dict[str, Any] = {}
-        crowd = feed.config is not None and len(feed.config.names) >= CROWD
-        full = crowd or count % FULL == 0
+        full = self.crowd or self._count % FULL == 0
+        self._count += 1
         with feed.lock:
             picture = feed.picture
-            robots = picture.since(moved, rest if full else None)
+            robots = picture.since(self._moved, self._rest if full else None)
             parts["hops"] = picture.hops()
-            moved = picture.version
+            self._moved = picture.version
             if full:
-                if events := picture.events_since(number):
+                if events := picture.events_since(self._number):
                     step["events"] = [event._asdict() for event in events]
-                    number = events[-1].number
+                    self._number = events[-1].number
                 parts["services"] = {robot: dict(each) for robot, each in picture.services().items()}
-                if rest == 0:
+                if self._rest == 0:
                     step["trails"] = {name: _trail(picture, name, now) for name in robots}
-                rest = picture.version
+                self._rest = picture.version
         if robots:
             step["robots"] = robots
         if full:
-            parts |= {"swarm": scene(feed, control), "pace": feed.pace(), "layouts": layouts.told()}
+            parts |= {"swarm": scene(feed, self._control), "pace": feed.pace(), "layouts": self._layouts.told()}
         for name, value in parts.items():
-            if known.get(name) != value:
-                step[name] = known[name] = value
-        await socket.send_str(json.dumps(step, allow_nan=False, separators=(",", ":")))
-        await asyncio.sleep((FULL if crowd else 1) / RATE)
+            if self._known.get(name) != value:
+                step[name] = self._known[name] = value
+        return json.dumps(step, allow_nan=False, separators=(",", ":"))
+
+
+async def _tell(steps: _PageSteps, socket: web.WebSocketResponse, builders: concurrent.futures.Executor) -> None:
+    """Tell a page what there is, then what changes. A step is built in a thread: a stop that a page asks for must not
+    wait until all that a robot has said is taken apart."""
+    loop = asyncio.get_running_loop()
+    while not socket.closed:
+        await socket.send_str(await loop.run_in_executor(builders, steps.next))
+        await asyncio.sleep((FULL if steps.crowd else 1) / RATE)
 
 
 def _trail(picture: Picture, robot: str, now: float) -> list[tuple[float, float]]:

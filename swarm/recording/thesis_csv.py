@@ -24,6 +24,8 @@ TRUTHS = {"flooding": "ready", "unicast": "ready", "standup": "standing", "async
 CHANNELS = ("frequency", "phase")
 """Folders within one of LEDs."""
 
+LATEST_S = 9e9
+"""The latest time that a recording holds, s since 1970: its times are ns in 64 bits."""
 _CM = 100.0
 _LOCALIZATION = ("x", "y", "zx", "zy", "gx", "gy")
 
@@ -91,6 +93,8 @@ def _line(cells: Sequence[float | bool], kind: str, k: int, *, metres: bool) -> 
         names = ("rtt",) if kind == "latency" else ("place",) if len(cells) == 1 else ("distance", "x", "y")
         return _Line(None, k + 1, dict(zip(names, cells, strict=True)), nothing, None)
     t = float(cells[0])
+    if not 0.0 <= t < LATEST_S:
+        raise ValueError(f"{t:g} is no time in s")
     if kind == "localization":
         if len(cells) not in (7, 8, 12):
             raise ValueError(f"{len(cells)} columns are none of localization, expected 7, 8 or 12")

@@ -233,6 +233,6 @@ def table(outcomes: list[everyone.RobotOutcome], rows: dict[str, StatusRow], bud
             )
         )
     # A robot that cannot be asked has one long text, which would make its column as wide.
-    lines = columns([row if any(row[2:]) else (row[0], *[""] * 9) for row in cells])
+    lines = columns([row if any(row[2:]) else (row[0], *[""] * (len(row) - 1)) for row in cells])
     at = lines[0].index(cells[0][1])
     return [line if any(row[2:]) else f"{row[0]:<{at}}{row[1]}" for line, row in zip(lines, cells, strict=True)]

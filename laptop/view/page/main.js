@@ -81,6 +81,7 @@ function select(name) {
 function connect() {
   socket = new WebSocket(`ws://${location.host}/live${location.search}`);
   first = true;
+  present.asked = null; // an instant of the past that was looked at is asked for again
   socket.onopen = () => controls.connected();
   socket.onmessage = ({ data }) => {
     heard = performance.now();

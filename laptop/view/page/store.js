@@ -27,7 +27,7 @@ export class Store {
     this.measures = false; // whether an app measures its distance to a target
     this.apps = new Map(); // name -> [topic of a state of an app, ...], e.g. "app/consensus"
     this.edges = []; // [[a, b], ...]: links that are to be, as the newest topology has them
-    this.topology = -1; // its version
+    this.topology = { version: -1, step: 0, by: "" }; // who has told it
     this.links = new Map(); // "r0 r1" -> link(); forgotten when a robot tells of its links
     this.robots = new Map(); // name -> Map(topic -> value)
     this.services = {};
@@ -60,7 +60,7 @@ export class Store {
         known.set(topic, value);
       }
       if (topics["mesh/links"]) this.links.clear();
-      if (topics["mesh/topology"]) this.rewire(topics["mesh/topology"]);
+      if (topics["mesh/topology"]) this.rewire(name, topics["mesh/topology"]);
       if (topics["sim/truth"] || topics["dwm/pose"]) this.move(name, now);
     }
     if (step.events) {
@@ -82,7 +82,7 @@ export class Store {
   // What does not move.
   become(swarm) {
     this.swarm = swarm;
-    if (swarm && this.topology < 0) this.edges = swarm.edges;
+    if (swarm && this.topology.version < 0) this.edges = swarm.edges;
   }
 
   index(name, topic) {
@@ -91,10 +91,12 @@ export class Store {
     if (/^app\/.+\/measurement$/.test(topic)) this.measures = true;
   }
 
-  // The links may be changed while the swarm runs.
-  rewire({ version, edges }) {
-    if (!(version > this.topology) || !Array.isArray(edges)) return;
-    this.topology = version;
+  // The links may be changed while the swarm runs, by a person (another version) or by the automatic rule (another
+  // step). A robot that tells an older one than before has begun anew.
+  rewire(by, { version, step, edges }) {
+    const now = this.topology, newer = version > now.version || (version === now.version && step > now.step);
+    if (!(newer || by === now.by) || !Array.isArray(edges)) return;
+    this.topology = { version, step, by };
     this.edges = edges;
   }
 

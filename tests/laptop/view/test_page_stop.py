@@ -333,3 +333,21 @@ def test_what_a_robot_has_said_before_a_stop_confirms_it_only_after_repetitions(
     for _ in range(20):
         control.repeat()
     assert stops(feed) == [ENOUGH, 21 + ENOUGH]
+
+
+def test_a_stop_does_not_wait_until_all_that_a_robot_says_is_taken_apart(
+    feed: SimulationFeed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go_on = threading.Event()
+    since = feed.picture.since
+    monkeypatch.setattr(feed.picture, "since", lambda *arguments: go_on.wait(60.0) and since(*arguments))
+
+    async def act(client: TestClient) -> None:
+        socket = await client.ws_connect(LIVE)
+        try:
+            await socket.send_json({"do": {"act": "stop"}})
+            await until(lambda: stops(feed) == [1, 1])
+        finally:
+            go_on.set()
+
+    talk(feed, act, allowed=True)
