@@ -65,6 +65,11 @@ class RunOutcome:
         """Return the target's place at a time of the trajectories, m."""
         return self.scenario.config.simulation.target_after(t - self.moves_from)
 
+    @property
+    def members(self) -> dict[str, Trajectory]:
+        """The trajectories of the robots that were in the run to its end."""
+        return {name: path for name, path in self.trajectories.items() if name not in self.missing}
+
     def targets(self) -> dict[str, tuple[float, float]]:
         """Return the target's place at each robot's last iteration."""
         return {name: self.target(path.times[path.last]) for name, path in self.trajectories.items() if path.last >= 0}
@@ -75,7 +80,8 @@ def summary(outcome: RunOutcome) -> Json:
     scenario = outcome.scenario
     paths = outcome.trajectories
     times = trajectory.iteration_times(paths)
-    iterations = min((path.last for name, path in paths.items() if name not in outcome.missing), default=0)
+    members = outcome.members
+    iterations = min((path.last for path in members.values()), default=0)
     memory = list(outcome.rss_mib.values())
     report: Json = {
         "app": scenario.app,
@@ -117,9 +123,9 @@ def summary(outcome: RunOutcome) -> Json:
         report["computed_s"] = round(outcome.computed_s, 3)
     if is_consensus(scenario):
         report["mean"] = true_mean(scenario)
-        report["error"] = consensus_error(scenario, paths)
-    report |= metrics(paths)
-    if scenario.app == "localization":
+        report["error"] = consensus_error(scenario, members)
+    report |= metrics(members)
+    if scenario.built_in == "localization":
         report["error_cm"] = target_error_cm(outcome, {name: estimate(path) for name, path in paths.items()})
     if scenario.recorded:
         last = {name: rec.estimates[min(iterations, len(rec.estimates) - 1)] for name, rec in scenario.recorded.items()}
@@ -136,9 +142,8 @@ def summary(outcome: RunOutcome) -> Json:
 
 
 def is_consensus(scenario: Scenario) -> bool:
-    """Return whether it is the built-in app, whose truth is known: an author's own may have its name and other
-    fields."""
-    return scenario.app == "consensus" and scenario.loaded is not None and scenario.loaded.is_built_in
+    """Return whether it is the built-in app, whose truth is known."""
+    return scenario.built_in == "consensus"
 
 
 def result(path: Trajectory) -> Json | None:

@@ -57,14 +57,14 @@ def _cell(values: Sequence[object], *, vector: bool) -> str:
 
 
 def _headings(outcome: RunOutcome) -> tuple[str, ...]:
-    if outcome.scenario.app == "localization":
+    if outcome.scenario.built_in == "localization":
         return ("target x m", "target y m", "error cm")
     return ("result",) if outcome.scenario.app else ("mode", "tilt deg")
 
 
 def _cells(outcome: RunOutcome, name: str) -> tuple[str, ...]:
     path = outcome.trajectories.get(name, trajectory.EMPTY)
-    if outcome.scenario.app == "localization":
+    if outcome.scenario.built_in == "localization":
         x, y = estimate(path)
         target = outcome.targets().get(name, outcome.scenario.config.simulation.target)
         return (
@@ -110,7 +110,7 @@ def _sentences(report: Json, outcome: RunOutcome) -> list[str]:
             for name in report
             if f"{name}_most" in report
         ]
-    if outcome.scenario.app == "localization":
+    if outcome.scenario.built_in == "localization":
         recorded = f" (recorded: {_short(report['recorded_error_cm'])} cm)" if outcome.scenario.recorded else ""
         lines.append(f"error       {_short(report['error_cm'])} cm mean distance to the true target{recorded}")
     if "replay_deviation_cm" in report:

@@ -34,7 +34,7 @@ def seen(scenario: Scenario, scene_record: SceneRecord | None, contacts: Contact
     without a contact, `contacts` is 0 and the names of contacts and falls are left out."""
     found: Json = {}
     if scene_record is not None:
-        match scenario.app:
+        match scenario.built_in:
             case "led_sync":
                 found = _phases(scenario, scene_record, began)
             case "stand_up":

@@ -88,7 +88,7 @@ def _app(scenario: Scenario, seen: Seen) -> str:
         text += f" {progress.phase} {progress.reason}".rstrip()
     if state is None:
         return text
-    if scenario.app == "localization":
+    if scenario.built_in == "localization":
         x, y = state.result.get("x"), state.result.get("y")
         if isinstance(x, float) and isinstance(y, float) and not scenario.config.simulation.moving:
             text += f" error {100 * math.dist((x, y), scenario.config.simulation.target):.1f} cm"

@@ -112,6 +112,11 @@ class Scenario:
     """Lines to print before the simulation starts."""
 
     @property
+    def built_in(self) -> str | None:
+        """The name of the built-in app that runs; None for an author's own, which may have the same name."""
+        return self.app if self.loaded is not None and self.loaded.is_built_in else None
+
+    @property
     def run_options_beside(self) -> RunOptions:
         """Return the options of other apps: they run as long as the first one, or as there are measurements for
         them."""
@@ -178,7 +183,7 @@ def build(options: Options, run_dir: Path, app: loader.LoadedApp | None = None) 
     disturbances = _disturbances(config, options)
     iterations = options.iterations
     if app is not None and iterations is None and options.seconds is None and options.run_options.rule is None:
-        iterations = ITERATIONS.get(app.name, DEFAULT_ITERATIONS)
+        iterations = ITERATIONS.get(app.name if app.is_built_in else "", DEFAULT_ITERATIONS)
     if recordings:
         rows = min(len(recording.rows) for recording in recordings)
         iterations = rows if options.iterations is None else min(rows, options.iterations)
@@ -186,6 +191,7 @@ def build(options: Options, run_dir: Path, app: loader.LoadedApp | None = None) 
     if options.noise is not None:
         recorded = _study(config, options, iterations, run_dir)
         config = replace(config, dwm=replace(config.dwm, source=f"replay:{run_dir / NOISE}"))
+    from_the_side = any(each.name == "stand_up" and each.is_built_in for each in apps)
     return Scenario(
         config=config,
         app=app.name if app is not None else None,
@@ -200,7 +206,7 @@ def build(options: Options, run_dir: Path, app: loader.LoadedApp | None = None) 
         beside=tuple(Beside(each.name, _program(each), each) for each in apps[1:]),
         steps=app is not None and not _reacts_only(config, app),
         disturbances=disturbances,
-        lying=options.lying or (STANDING_UP_FROM if any(each.name == "stand_up" for each in apps) else None),
+        lying=options.lying or (STANDING_UP_FROM if from_the_side else None),
         notes=tuple(notes(config, base, apps, options, {} if options.noise else recorded)),
     )
 

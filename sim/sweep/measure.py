@@ -72,13 +72,13 @@ def measure(job: Job, app: LoadedApp | None = None) -> SweptRun:
     finally:
         logging.disable(before)
     path_error = report.get("error", report.get("error_cm"))
-    own = metrics(outcome.trajectories)
+    own, paths = metrics(outcome.members), list(outcome.members.values())
     iteration = report["iteration_s_median"]
     return SweptRun(
         point=job.point,
         seed=job.seed,
-        iterations=min((path.last for path in outcome.trajectories.values()), default=0),
-        settled=settled(list(outcome.trajectories.values()), job.within),
+        iterations=min((path.last for path in paths), default=0),
+        settled=settled(paths, job.within),
         error=path_error if isinstance(path_error, float) and math.isfinite(path_error) else None,
         seconds=outcome.seconds,
         iteration_s=iteration if isinstance(iteration, float) else None,

@@ -98,7 +98,7 @@ class VirtualRun:
         if scenario.iterations is None and not (options.slots or options.latency or options.jitter):
             raise ConfigError("--latency 0: such a run needs --iterations, since it takes no time and never ends by it")
         model = AirModel(options.latency, options.jitter, options.bandwidth, options.seed, loss=options.loss)
-        self._scene_record = SceneRecord(names) if scenario.app in scene.WATCHED else None
+        self._scene_record = SceneRecord(names) if scenario.built_in in scene.WATCHED else None
         self.world = VirtualWorld(
             scenario.config,
             model,

@@ -119,6 +119,14 @@ class Gain(SyncApp):
 """
 
 
+def test_a_robot_that_was_dropped_does_not_count():
+    words = "consensus --robots 4 --topology loop --iterations 400 --absent drop --drop-after 2 --off r3@300ms,300s"
+    found = measure(Job(0, 1, tuple(f"{words} --seed 1".split()), 0.01))
+    assert found.problem == ""
+    assert found.iterations == 400
+    assert found.settled is not None
+
+
 def test_the_limit_of_a_gain_is_found(tmp_path):
     """x' = x - g L x settles up to g = 2 / (largest eigenvalue of L): 2/3 on a line of three, 1 on one of two."""
     app = tmp_path / "gain.py"

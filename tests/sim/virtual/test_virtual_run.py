@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from sim.report import summary
+from sim.report_table import table
 from sim.scenario.options import parse
 from sim.scenario.scenario import build
 from sim.virtual.run import PLACE, simulate
@@ -317,3 +318,18 @@ def test_a_robot_that_is_switched_off_twice_before_its_app_begins_runs_it_once()
 def test_a_robot_that_is_off_stays_off_for_longer_when_it_is_switched_off_again():
     report, _ = simulate("consensus", "--robots", "3", "--iterations", "300", "--off", "r1@1s,2s", "--off", "r1@2s,5s")
     assert report["seconds"] > 7.0
+
+
+@pytest.mark.parametrize("name", ["stand_up", "localization", "formation", "led_sync"])
+def test_an_authors_app_with_the_name_of_a_built_in_one_is_the_authors(tmp_path, name):
+    file = tmp_path / f"{name}.py"
+    file.write_text(
+        "from swarm import SyncApp\nclass Mine(SyncApp):\n    value: float\n    def step(self, neighbours):\n"
+        "        self.value += 1\n"
+    )
+    report, outcome = simulate(str(file), "--robots", "2")
+    assert report["app"] == file.stem
+    assert report["iterations"] == 100
+    assert outcome.scenario.lying is None
+    assert not report.keys() & {"error_cm", "misfit_m", "synchronous_after_s"}
+    table(report, outcome)
