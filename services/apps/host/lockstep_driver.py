@@ -189,10 +189,10 @@ class LockstepDriver:
             self._measuring_since = self._runtime.now
             self._measurements.get(k, partial(self._take_measurement, ready))
 
-    def _measure_for(self, todo: Compute, asked: Channel) -> None:
-        """Measure for a step, and run it. There is one measurement at a time, so a void step must not ask for one."""
+    def _measure_alone(self, k: int, asked: Channel, ready: Callable[[Measurement | None], None]) -> None:
+        """Measure for a step that was planned a while ago. A void one must not take the place of another request."""
         if asked is self.run.channel:
-            self._measure(todo.k, partial(self._step, todo, asked))
+            self._measure(k, ready)
 
     def _take_measurement(self, ready: Callable[[Measurement | None], None], measurement: Measurement) -> None:
         self._measuring_since = None
@@ -275,10 +275,11 @@ class LockstepDriver:
                 begun, self.latest = self.latest is not None, action
                 self._advanced(action.k, begun=begun)
             elif type(action) is Compute:
+                step = partial(self._step, action, run.channel)
                 if action.values:
-                    self._runtime.soon(self._measure_for, action, run.channel)
+                    self._runtime.soon(self._measure, action.k, step)
                 else:  # not from within: a robot without neighbours would never come back
-                    self._runtime.at(self._runtime.now + ALONE, self._measure_for, action, run.channel)
+                    self._runtime.at(self._runtime.now + ALONE, self._measure_alone, action.k, run.channel, step)
             elif type(action) is SaveEpochs:
                 self._keep(self._votes.write, action.kept)
             elif type(action) is SendToNeighbours:
