@@ -18,6 +18,15 @@ class RemoteError(SwarmError):
     """The other side sent something wrong: drop it, count it, go on."""
 
 
+def text_of(value: object) -> str:
+    """Return a value as text for an error. A value whose `repr` raises is named by its type: an author's own may do so,
+    and an int of too many digits does."""
+    try:
+        return repr(value)
+    except Exception:  # noqa: BLE001 - whatever an author's `__repr__` raises
+        return f"a {type(value).__name__}"
+
+
 class MissingPackageError(LocalError):
     """A package is not installed; the message names the extra of pyproject.toml that installs it."""
 

@@ -195,8 +195,8 @@ class Provisioning:
             return {**change, "words": [word.replace(packages.CACHE, self._cache) for word in change["words"]]}
 
         pairs = [(name, [here(change) for change in verdict.changes]) for name, verdict in wanted.items()]
-        if rebooting := [name for name, verdict in wanted.items() if verdict.reboot]:
-            pairs.insert(0, (rebooting[0], [{"do": "write", "path": steps.REBOOT, "text": boot_id, "mode": "0644"}]))
+        if any(verdict.reboot for verdict in wanted.values()):  # first: whatever ends this run leaves the mark
+            pairs.insert(0, ("reboot", [{"do": "write", "path": steps.REBOOT, "text": boot_id, "mode": "0644"}]))
         said = await remote.call(self._ssh, self._host, "changes", {"root": self._rig.root, "steps": pairs})
         if said["problem"]:
             self._tell(f"{said['step']}: failed: {said['problem']}")

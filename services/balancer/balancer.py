@@ -35,12 +35,12 @@ RETRY_S = 0.5
 LEDS_AGAIN_S = 10.0
 """LEDs that did not change are written again after this time: an ATmega that was reset has forgotten them."""
 
-_log = logging.getLogger("balancer")
-
 WISH_S = 30.0
 """Seconds for which a command to stand waits for the gyro's zero. Later nobody expects the robot to move."""
 MAX_NOTICE = 300
 """Letters of a notice, which has to fit into a message."""
+
+_log = logging.getLogger("balancer")
 
 
 class Passenger(Protocol):

@@ -75,7 +75,7 @@ class Loop:
         self._announced = False
         self._leds_at = 0.0
         self._stopped_at = -math.inf
-        self._kept = balancer.stopped
+        self._stop_is_kept = balancer.stopped
         self._fed_at = -math.inf
         self.ticks = 0
         self.missed = 0
@@ -122,12 +122,12 @@ class Loop:
 
     def _remember_stop(self) -> None:
         """Let the process after this one know whether a stop holds."""
-        if self._kept != (stopped := self._balancer.stopped):
+        if self._stop_is_kept != (stopped := self._balancer.stopped):
             try:
                 self._keep_stopped(stopped)
             except OSError as error:
                 _log.warning("a stop cannot be kept for a restart: %s", error)
-            self._kept = stopped
+            self._stop_is_kept = stopped
 
     def _use_slack(self, until: float) -> None:
         """Do a little of the other work in the slack before the next tick, at `until`. So no tick has to do all of
@@ -218,7 +218,10 @@ class Loop:
 
 
 def _keep_stopped(path: Path, stopped: bool) -> None:
-    path.touch() if stopped else path.unlink(missing_ok=True)
+    if stopped:
+        path.touch()
+    else:
+        path.unlink(missing_ok=True)
 
 
 def main(

@@ -70,7 +70,6 @@ class ModuleRequests:
                 self._answers.popitem(last=False)
         if known is not None:
             self._service.bus.publish(self._key, known)
-        if known is not None or not (is_new or self._repeats):
-            return
-        self._queue.put(request)
-        self._wake()
+        elif is_new or self._repeats:
+            self._queue.put(request)
+            self._wake()

@@ -72,7 +72,8 @@ def measure(job: Job, app: LoadedApp | None = None) -> SweptRun:
     finally:
         logging.disable(before)
     path_error = report.get("error", report.get("error_cm"))
-    own, paths = metrics(outcome.members), list(outcome.members.values())
+    members = outcome.members
+    own, paths = metrics(members), list(members.values())
     iteration = report["iteration_s_median"]
     return SweptRun(
         point=job.point,

@@ -236,8 +236,7 @@ class VirtualRun:
         self._records.advanced(source, line)
         if not source.part and self._started is None and (line.k >= 1 or _has_no_steps(source)):
             self._missing_first.discard(source.robot)
-            if not self._missing_first:
-                self._first_done()
+            self._look_whether_begun()
 
     def progressed(self, source: Source) -> None:
         self._records.progressed(source)
@@ -280,10 +279,8 @@ class VirtualRun:
             if not self._scenario.run_options.drop:
                 self.world.time.stop()
                 return
-            if self._started is None and source.robot in self._missing_first:  # the others go on without it
-                self._missing_first.discard(source.robot)
-                if not self._missing_first:
-                    self._first_done()
+            self._missing_first.discard(source.robot)  # the others go on without it
+            self._look_whether_begun()
         if source.part:
             return
         self._running.discard(source.robot)
@@ -302,9 +299,12 @@ class VirtualRun:
             self._epoch = epoch.epoch, epoch.frames
             self._members = frozenset(epoch.members)
             self._missing_first &= self._members
-            if self._started is None and not self._missing_first:
-                self._first_done()
+            self._look_whether_begun()
             self._look_whether_over()
+
+    def _look_whether_begun(self) -> None:
+        if self._started is None and not self._missing_first:
+            self._first_done()
 
     def _look_whether_over(self) -> None:
         """Robots that the others go on without are waited for no more."""

@@ -249,17 +249,17 @@ class VirtualWorld:
         else:
             self.time.soon(self._begin, robot, launch)
 
-    def _begin(self, robot: str, launch: Launch, starts: int | None = None) -> None:
-        """Start an app on a robot, or look again later; `starts`: of the robot when this was planned."""
+    def _begin(self, robot: str, launch: Launch) -> None:
+        """Start an app on a robot, or look again later."""
         app, run, run_options, recording, observer, make_runner = launch
         config, epoch, there = self.config, topology.CONFIGURED, self.robots[robot]
-        if starts not in (None, there.starts) or not there.balancer.powered or app.name in there.apps:
-            return  # the robot was switched off meanwhile
+        if not there.balancer.powered or app.name in there.apps:
+            return  # the robot was switched off meanwhile, and starts its apps when it is on again
         if config.auto:
             assert isinstance(there.mesh, VirtualMesh)  # an automatic topology is found by meshes
             in_force = there.mesh.look(lambda overlays, now: overlays.topology(now))
             if topology.lacking(config, in_force, there.time.now):
-                self.time.at(self.time.now + topology.ASK_EVERY, self._begin, robot, launch, there.starts)
+                self.time.at(self.time.now + topology.ASK_EVERY, self._begin, robot, launch)
                 return
             links = topology.of_edges(config, in_force.edges)
             config, epoch = links.config, links.epoch

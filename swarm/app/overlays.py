@@ -241,8 +241,8 @@ class Overlays:
     def _open(self, request: FloodRequest | SendRequest, key: str, given_up: A) -> Handle[A]:
         size = len(request.payload)
         small = size <= SMALL
-        if len(request.payload) > MAX_BINARY:
-            raise LocalError(f"a payload of {len(request.payload)} bytes, the bus takes at most {MAX_BINARY} (960 KiB)")
+        if size > MAX_BINARY:
+            raise LocalError(f"a payload of {size} bytes, the bus takes at most {MAX_BINARY} (960 KiB)")
         encode(request)  # names that are too long are refused here and now, too
         self.asked(request)
         # The bus has room for large ones in its ordinary queue alone.

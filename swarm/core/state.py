@@ -19,7 +19,7 @@ from hashlib import blake2b
 from typing import Annotated, Any, get_args, get_origin
 
 from swarm.core import arrays
-from swarm.errors import AppError, FrameError
+from swarm.errors import AppError, FrameError, text_of
 from swarm.frozen import frozen
 
 Vector = tuple[float, ...]
@@ -388,8 +388,5 @@ def _finite(value: object) -> float:
 
 def shown(value: object) -> str:
     """Return a value as text for an error, cut to 60 characters."""
-    try:
-        text = repr(value)
-    except Exception:  # noqa: BLE001 - an author's own, or an int of too many digits
-        return f"a {type(value).__name__}"
+    text = text_of(value)
     return text if len(text) <= 60 else text[:57] + "..."

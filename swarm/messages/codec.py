@@ -15,7 +15,7 @@ from typing import Annotated, Any, TypeVar
 
 import msgpack
 
-from swarm.errors import LocalError, PayloadError
+from swarm.errors import LocalError, PayloadError, text_of
 from swarm.frozen import frozen
 
 MAX_PAYLOAD = 64 * 1024
@@ -111,7 +111,7 @@ def as_value(value: object) -> Value:
         return tuple([float(x) for x in value])
     if type(value).__module__ == "numpy" and hasattr(value, "tolist"):
         return as_value(value.ravel().tolist() if value.shape else value.item())  # type: ignore[attr-defined]
-    raise LocalError(f"expected a finite number, bool, text or vector, got {_shown(value)}")
+    raise LocalError(f"expected a finite number, bool, text or vector, got {_shortened(text_of(value))}")
 
 
 def limit_of(kind: type) -> int:
@@ -179,13 +179,6 @@ def _is_number(value: object) -> bool:
         return isinstance(value, float | int) and math.isfinite(value)
     except OverflowError:
         return False
-
-
-def _shown(value: object) -> str:
-    try:
-        return _shortened(repr(value))
-    except Exception:  # noqa: BLE001 - an author's own, or an int of too many digits
-        return f"a {type(value).__name__}"
 
 
 def _shortened(text: str) -> str:

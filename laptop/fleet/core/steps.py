@@ -9,7 +9,7 @@ from laptop.fleet.core import before, packages, settings
 from laptop.fleet.core.wish import MIN_FREE, ProvisioningStep
 
 REBOOT = "/run/swarm-reboot-needed"
-"""The file on the robot with the boot id of the boot in which something was changed that the next one puts in force."""
+"""A file on the robot. It holds the id of the boot in which a step changed something that needs another boot."""
 
 LOOK = {
     "files": [*settings.FILES, REBOOT],

@@ -5,6 +5,7 @@ Here and on a robot the file is `calibration/ROBOT.toml` beside `swarm.toml`.
 
 import shlex
 from collections.abc import Mapping
+from pathlib import Path
 
 from laptop.fleet.ssh.ssh import Host, HostError, Ssh
 from services.dwm.core.calibration import calibration_file
@@ -55,10 +56,15 @@ async def bring_back(ssh: Ssh, host: Host, config: Config) -> str:
     except ConfigError as error:
         raise HostError(str(error)) from None
     try:
-        before = path.read_bytes() if path.exists() else None
+        return _take(path, data, theirs)
     except OSError as error:
         raise HostError(f"{path}: {error.strerror}") from None
-    if before is not None:
+
+
+def _take(path: Path, data: bytes, theirs: calibration_file.CalibrationFile) -> str:
+    """Write a robot's calibration to `path` where it is newer; returns what `bring_back` does. Raises `OSError`."""
+    if path.exists():
+        before = path.read_bytes()
         if before == data:
             return ""
         try:
@@ -67,13 +73,9 @@ async def bring_back(ssh: Ssh, host: Host, config: Config) -> str:
             ours = None
         if ours is not None and _made(ours) >= _made(theirs):
             return f"its calibration is older than {path}: swarm deploy brings yours"
-    try:
-        make_folder(path.parent)
-        if before is not None:
-            atomic_write(path.with_name(path.name + "~"), before)
-        atomic_write(path, data)
-    except OSError as error:
-        raise HostError(f"{path}: {error.strerror}") from None
+        atomic_write(path.with_name(path.name + "~"), before)
+    make_folder(path.parent)
+    atomic_write(path, data)
     return f"calibration: {path}"
 
 

@@ -94,7 +94,8 @@ class LockstepRun:
         self._graph = graph if self.epochs.number == begin.number else self.epochs.epoch.graph
         self._history: deque[RunState] = deque()
         self._began_at = 0.0
-        self._progress_at = 0.0
+        self.progress_at = 0.0
+        """The time at which it began, computed a state or came to another epoch last."""
         self._heard: dict[str, float] = {}
         """The times at which neighbours were heard last, where those that are not heard are given up."""
         self._first_save = True
@@ -137,7 +138,7 @@ class LockstepRun:
         """Go on from snapshots, the newest last, or begin with the app's first state where this robot is `new`. What
         the app raises is `AppError`."""
         self.phase = "running"
-        self._progress_at = self._began_at = now
+        self.progress_at = self._began_at = now
         epoch = self.epochs.epoch
         if saved:
             self._history = deque(maxlen=len(saved))
@@ -192,7 +193,7 @@ class LockstepRun:
             count = self._stopping.next(todo.own[size:], counts, content=self._program.content(), seconds=seconds)
             own += count
             last = self._stopping.over(count)
-        self._progress_at = self.computed_at = now
+        self.progress_at = self.computed_at = now
         self._history.append(RunState(todo.k + 1, own, private, now))
         core.computed(own, self._stamp(private), now, last=last)
         self.epochs.k = core.k
@@ -278,7 +279,7 @@ class LockstepRun:
             elif type(action) is Waiting:
                 self.waiting = action.peers
             elif type(action) is Fault:
-                self.fail(action.reason, self._progress_at)
+                self.fail(action.reason, self.progress_at)
             elif type(action) is Finished and self.phase != "fault":
                 self.phase = "done"
             found.append(action)
@@ -310,7 +311,7 @@ class LockstepRun:
     @property
     def _stalled_at(self) -> float:
         """Return the time at which the others shall hear that this robot is stalled."""
-        return self._progress_at + self.terms.after / 2
+        return self.progress_at + self.terms.after / 2
 
     def _awaited(self) -> list[tuple[str, float]]:
         """Neighbours that this robot waits for, and when they are to be given up, sorted."""
@@ -319,7 +320,7 @@ class LockstepRun:
         # Who has stopped for a ballot waits for all: they repeat what they have to say.
         frozen = self.epochs.frozen and self.epochs.member
         waiting = self._graph.neighbours(self._me) if frozen else self._lockstep.waiting_for
-        return [(n, max(self._progress_at, self._heard.get(n, 0.0)) + self.terms.after) for n in waiting]
+        return [(n, max(self.progress_at, self._heard.get(n, 0.0)) + self.terms.after) for n in waiting]
 
     def _channel_of(self, epoch: Epoch) -> Channel:
         return Channel(self.terms.run, epoch.number, self.epochs.birth, self.terms.schema)
@@ -348,7 +349,7 @@ class LockstepRun:
     def _enter(self, epoch: Epoch, own: bytes, private: bytes, now: float) -> None:
         self._lockstep = self._lockstep_of(epoch)
         own += Stopping.first() if self._stopping is not None else b""
-        self._progress_at = self.computed_at = now
+        self.progress_at = self.computed_at = now
         self._heard.clear()
         # So far back the slowest robot of the epoch can be.
         self._history = deque([RunState(epoch.k, own, private, now)], maxlen=self._graph.span + 2)

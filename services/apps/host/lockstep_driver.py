@@ -83,8 +83,6 @@ class LockstepDriver:
         self._measuring_since: float | None = None
         self._worker = runtime.worker(f"steps {part}".strip())
         self._closed = self._muted = False
-        self._worked_at = runtime.now
-        """When the app's code returned last."""
         self._told_waiting = False
         """Whether the observer was last told that the lockstep waits for others."""
         self._performing = False
@@ -104,7 +102,7 @@ class LockstepDriver:
     @property
     def idle(self) -> bool:
         """Whether it makes no steps: it is done, has no part in the epoch, or has waited for others for a while."""
-        late = not self._worker.busy and self._runtime.now - self._worked_at >= IDLE_AFTER
+        late = not self._worker.busy and self._runtime.now - self.run.progress_at >= IDLE_AFTER
         return late or self.run.phase == "done"
 
     @property
@@ -211,7 +209,6 @@ class LockstepDriver:
             return
         try:
             run.begin(saved, first, self._runtime.now)
-            self._worked_at = self._runtime.now
         except SwarmError as error:
             self._app_failed(error)
             return
@@ -231,7 +228,6 @@ class LockstepDriver:
             )
 
     def _computed(self, todo: Compute, asked: Channel, answer: tuple[bytes, bytes]) -> None:
-        self._worked_at = self._runtime.now
         if not self.failed and asked is self.run.channel:
             self.run.computed(todo, answer, self._runtime.now)
             self._perform()
@@ -244,7 +240,6 @@ class LockstepDriver:
             )
 
     def _renewed(self, epoch: Epoch, answer: tuple[bytes, bytes] | None) -> None:
-        self._worked_at = self._runtime.now
         if not self.failed:
             self.run.renewed(epoch, answer, self._runtime.now)
             self._perform()

@@ -4,6 +4,7 @@ import contextlib
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 
 from services.balancer.core.flashing.avr109 import BAUD, Conversation
 from swarm.errors import LocalError, MissingPackageError, RemoteError
@@ -55,12 +56,17 @@ def wait_for_bootloader(seconds: float, sysfs: Path = SYSFS, sleep: Callable[[fl
     )
 
 
-def touch(port: str) -> None:
-    """Have a sketch of the Arduino IDE start the bootloader."""
+def _pyserial() -> ModuleType:
     try:
         import serial
     except ImportError:
         raise MissingPackageError("a USB port", "pyserial", "lab", "robot") from None
+    return serial
+
+
+def touch(port: str) -> None:
+    """Have a sketch of the Arduino IDE start the bootloader."""
+    serial = _pyserial()
     with contextlib.suppress(serial.SerialException, OSError):  # it goes away while it is closed
         line = serial.Serial(port, TOUCH_BAUD)
         line.dtr = False
@@ -69,10 +75,7 @@ def touch(port: str) -> None:
 
 def converse(port: str, conversation: Conversation) -> str:
     """Carry out a conversation at a port; `RemoteError` where the other end is silent or says something wrong."""
-    try:
-        import serial
-    except ImportError:
-        raise MissingPackageError("a USB port", "pyserial", "lab", "robot") from None
+    serial = _pyserial()
     try:
         line = serial.Serial(port, BAUD, exclusive=True)
     except (serial.SerialException, OSError) as error:

@@ -77,7 +77,7 @@ def take_turns(
             line.ask(calls.upd_rate_set(calls.UpdateRate(1, 1)))
             found = medians(sample(line, seconds, wait), calibrate)
         finally:
-            _restore({line: info} | ({} if deputy is None else {deputy: modules[deputy]}))
+            _restore({each: modules[each] for each in (line, deputy) if each is not None})
         distances |= _row(info.address, found, set(addresses))
     return distances
 

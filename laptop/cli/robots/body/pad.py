@@ -99,7 +99,7 @@ def _write_keys(pad: int) -> None:
             if len(event) < EVENT.size:
                 return
             said = state.take(event)
-            if not said and state.key == before and not (before and time.monotonic() >= due):
+            if not said and state.key == before and (not before or time.monotonic() < due):
                 continue  # a stick that is held trembles: its events must not keep the key from being repeated
         said = said or state.key or RELEASE
         before, due = state.key, time.monotonic() + REPEAT_S

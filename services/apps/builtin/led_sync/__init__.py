@@ -33,7 +33,7 @@ class Frequency(SyncApp):
 
     def step(self, neighbours: Sequence[Any]) -> None:
         """f_i += sum_j w_ij (f_j - f_i)."""
-        self.value = bounded(self.value + fsum(w * (n.value - self.value) for w, n in self.weighted(neighbours)))
+        self.value = clamped(self.value + fsum(w * (n.value - self.value) for w, n in self.weighted(neighbours)))
 
 
 class LedSync(EventApp):
@@ -86,7 +86,7 @@ class RowFrequency(SyncApp):
 
     def step(self, neighbours: Sequence[Any]) -> None:
         """The mean of the own and the neighbours' values."""
-        self.value = bounded(self.value + fsum(w * (n.value - self.value) for w, n in self.weighted(neighbours)))
+        self.value = clamped(self.value + fsum(w * (n.value - self.value) for w, n in self.weighted(neighbours)))
 
 
 class Phase(SyncApp):
@@ -180,7 +180,7 @@ def check_frequency(value: float) -> None:
         raise AppError(f"frequency_value: expected {SLOWEST:g} to {FASTEST:g} Hz, got {value:g}")
 
 
-def bounded(value: float) -> float:
+def clamped(value: float) -> float:
     """Return the nearest frequency that an LED shows: a neighbour may tell any."""
     return min(max(value, SLOWEST), FASTEST)
 

@@ -39,6 +39,7 @@ COMMANDS = ("stand", "rest", "lie", "calibrate")
 FALLEN = math.radians(70)
 FALLEN_TICKS = 5
 _ROUNDING = 1e-9
+"""A duty that is less than this below the regulator's limit is at it."""
 FULL_POWER_S = 1.0
 """Full power for longer than a push ever takes means wheels in the air."""
 STUCK_TICKS = 20

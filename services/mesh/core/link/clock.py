@@ -233,8 +233,8 @@ class _Root(NamedTuple):
     """When that came."""
     settled: bool
     early: bool
-    """Whether it was heard of first while this robot listened itself. One that starts later has no time yet, and must
-    hear of ours first, also where it is to be our root."""
+    """Whether this robot first heard of it within its own first `LISTEN` seconds. A root of which it first hears later
+    was started later: it has no time of its own yet, and takes over ours before it is followed."""
 
 
 class ClockSync:
@@ -375,11 +375,11 @@ class ClockSync:
         """The smallest name heard of lately, or the own one; of two incarnations the one heard of last."""
         assert self._started is not None
         lately = [(root, each) for root, each in self._roots.items() if now < each.at + ROOT_LOST]
-        settled = [(root, each) for root, each in lately if each.settled]
-        candidates = [(root[0], -each.at, root) for root, each in lately if each.early or each.settled]
-        if now < self._started + LISTEN and settled:
-            candidates = [(root[0], -each.at, root) for root, each in settled]
-        else:
+        listens = now < self._started + LISTEN and any(each.settled for _, each in lately)
+        candidates = [
+            (root[0], -each.at, root) for root, each in lately if each.settled or (each.early and not listens)
+        ]
+        if not listens:
             candidates.append((self._robot, -now, (self._robot, self._incarnation)))
         return min(candidates)[2]
 
