@@ -5,6 +5,9 @@ how to mend it; a command ends with it. `RemoteError`: bytes from elsewhere were
 the receiver drops and counts them and goes on.
 """
 
+LONGEST_SHOWN = 60
+"""Letters of a value within an error."""
+
 
 class SwarmError(Exception):
     """Base of all errors a caller may want to catch; never raised itself."""
@@ -18,13 +21,19 @@ class RemoteError(SwarmError):
     """The other side sent something wrong: drop it, count it, go on."""
 
 
-def text_of(value: object) -> str:
-    """Return a value as text for an error. A value whose `repr` raises is named by its type: an author's own may do so,
-    and an int of too many digits does."""
+def shown(value: object) -> str:
+    """Return a value as one short line for an error. A value whose `repr` raises is named by its type: an author's own
+    may do so, and an int of too many digits does."""
     try:
-        return repr(value)
+        text = repr(value)
     except Exception:  # noqa: BLE001 - whatever an author's `__repr__` raises
         return f"a {type(value).__name__}"
+    return cut(" ".join(text.split()), LONGEST_SHOWN)
+
+
+def cut(text: str, longest: int) -> str:
+    """Return a text, or its first letters and "..." where it is longer than `longest` letters."""
+    return text if len(text) <= longest else f"{text[: longest - 3]}..."
 
 
 class MissingPackageError(LocalError):

@@ -12,8 +12,7 @@ from services.apps.runner import AppRunner
 from swarm.app.event_app import EventApp, PeriodicApp
 from swarm.core.asynchronous import HandlerCall, NeighbourState
 from swarm.core.graph import Graph
-from swarm.core.state import shown
-from swarm.errors import AppError, FrameError
+from swarm.errors import AppError, FrameError, shown
 from swarm.messages.codec import Value
 
 HANDLERS = ("on_button", "on_message", "on_answer", "on_announced", "on_neighbour", "on_timer")

@@ -16,8 +16,8 @@ from swarm.app.sync_app import BaseApp, SyncApp
 from swarm.core.arrays import is_array
 from swarm.core.graph import Graph
 from swarm.core.snapshot_fields import pack_private, unpack_private
-from swarm.core.state import Field, shown
-from swarm.errors import AppError, LocalError
+from swarm.core.state import Field
+from swarm.errors import AppError, LocalError, cut, shown
 from swarm.messages import Measurement
 from swarm.messages.codec import Value, as_value
 
@@ -315,8 +315,7 @@ def mend_of(error: BaseException, fields: Iterable[Field]) -> str:
 
 def bounded(error: BaseException) -> str:
     """Return an error's text, cut where it is very long."""
-    text = str(error)
-    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
+    return cut(str(error), LONGEST)
 
 
 def describe(error: BaseException, source: str) -> str:

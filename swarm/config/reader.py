@@ -10,10 +10,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from swarm.errors import ConfigError
-
-_MAX_SHOWN = 60
-"""Characters of a wrong value repeated in the message."""
+from swarm.errors import LONGEST_SHOWN, ConfigError, cut
 
 _MAX_LISTED = 12
 """Allowed names listed in a message; a swarm may have a thousand robots."""
@@ -200,7 +197,7 @@ def shown(value: object) -> str:
         return f"a list of {len(value)} lists or tables"
     if isinstance(value, int) and abs(value) >= 2**63:
         return "a number of more than 64 bits"  # repr() of a huge one raises
-    if isinstance(value, list) and len(value) > _MAX_SHOWN:
+    if isinstance(value, list) and len(value) > LONGEST_SHOWN:
         return f"a list of {len(value)}"
     text = f"[{', '.join(map(shown, value))}]" if isinstance(value, list) else repr(value)
-    return text if len(text) <= _MAX_SHOWN else text[: _MAX_SHOWN - 3] + "..."
+    return cut(text, LONGEST_SHOWN)

@@ -6,7 +6,7 @@ robot, do without it.
 
 from typing import TYPE_CHECKING, Annotated, Any
 
-from swarm.errors import AppError
+from swarm.errors import AppError, shown
 from swarm.frozen import frozen
 
 if TYPE_CHECKING:
@@ -48,9 +48,9 @@ class Array:
         single = bool(given) and given[-1] == float32
         sizes = given[:-1] if single else given
         if not 0 < len(sizes) <= MAX_DIMENSIONS or any(type(size) is not int or size < 1 for size in sizes):
-            shown = ", ".join("float32" if each == float32 else repr(each) for each in given)
+            kinds = ", ".join("float32" if each == float32 else repr(each) for each in given)
             raise AppError(
-                f"Array[{shown}]: expected positive integers, as in Array[2], Array[4, 4], Array[2, float32]"
+                f"Array[{kinds}]: expected positive integers, as in Array[2], Array[4, 4], Array[2, float32]"
             )
         return Annotated[Array, ArrayShape(sizes, single)]
 
@@ -74,13 +74,13 @@ def checked(value: object, shape: tuple[int, ...], *, single: bool) -> "Numbers"
     except (TypeError, ValueError, OverflowError):
         given = np.array(None)
     if given.dtype.kind not in "biuf":
-        raise AppError(f"expected an array of {' x '.join(map(str, shape))} numbers, got {_shown(value)}")
+        raise AppError(f"expected an array of {' x '.join(map(str, shape))} numbers, got {shown(value)}")
     with np.errstate(over="ignore"):  # beyond float32: it is not finite, which is told by its name
         found = np.array(given, dtype=kind)
     if found.shape != shape and found.ndim == 1 and isinstance(value, tuple | list) and found.size == _size(shape):
         found = found.reshape(shape)
     if found.shape != shape:
-        raise AppError(f"expected an array of shape {shape}, got shape {found.shape}: {_shown(value)}")
+        raise AppError(f"expected an array of shape {shape}, got shape {found.shape}: {shown(value)}")
     array: Numbers = found
     return array
 
@@ -127,8 +127,3 @@ def _size(shape: tuple[int, ...]) -> int:
     for each in shape:
         size *= each
     return size
-
-
-def _shown(value: object) -> str:
-    text = " ".join(repr(value).split())
-    return text if len(text) <= 60 else text[:57] + "..."

@@ -7,8 +7,7 @@ from typing import Any
 import msgpack
 
 from swarm.core import arrays
-from swarm.core.state import shown
-from swarm.errors import AppError
+from swarm.errors import AppError, shown
 
 MOST_LEVELS = 32
 """Levels of tuples within tuples: each is unpacked by a call of its own, and a thread's stack has room for some 170."""

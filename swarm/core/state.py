@@ -19,7 +19,7 @@ from hashlib import blake2b
 from typing import Annotated, Any, get_args, get_origin
 
 from swarm.core import arrays
-from swarm.errors import AppError, FrameError, text_of
+from swarm.errors import AppError, FrameError, shown
 from swarm.frozen import frozen
 
 Vector = tuple[float, ...]
@@ -357,10 +357,10 @@ def field_of(name: str, annotation: object) -> Field:
         raise AppError(f"{name}: say how long the vector is: `{name}: Annotated[Vector, 2]`")
     if annotation == Matrix:
         raise AppError(f"{name}: say how large the matrix is: `{name}: Annotated[Matrix, 2, 3]`")
-    shown = getattr(annotation, "__name__", None) or str(annotation)
-    if shown in ("Array", "ndarray") or "ndarray[" in shown:
+    kind = getattr(annotation, "__name__", None) or str(annotation)
+    if kind in ("Array", "ndarray") or "ndarray[" in kind:
         raise AppError(f"{name}: say the array's shape: `{name}: Array[2]` or `{name}: Array[4, 4]`")
-    raise AppError(f"{name}: a shared field is of type {WIRE_TYPES}, not {shown}")
+    raise AppError(f"{name}: a shared field is of type {WIRE_TYPES}, not {kind}")
 
 
 def array_field(name: str, mark: arrays.ArrayShape) -> Field:
@@ -384,9 +384,3 @@ def _finite(value: object) -> float:
             return number
         raise AppError(f"{shown(value)} is not a finite number")
     raise AppError(f"expected a number, got {shown(value)}")
-
-
-def shown(value: object) -> str:
-    """Return a value as text for an error, cut to 60 characters."""
-    text = text_of(value)
-    return text if len(text) <= 60 else text[:57] + "..."

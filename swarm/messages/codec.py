@@ -15,7 +15,7 @@ from typing import Annotated, Any, TypeVar
 
 import msgpack
 
-from swarm.errors import LocalError, PayloadError, text_of
+from swarm.errors import LONGEST_SHOWN, LocalError, PayloadError, cut, shown
 from swarm.frozen import frozen
 
 MAX_PAYLOAD = 64 * 1024
@@ -33,9 +33,6 @@ Value = float | int | bool | str | tuple[float, ...]
 
 MAX_COUNT = (1 << 63) - 1
 """The greatest value of a number that is counted up by one and reported to others, such as the starts of a process."""
-
-_SHOWN = 60
-"""Characters of a wrong value or name that an error shows."""
 
 T = TypeVar("T")
 _Check = Callable[[object, str], Any]
@@ -111,7 +108,7 @@ def as_value(value: object) -> Value:
         return tuple([float(x) for x in value])
     if type(value).__module__ == "numpy" and hasattr(value, "tolist"):
         return as_value(value.ravel().tolist() if value.shape else value.item())  # type: ignore[attr-defined]
-    raise LocalError(f"expected a finite number, bool, text or vector, got {_shortened(text_of(value))}")
+    raise LocalError(f"expected a finite number, bool, text or vector, got {shown(value)}")
 
 
 def limit_of(kind: type) -> int:
@@ -169,8 +166,8 @@ def _checker(kind: Any, strict: bool) -> _Check:
 
 def _wrong(value: object, path: str, wanted: str) -> PayloadError:
     # A map or list is only named: it may be nested deeper than repr can follow.
-    shown = "a map" if isinstance(value, dict) else "a list" if isinstance(value, list) else _shortened(repr(value))
-    return PayloadError(f"{path or 'payload'}: expected {wanted}, got {shown}")
+    got = "a map" if isinstance(value, dict) else "a list" if isinstance(value, list) else shown(value)
+    return PayloadError(f"{path or 'payload'}: expected {wanted}, got {got}")
 
 
 def _is_number(value: object) -> bool:
@@ -179,10 +176,6 @@ def _is_number(value: object) -> bool:
         return isinstance(value, float | int) and math.isfinite(value)
     except OverflowError:
         return False
-
-
-def _shortened(text: str) -> str:
-    return text if len(text) <= _SHOWN else text[:_SHOWN] + "..."
 
 
 def _check_float(value: object, path: str) -> float:
@@ -301,7 +294,7 @@ def _check_dataclass(kind: type, strict: bool) -> _Check:
                 raise PayloadError(f"{prefix}{min(missing)}: missing")
             unknown = value.keys() - fields.keys()
             if unknown and strict:
-                name = _shortened(min(str(name) for name in unknown))
+                name = cut(min(str(name) for name in unknown), LONGEST_SHOWN)
                 raise PayloadError(f"{prefix}{name}: unknown field, {kind.__name__} has {', '.join(fields)}")
             value = {name: entry for name, entry in value.items() if name in fields}
         checked = {}

@@ -12,12 +12,9 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
-from swarm.errors import PayloadError
+from swarm.errors import PayloadError, shown
 
 _Check = Callable[[object, str], None]
-
-_SHOWN = 40
-"""Characters of a wrong value that an error shows."""
 
 
 def check_fields(kind: type, value: object) -> None:
@@ -41,8 +38,8 @@ def _checker(kind: Any) -> _Check:
 
 def _wrong(value: object, path: str, wanted: str) -> PayloadError:
     # A map or list is only named: it may be large.
-    shown = "a map" if isinstance(value, dict) else "a list" if isinstance(value, list) else repr(value)[:_SHOWN]
-    return PayloadError(f"{path or 'message'}: expected {wanted}, got {shown}")
+    got = "a map" if isinstance(value, dict) else "a list" if isinstance(value, list) else shown(value)
+    return PayloadError(f"{path or 'message'}: expected {wanted}, got {got}")
 
 
 def _dataclass(kind: type) -> _Check:

@@ -4,11 +4,12 @@ Written as it is, such text can steer a terminal (ESC), forge lines (newline) or
 `swarm.process.log` and `swarm.process.terminal` call this for everything that a process of ours writes.
 """
 
+from swarm.errors import cut
+
 LONGEST = 200
 """Characters of a text within a sentence."""
 
 _SHORT = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}
-_CUT = "..."
 
 
 def printable(text: str, longest: int | None = LONGEST) -> str:
@@ -21,7 +22,7 @@ def printable(text: str, longest: int | None = LONGEST) -> str:
     shown = text if longest is None else text[: longest + 1]
     if not shown.isprintable():
         shown = "".join(map(_letter, shown))
-    return shown if longest is None or len(shown) <= longest else shown[: longest - len(_CUT)] + _CUT
+    return shown if longest is None else cut(shown, longest)
 
 
 def _letter(letter: str) -> str:

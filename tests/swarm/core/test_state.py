@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from swarm import Matrix, Vector, float32
 from swarm.core.snapshot_fields import MOST_LEVELS, pack_private, unpack_private
-from swarm.core.state import MAX_STATE, Field, Schema, field_of, shown
-from swarm.errors import AppError, FrameError
+from swarm.core.state import MAX_STATE, Field, Schema, field_of
+from swarm.errors import AppError, FrameError, shown
 
 
 class Mood(enum.Enum):
