@@ -28,7 +28,7 @@ def default_path() -> Path:
 
 
 class Layouts:
-    """Read once; written with each change."""
+    """The layouts as this server and others of the user have written them."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -36,11 +36,7 @@ class Layouts:
         self.current = ""
         """Name of the layout that was used last; empty: the page's own layout."""
         self.named: dict[str, list[Panel]] = {}
-        # A file that cannot be read, or that somebody has written by hand, costs no more than the layouts in it.
-        with contextlib.suppress(OSError, ValueError, LocalError, TypeError, KeyError, AttributeError, RecursionError):
-            kept = json.loads(path.read_text(encoding="utf-8"))
-            self.named = {_name(name): _panels(panels) for name, panels in kept["layouts"].items()}
-            self.current = kept["current"] if kept["current"] in self.named else ""
+        self._read()
 
     def told(self) -> dict[str, Any]:
         """Return the layouts as a page gets them."""
@@ -52,6 +48,7 @@ class Layouts:
         if not isinstance(asked, dict) or not isinstance(asked.get("name"), str):
             raise LocalError("layout: expected {name, panels}")
         with self._lock:
+            self._read()  # another server may have written the file since
             named, name = dict(self.named), asked["name"]
             if "panels" not in asked:
                 if name and name not in named:
@@ -68,6 +65,13 @@ class Layouts:
             self._write({"current": current, "layouts": named})
             self.current, self.named = current, named
         return said
+
+    def _read(self) -> None:
+        # A file that cannot be read, or that somebody has written by hand, costs no more than the layouts in it.
+        with contextlib.suppress(OSError, ValueError, LocalError, TypeError, KeyError, AttributeError, RecursionError):
+            kept = json.loads(self._path.read_text(encoding="utf-8"))
+            self.named = {_name(name): _panels(panels) for name, panels in kept["layouts"].items()}
+            self.current = kept["current"] if kept["current"] in self.named else ""
 
     def _write(self, kept: dict[str, Any]) -> None:
         try:

@@ -33,6 +33,13 @@ def test_a_server_started_anew_finds_the_layouts_and_the_one_used_last(
     assert Layouts(path).current == ""
 
 
+def test_two_servers_of_a_user_keep_the_layouts_of_each_other(tmp_path: Path) -> None:
+    one, other = Layouts(tmp_path / "view.json"), Layouts(tmp_path / "view.json")
+    one.keep({"name": "mine", "panels": [["map", 1, 1]]})
+    other.keep({"name": "theirs", "panels": [["values", 1, 1]]})
+    assert sorted(Layouts(tmp_path / "view.json").named) == ["mine", "theirs"]
+
+
 @pytest.mark.parametrize(
     "asked",
     [
