@@ -1,7 +1,8 @@
 """The mesh: robots, the links between them, and how good these are."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 from laptop.plotting import style
@@ -37,23 +38,38 @@ class DrawnLink(NamedTuple):
 def mesh(figure: Any, run: Run) -> None:
     """The links between the robots as they were at the end: colour and words tell the mean round-trip time, dashed =
     down; messages that a link has dropped while it was recorded are counted."""
-    ends: dict[Pair, dict[str, list[dict[str, Any]]]] = {}
+    seen: dict[Pair, dict[str, list[dict[str, Any]]]] = {}
+    newest: dict[str, list[str]] = {}
+    """The peers of each robot by its newest message: a link that the swarm does not want any more is not in it."""
     for sample in run.samples("swarm/*/mesh/links"):
         robot = sample.topic.split("/")[1]
+        newest[robot] = [link["peer"] for link in sample.message["links"]]
         for link in sample.message["links"]:
-            pair = min(robot, link["peer"]), max(robot, link["peer"])
-            ends.setdefault(pair, {}).setdefault(robot, []).append(link)
+            seen.setdefault(_pair(robot, link["peer"]), {}).setdefault(robot, []).append(link)
+    ends: dict[Pair, list[list[dict[str, Any]]]] = {}
+    for robot, peers in newest.items():
+        for peer in peers:
+            ends.setdefault(_pair(robot, peer), []).append(seen[_pair(robot, peer)][robot])
     if not ends:
         raise LocalError(f"{run.path}: no state of the mesh's links is recorded")
     names = sorted({name for pair in ends for name in pair}, key=natural)
     places = layout(names, list(ends), {name: track[-1][0] for name, track in paths(run).items()})
     links = {}
     for pair, each in ends.items():
-        up = all(seen[-1]["state"] in ("up", "suspect") for seen in each.values())
-        lost = sum(seen[-1].get("dropped", 0) - seen[0].get("dropped", 0) for seen in each.values())
-        links[pair] = DrawnLink(up, _rtt(each.values()), f"{lost} dropped" if lost else "")
+        up = all(end[-1]["state"] in ("up", "suspect") for end in each)
+        lost = sum(_increase([link.get("dropped", 0) for link in end]) for end in each)
+        links[pair] = DrawnLink(up, _rtt(each), f"{lost} dropped" if lost else "")
     figure.set_size_inches(5.6, 4.6)
     network(figure, places, links)
+
+
+def _pair(one: str, other: str) -> Pair:
+    return min(one, other), max(one, other)
+
+
+def _increase(counts: Sequence[int]) -> int:
+    """Return by how much a counter has grown. It begins anew with each mesh process."""
+    return sum(new - old if new >= old else new for old, new in pairwise(counts))
 
 
 def network(

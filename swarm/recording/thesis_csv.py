@@ -10,7 +10,7 @@ A folder holds `<k>.csv` for robot k (of LEDs: in `frequency/` and `phase/`), wi
     k | distance, x, y                                calibration (full.csv): a place's number, or a sample there, mm
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import PurePosixPath
 from typing import NamedTuple
 
@@ -124,14 +124,15 @@ def states(rows: Sequence[tuple[float, Sequence[str]]]) -> str:
 
 
 def localization(
-    rows: Sequence[tuple[float, float, float]], measurements: dict[int, tuple[float, float, float]], *, start: int = 0
+    rows: Sequence[tuple[int, float, float, float]], measurements: Mapping[int, tuple[float, float, float]]
 ) -> str:
-    """Return a robot's estimates (Unix time, x, y in m) in the layout of localization, with the measurement
-    (distance, own x, y, m) that gave state k. z and g are 0: other algorithms have none."""
+    """Return a robot's estimates (k, Unix time, x, y in m) in the layout of localization, with the measurement
+    (distance, own x, y, m) that gave state k. z and g are 0: other algorithms have none. The first row is the begin of
+    the run; of the others those without a measurement are left out, since the layout has no line for them."""
     text = ""
-    for k, (t, x, y) in enumerate(rows, start):
+    for k, t, x, y in rows:
         line = ",".join(map(repr, (t, _CM * x, _CM * y, 0.0, 0.0, 0.0, 0.0)))
-        if k == 0:
+        if not text:
             text += f"{line}\n"
         elif k in measurements:
             distance, px, py = (_CM * value for value in measurements[k])

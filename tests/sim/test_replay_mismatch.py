@@ -30,7 +30,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """The files of a run of three robots, by name."""
     place = tmp_path_factory.mktemp("run") / "run"
     simulate(*THESIS, "--robots", "3", "--iterations", "40", "--noise", "thesis", "--record", str(place))
-    return export._layouts(Run(place))
+    return export._layouts(Run(place), [])
 
 
 def written(place: Path, files: dict[str, str]) -> str:
@@ -127,7 +127,7 @@ def test_another_algorithm_ends_where_the_recording_does(tmp_path: Path, algorit
     places, files = ((0.5, 1.5), (1.0, 0.5), (1.5, 1.5)), {}
     for ends in ((0.5, 1.0), (0.5, 1.3)):
         for index, place in enumerate(places):
-            rows = [(0.1 * k, *(ends if k else (0.0, 0.0))) for k in range(200)]
+            rows = [(k, 0.1 * k, *(ends if k else (0.0, 0.0))) for k in range(200)]
             measured = {k: (math.dist(place, (0.5, 1.0)), *place) for k in range(1, 200)}
             files[f"{index}.csv"] = thesis_csv.localization(rows, measured)
         options = ("localization", "--algorithm", algorithm, "--replay", written(tmp_path, files), "--latency", "0ms")

@@ -15,7 +15,7 @@ from swarm.recording import thesis_csv
 from swarm.recording.core.mcap import McapSchema
 from swarm.recording.core.writer import Writer
 from swarm.recording.file import LIBRARY
-from swarm.recording.reader import EPOCH, RUN
+from swarm.recording.reader import EPOCH, RUN, RecordingReader
 from swarm.recording.run import Run
 from swarm.recording.trajectory import Trajectory
 from swarm.recording.virtual_file import finish
@@ -52,8 +52,9 @@ def run(args: argparse.Namespace) -> int:
         raise LocalError("say what to make of the run: --csv DIR, --table DIR or --mcap FILE")
     recorded = Run(args.run, args.app)
     made: list[Path] = []
+    notes: list[str] = []
     if args.csv:
-        made += _write(args.csv, _lines(recorded) or _layouts(recorded))
+        made += _write(args.csv, _lines(recorded) or _layouts(recorded, notes))
     if args.table:
         for name, table in _tables(recorded, args.topic).items():
             made.append(args.table / f"{name}.{args.format}")
@@ -61,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     if args.mcap:
         _merge(recorded, args.mcap)
         made.append(args.mcap)
-    paths, damage = list(map(str, made)), list(recorded.damage)
+    paths, damage = list(map(str, made)), [*recorded.damage, *notes]
     show(args, {"files": paths, "damage": damage}, [*paths, *(f"note: {each}" for each in damage)])
     return 0
 
@@ -81,13 +82,17 @@ def _lines(recorded: Run) -> dict[str, str]:
     """The files that a run was imported from, to the byte."""
     files = {name: topic for entries in recorded.notes(FILES) for name, topic in entries.items()}
     lines: dict[str, list[str]] = {topic: [] for topic in files.values()}
-    for sample in recorded.samples("swarm/*/thesis/*") if files else ():
-        lines[sample.topic].append(sample.message["line"])
+    for path in recorded.files if files else ():
+        for sample in RecordingReader(path).samples(
+            lines.__contains__
+        ):  # in the order of the lines, not of their times
+            lines[sample.topic].append(sample.message["line"])
     return {name: "".join(lines[topic]) for name, topic in files.items()}
 
 
-def _layouts(recorded: Run) -> dict[str, str]:
-    """Return a run of ours in the thesis' layouts. Robots are numbered in the order of their names."""
+def _layouts(recorded: Run, notes: list[str]) -> dict[str, str]:
+    """Return a run of ours in the thesis' layouts, that of localization where the app has measured. Robots are numbered
+    in the order of their names. States that a layout cannot hold are counted in `notes`."""
     began = recorded.epoch + recorded.origin
     files = {}
     for channel in recorded.states():
@@ -97,12 +102,14 @@ def _layouts(recorded: Run) -> dict[str, str]:
             number = recorded.robots.index(robot)
             ks = sorted(path.rows)
             times = [began + path.times[k] for k in ks]
-            if {"result.x", "result.y"} <= set(path.columns) and not channel:
-                places = [(path.value(k, "result.x"), path.value(k, "result.y")) for k in ks]
-                rows = [(t, x, y) for t, (x, y) in zip(times, places, strict=True)]
-                files[f"{number}.csv"] = thesis_csv.localization(
-                    rows, _measured(recorded, robot), start=ks[0] if ks else 0
-                )
+            measured = _measured(recorded, robot)
+            if measured and {"result.x", "result.y"} <= set(path.columns) and not channel:
+                rows = [
+                    (k, t, path.value(k, "result.x"), path.value(k, "result.y")) for k, t in zip(ks, times, strict=True)
+                ]
+                files[f"{number}.csv"] = thesis_csv.localization(rows, measured)
+                if lost := sum(k not in measured for k in ks[1:]):
+                    notes.append(f"{robot}: {lost} states without a recorded measurement are not in {number}.csv")
             else:
                 shared = [index for index, name in enumerate(path.columns) if not name.startswith("result.")]
                 cells = [[path.rows[k][index] for index in shared] for k in ks]

@@ -37,15 +37,17 @@ def run(args: argparse.Namespace) -> int:
     output = args.output or Path("runs") / source.name
     texts = {PurePosixPath(path.relative_to(source)): _read(path) for path in paths}
     kinds = {name: thesis_csv.kind_of(PurePosixPath(source) / name) for name in texts}
+    topics = {
+        name: f"swarm/{thesis_csv.robot_of(name)}/thesis/{'.'.join(name.with_suffix('').parts)}" for name in texts
+    }
+    if len(set(topics.values())) < len(topics):
+        raise RecordingError(f"{args.source}: two of its files differ only in a dot for a slash: rename one")
     digest = hashlib.blake2b("".join(texts.values()).encode(), digest_size=16).digest()
     app = min(kinds.values())
     info = folder.describe(app, int.from_bytes(digest[:8], "big"), 0, digest)
     folder.begin(output, info, {})
     recording = DirectRecording(output / f"{app}{SUFFIX}", info, clock=UNIX)
     try:
-        topics = {
-            name: f"swarm/{thesis_csv.robot_of(name)}/thesis/{'.'.join(name.with_suffix('').parts)}" for name in texts
-        }
         recording.metadata(FILES, {str(name): topic for name, topic in topics.items()})
         for name, text in texts.items():
             _put(recording, name, kinds[name], text, topics[name])

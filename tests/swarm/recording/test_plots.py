@@ -4,6 +4,7 @@ import math
 import re
 from itertools import combinations
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -12,6 +13,7 @@ from laptop.cli.runs.plot import KINDS
 from laptop.plotting import style
 from laptop.plotting.journeys import JourneyLeg, Pass, legs
 from laptop.plotting.mesh import layout, spots
+from laptop.plotting.mesh import mesh as mesh_plot
 from laptop.plotting.style import figure
 from sim.virtual.run import simulate
 from swarm.recording.run import Run
@@ -114,6 +116,29 @@ def test_no_legend_hides_data(runs, kind):
                 shown, inside = legend.get_window_extent(), axes.get_window_extent()
                 assert shown.x0 >= inside.x1 - 1 or shown.y0 >= inside.y1 - 1
         made.savefig = lambda *args, **options: None
+
+
+class LinksAlone:
+    """A recording that holds the `mesh/links` of some robots: (robot, {peer: messages dropped})."""
+
+    def __init__(self, *told):
+        self.path = Path("links")
+        self.told = told
+
+    def samples(self, topic):
+        for t, (robot, dropped) in enumerate(self.told if topic.endswith("mesh/links") else ()):
+            links = [{"peer": peer, "state": "up", "rtt": 0.05, "dropped": count} for peer, count in dropped.items()]
+            yield SimpleNamespace(topic=f"swarm/{robot}/mesh/links", message={"links": links}, t=float(t))
+
+
+def test_the_mesh_is_drawn_without_links_that_are_gone_and_counts_drops_over_restarts():
+    run = LinksAlone(("r0", {"r1": 10, "r2": 0}), ("r1", {"r0": 0}), ("r0", {"r1": 40}), ("r0", {"r1": 2}))
+    with figure(Path("unused.pdf"), settings=style.RC, layout="constrained") as made:
+        mesh_plot(made, run)
+        texts = [text.get_text() for axes in made.axes for text in axes.texts]
+        made.savefig = lambda *args, **options: None
+    assert "50 ms\n32 dropped" in texts
+    assert "r2" not in texts
 
 
 def test_a_vector_file_has_text_in_it(runs, tmp_path):

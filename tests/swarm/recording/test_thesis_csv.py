@@ -131,6 +131,39 @@ def test_a_run_of_ours_goes_out_and_can_be_replayed(tmp_path):
     assert first.startswith("0,0.")
 
 
+def test_lines_whose_times_step_back_keep_their_order(tmp_path):
+    source = tmp_path / "consensus"
+    write(source, "0.csv", "2.5,0.5,0\n2.6,0.5,1\n1.0,0.75,0\n3.0,0.75,1\n")
+    _, back = round_trip(source, tmp_path)
+    assert back == files(source)
+
+
+def test_two_files_that_share_a_topic_are_refused(tmp_path, capsys):
+    write(tmp_path / "in" / "latency", "a/b.csv", "1,2\n")
+    write(tmp_path / "in" / "latency", "a.b.csv", "1,2\n")
+    assert swarm("import", tmp_path / "in", "-o", tmp_path / "out") == 2
+    assert "a dot for a slash" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_robots_that_drive_to_their_places_go_out_with_all_their_states(tmp_path):
+    simulate("formation", "--robots", "3", "--iterations", "8", "--record", str(tmp_path / "run"))
+    assert swarm("export", tmp_path / "run", "--csv", tmp_path / "csv") == 0
+    known = Run(tmp_path / "run").trajectories()["r0"].rows
+    assert (tmp_path / "csv" / "0.csv").read_text().count(",0\n") == len(known) - 1
+
+
+def test_an_estimate_goes_out_with_the_measurement_of_its_own_step():
+    rows = [(k, float(k), 0.0, 0.0) for k in (0, 1, 2, 50, 51)]
+    text = thesis_csv.localization(rows, {1: (0.1, 0.0, 0.0), 3: (0.3, 0.0, 0.0), 51: (0.5, 0.0, 0.0)})
+    assert [(line.split(",")[0], float(line.split(",")[9])) for line in text.splitlines() if line.count(",") == 11] == [
+        ("1.0", 10.0),
+        ("1.0", 10.0),
+        ("51.0", 50.0),
+        ("51.0", 50.0),
+    ]
+
+
 def test_states_of_ours_go_out_as_new_and_sent(tmp_path):
     simulate("consensus", "--robots", "2", "--iterations", "2", "--record", str(tmp_path / "run"))
     assert swarm("export", tmp_path / "run", "--csv", tmp_path / "consensus") == 0
