@@ -31,9 +31,9 @@ MAX_OPEN = 1024
 """Requests that are remembered, answered or not; the oldest ones are forgotten."""
 
 MAX_OPEN_BYTES = 4 * 1024 * 1024
-"""Bytes of requests that wait for their answer. Beyond this the oldest one is given up."""
+"""Bytes of large requests that wait for their answer. A further one is refused."""
 
-_GIVEN_UP = f"given up: requests of more than {MAX_OPEN_BYTES // 2**20} MiB wait for the mesh"
+_REFUSED = f"refused: requests of more than {MAX_OPEN_BYTES // 2**20} MiB wait for the mesh"
 
 SMALL = 4096
 """Largest payload, in bytes, with which the whole request is repeated. Of a larger request only the ticket is
@@ -59,14 +59,10 @@ class Message(NamedTuple):
 class Handle(Generic[A]):
     """One request under way: wait for its `result`, look at its `answer`, or have a callback (`on_done`)."""
 
-    def __init__(
-        self, ticket: str, size: int, ask: Callable[[], None], remind: Callable[[], None], given_up: A, now: Now
-    ) -> None:
-        """`ask()` makes the request of `size` bytes, `remind()` repeats it; `given_up` is the answer where it is given
-        up here."""
+    def __init__(self, ticket: str, size: int, ask: Callable[[], None], remind: Callable[[], None], now: Now) -> None:
+        """`ask()` makes the request of `size` bytes, `remind()` repeats it."""
         self._now = now
         self.size = size
-        self.given_up: A = given_up
         self.ticket = ticket
         """The name of the request, by which an app finds its answer later (`Overlays.answer`)."""
         self.moved = 0
@@ -164,14 +160,14 @@ class Overlays:
     def flood(self, payload: bytes, *, priority: str = "bulk", announce: bool = False) -> Handle[Flooded]:
         """Send `payload` to all robots. With `announce` all of them learn when all have it."""
         request = FloodRequest(self._ticket(), self._app, payload, priority, announce)
-        given_up = Flooded(self._now(), request.ticket, self._app, (), complete=False, problem=_GIVEN_UP)
-        return self._open(request, self._flood_key, given_up)
+        refused = Flooded(self._now(), request.ticket, self._app, (), complete=False, problem=_REFUSED)
+        return self._open(request, self._flood_key, refused)
 
     def send(self, to: str, payload: bytes, *, priority: str = "bulk", timeout: float = 30.0) -> Handle[Sent]:
         """Send `payload` to one robot. The mesh gives it up after `timeout` s, if not sooner."""
         request = SendRequest(self._ticket(), self._app, to, payload, priority, timeout)
-        given_up = Sent(self._now(), request.ticket, self._app, to, delivered=False, problem=_GIVEN_UP)
-        return self._open(request, self._send_key, given_up)
+        refused = Sent(self._now(), request.ticket, self._app, to, delivered=False, problem=_REFUSED)
+        return self._open(request, self._send_key, refused)
 
     def answer(self, ticket: str) -> Flooded | Sent | None:
         """The answer to a request of this process, by its ticket; None as long as there is none, or of another one."""
@@ -238,7 +234,8 @@ class Overlays:
             self._count += 1
             return f"{self._prefix}-{self._count}"
 
-    def _open(self, request: FloodRequest | SendRequest, key: str, given_up: A) -> Handle[A]:
+    def _open(self, request: FloodRequest | SendRequest, key: str, refused: A) -> Handle[A]:
+        """Make a request; `refused` is its answer where too many bytes wait already."""
         size = len(request.payload)
         small = size <= SMALL
         if size > MAX_BINARY:
@@ -248,18 +245,17 @@ class Overlays:
         # The bus has room for large ones in its ordinary queue alone.
         ask = partial(self._bus.publish, key, request, urgent=small)
         remind = ask if small else partial(self._bus.publish, self._remind_key, Reminder(request.ticket), urgent=True)
-        handle: Handle[A] = Handle(request.ticket, size, ask, remind, given_up, self._now)
+        handle: Handle[A] = Handle(request.ticket, size, ask, remind, self._now)
         with self._lock:
+            waiting = sum(one.size for one in self._handles.values() if one.size > SMALL and not one.done)
             if len(self._handles) >= MAX_OPEN:
                 del self._handles[next(iter(self._handles))]
             self._handles[handle.ticket] = handle
-            waiting = [] if small else [one for one in self._handles.values() if not one.done]
-        room = MAX_OPEN_BYTES - sum(one.size for one in waiting)
-        for oldest in waiting:
-            if room < 0:
-                room += oldest.size
-                self._finish(oldest.given_up)
-        handle.ask()
+        if small or waiting + size <= MAX_OPEN_BYTES:
+            handle.ask()
+        else:
+            self.remind()  # an answer that was lost must not take room for ever
+            self._finish(refused)
         return handle
 
     def _take(self, message: Message) -> None:

@@ -198,12 +198,16 @@ def test_all_that_is_promised_to_apps_is_taken(bus: FakeBus) -> None:
     assert len(requests) == 2
 
 
-def test_large_requests_that_wait_are_bounded_by_their_bytes(bus: FakeBus) -> None:
+def test_a_large_request_beyond_the_bound_is_refused_and_older_ones_wait_on(bus: FakeBus, now: list[float]) -> None:
     """The mesh may be away for minutes, while an app floods on."""
     each = client(bus)
-    small = each.flood(b"small")
-    first, *others = [each.send("r1", bytes(MAX_BINARY)) for _ in range(5)]
-    assert first.answer is not None
-    assert first.answer.problem == "given up: requests of more than 4 MiB wait for the mesh"
-    assert small.answer is not None  # it was older yet
-    assert not any(handle.done for handle in others)
+    small = [each.flood(b"small") for _ in range(300)]
+    others = [each.send("r1", bytes(MAX_BINARY)) for _ in range(4)]
+    now[0] += overlays.REPEAT
+    last = each.send("r1", bytes(MAX_BINARY))
+    assert last.answer is not None
+    assert last.answer.problem == "refused: requests of more than 4 MiB wait for the mesh"
+    assert not any(handle.done for handle in (*small, *others))
+    assert ("swarm/r0/mesh/set/remind", Reminder(others[0].ticket)) in bus.published, "its answer may have been lost"
+    bus.come("swarm/r0/mesh/sent", encode(Sent(1.0, others[0].ticket, "test", "r1", True, "")))
+    assert not each.send("r1", bytes(MAX_BINARY)).done

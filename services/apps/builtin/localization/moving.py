@@ -70,7 +70,7 @@ class Moving(Localization):
         if t == before:
             return
         self._last = t, self.k
-        period = (t - before) / (self.k - k)
+        period = (t - before) / (self.k - k) if self.k > k else 0.0  # a new epoch may do an iteration again
         if 0.0 < period < LONGEST_S:
             self._period += (period - self._period) * (SHARE if self._period else 1.0)
 

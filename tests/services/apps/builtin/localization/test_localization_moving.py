@@ -98,6 +98,15 @@ def test_a_repeated_measurement_says_nothing_new() -> None:
     assert total[1] == pytest.approx(total[0] * (1 - 1 / 40) ** 10)
 
 
+def test_an_iteration_that_a_new_epoch_does_again_says_nothing_of_its_time() -> None:
+    app = run("moving", 0.2, 1.0, 10).runners["r0"].app
+    period, t = app._period, app._last[0]
+    app._last = t - 1.0, app.k
+    app._measure_period()
+    assert app._period == period
+    assert app._last == (t, app.k)
+
+
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(COORDINATE, COORDINATE), min_size=5, max_size=6, unique=True), COORDINATE, COORDINATE,
        VELOCITY, VELOCITY)  # fmt: skip
