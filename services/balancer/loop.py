@@ -43,7 +43,7 @@ SECOND_TICKS = 100
 PARAMETERS_TICKS = 1000
 """Ticks between two messages with the parameters: every 10 s."""
 STOPPED_FILE = "balancer.stopped"
-"""The file in the runtime directory that is there while a stop holds."""
+"""The file in the runtime directory that is there from a stop until the next command to move."""
 FEED_S = 1.0
 """Seconds between two messages to systemd's watchdog; its unit is given 3 s."""
 
@@ -76,6 +76,7 @@ class Loop:
         self._leds_at = 0.0
         self._stopped_at = -math.inf
         self._stop_is_kept = balancer.stopped
+        self._keeping_failed = ""
         self._fed_at = -math.inf
         self.ticks = 0
         self.missed = 0
@@ -100,8 +101,10 @@ class Loop:
             step(started)
             self.ticks += 1
             deadline += PERIOD_S
-            if stopped and self._balancer.fault is not None:
-                _log.warning("%s", self._balancer.fault.reason)
+            if stopped:
+                self._remember_stop()
+                if self._balancer.fault is not None:
+                    _log.warning("%s", self._balancer.fault.reason)
             self._use_slack(deadline)
             behind = now() - deadline
             if behind > 0.0:
@@ -116,18 +119,19 @@ class Loop:
             return False
         # Not the time at which the tick began: it may have stood still since, and have been given commands meanwhile.
         self._stopped_at = clock.now()
-        is_new = halt(self._balancer, stop)
-        self._remember_stop()
-        return is_new
+        return halt(self._balancer, stop)
 
     def _remember_stop(self) -> None:
-        """Let the process after this one know whether a stop holds."""
-        if self._stop_is_kept != (stopped := self._balancer.stopped):
-            try:
-                self._keep_stopped(stopped)
-            except OSError as error:
-                _log.warning("a stop cannot be kept for a restart: %s", error)
+        """Let the process after this one know whether a stop holds. What fails is tried again each second."""
+        if self._stop_is_kept == (stopped := self._balancer.stopped):
+            return
+        try:
+            self._keep_stopped(stopped)
             self._stop_is_kept = stopped
+        except OSError as error:
+            if str(error) != self._keeping_failed:
+                self._keeping_failed = str(error)
+                _log.warning("a stop cannot be kept for a restart: %s", error)
 
     def _use_slack(self, until: float) -> None:
         """Do a little of the other work in the slack before the next tick, at `until`. So no tick has to do all of

@@ -171,8 +171,10 @@ def _rehearse(options: argparse.Namespace, seed: str) -> list[Json]:
             if isinstance(entry, dict):
                 found.append(entry)
     if child.returncode != 0:
-        last = errors.strip().splitlines()[-1] if errors.strip() else f"it ended with code {child.returncode}"
-        found.append({"fault": f"{options.app}: {last}", "line": None})
+        last = f"; the last line it wrote: {errors.strip().splitlines()[-1]}" if errors.strip() else ""
+        found.append(
+            {"fault": f"{options.app}: the app's process ended with code {child.returncode}{last}", "line": None}
+        )
     return found
 
 

@@ -88,6 +88,7 @@ class Devices:
         self._leds_from = -math.inf
         self._text: str | None = None
         self._velocity: tuple[float, float] | None = None
+        self._idle = False
         self._leds_at = self._display_at = self._drive_at = math.inf
         self.on_claim: Callable[[], None] | None = None
         """Called when `next_deadline` may have changed, on the thread that made a claim."""
@@ -190,7 +191,8 @@ class Devices:
         return None if due == math.inf else due
 
     def handle_timer(self, *, idle: bool = False) -> None:
-        """Claim what the app has, where that is due. An app that is `idle` makes no steps: its robot stands still."""
+        """Claim what the app has, where that is due. An app that is `idle` makes no steps: its robot is told once to
+        stand still, and then others may drive it until the next step."""
         now = self._now()
         with self._lock:
             if now >= self._leds_at and self._leds is not None:
@@ -200,7 +202,9 @@ class Devices:
                 self._command("display", SetDisplay(self._text, LED_CLAIM))
                 self._text, self._display_at = (self._text, now + LED_REPEAT) if self._text else (None, math.inf)
             if now >= self._drive_at and self._velocity is not None:
-                self._command("velocity", SetVelocity(*((0.0, 0.0) if idle else self._velocity), DRIVE_CLAIM))
+                if not (idle and self._idle):
+                    self._command("velocity", SetVelocity(*((0.0, 0.0) if idle else self._velocity), DRIVE_CLAIM))
+                self._idle = idle
                 at_rest = self._velocity == (0.0, 0.0)
                 self._velocity, self._drive_at = (None, math.inf) if at_rest else (self._velocity, now + DRIVE_REPEAT)
 

@@ -315,6 +315,22 @@ def test_a_stop_is_kept_at_once_for_the_process_after_this_one(monkeypatch: pyte
     assert kept == [True, False]
 
 
+def test_a_stop_that_could_not_be_kept_is_kept_when_there_is_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = VirtualLoop(monkeypatch, upright().run(1))
+    kept: list[bool] = []
+
+    def full(_: bool) -> None:
+        assert loop.loop._balancer.fault is not None, "the motors are stopped before"
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    loop.loop._keep_stopped = full
+    loop.bridge.incoming = [Stop(1.0, "r1", "enough")]
+    loop.run(2)
+    loop.loop._keep_stopped = kept.append
+    loop.run(150)
+    assert kept == [True]
+
+
 def test_no_parameters_end_the_loop_or_the_bridge() -> None:
     """Those that an app names come back in a notice, which has to fit into a message."""
     for values in ({"a" * 65_000: 1.0}, {str(number): 1.0 for number in range(10_000)}):

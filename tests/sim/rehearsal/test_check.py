@@ -390,3 +390,15 @@ def test_an_app_that_prints_without_an_end_of_the_line_hides_no_fault(tmp_path: 
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 1
     assert "ValueError: broken" in done.stdout
+
+
+def test_an_app_that_ends_its_process_is_told_by_its_code_and_last_words(tmp_path: Path) -> None:
+    file = tmp_path / "leaves.py"
+    file.write_text(
+        "import os\nfrom swarm import SyncApp\nclass Leaves(SyncApp):\n    value: float\n"
+        "    def step(self, neighbours):\n        print('all is well', flush=True)\n        os._exit(3)\n"
+    )
+    command = [sys.executable, "-m", "sim.rehearsal.check", str(file), "--robots", "3", "--iterations", "20"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 1
+    assert "the app's process ended with code 3; the last line it wrote: all is well" in done.stdout

@@ -52,10 +52,11 @@ class Rig:
 def test_the_robot_of_an_app_that_makes_no_steps_stands_still_until_the_next_one(rig: Rig) -> None:
     rig.devices.drive(0.2, 0.5)
     assert rig.bus.take() == [SetVelocity(0.2, 0.5, DRIVE_CLAIM)]
-    for idle in (True, True, False):
+    still, goes = [SetVelocity(0.0, 0.0, DRIVE_CLAIM)], [SetVelocity(0.2, 0.5, DRIVE_CLAIM)]
+    for idle, told in ((True, still), (True, []), (True, []), (False, goes), (True, still)):
         rig.now += DRIVE_REPEAT
         rig.devices.handle_timer(idle=idle)
-        assert rig.bus.take() == [SetVelocity(*((0.0, 0.0) if idle else (0.2, 0.5)), DRIVE_CLAIM)]
+        assert rig.bus.take() == told
 
 
 @pytest.fixture
