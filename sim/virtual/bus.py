@@ -36,20 +36,26 @@ class VirtualRouter:
 
     time: EventQueue
     subscriptions: list[_Subscription] = field(default_factory=list)
-    servers: dict[str, OnQuery] = field(default_factory=dict)
-    tokens: list[str] = field(default_factory=list)
-    watchers: list[tuple[str, Callable[[str, bool], None]]] = field(default_factory=list)
+    servers: dict[str, tuple["VirtualBus", OnQuery]] = field(default_factory=dict)
+    tokens: list[tuple["VirtualBus", str]] = field(default_factory=list)
+    watchers: list[tuple["VirtualBus", str, Callable[[str, bool], None]]] = field(default_factory=list)
     sessions: list["VirtualBus"] = field(default_factory=list)
-    waiting: list[Callable[[], None]] = field(default_factory=list)
-    """Who is to be called when somebody hears other keys."""
+    waiting: list[tuple["VirtualBus", Callable[[], None]]] = field(default_factory=list)
+    """What each session wants to be called when somebody hears other keys."""
 
     def changed(self) -> None:
         """Others may be interested in a key now than before."""
         for session in self.sessions:
             session.targets.clear()
         waiting, self.waiting = self.waiting, []
-        for call in waiting:
+        for _, call in waiting:
             call()
+
+    def tell(self, token: str, *, alive: bool) -> None:
+        """Tell those that watch it that a liveliness token has come or gone."""
+        for _, expression, callback in self.watchers:
+            if matches(expression, token):
+                self.time.soon(callback, token, alive)
 
 
 class VirtualSubscription:
@@ -95,7 +101,8 @@ class VirtualBus:
 
     def await_change(self, call: Callable[[], None]) -> None:
         """Call once, as soon as other keys may be `wanted` than now."""
-        self._router.waiting.append(call)
+        if not self._closed:
+            self._router.waiting.append((self, call))
 
     def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
         """Send to all other sessions that subscribe to it; drop what the real bus drops, raise what it raises."""
@@ -123,23 +130,21 @@ class VirtualBus:
 
     def serve(self, key: str, answer: OnQuery) -> None:
         """Answer queries on `key` by `answer(key, parameters)`; None leaves a query unanswered."""
-        self._router.servers[key] = answer
+        self._router.servers[key] = self, answer
 
     def ask(self, key: str, on_reply: OnSample, *, timeout_s: float = 1.0, **parameters: object) -> None:
         """Send a query; `on_reply(key, payload)` is called for each answer."""
         self._time.soon(self._query, key, on_reply, {name: str(value) for name, value in parameters.items()})
 
     def announce(self, key: str) -> None:
-        """Declare a liveliness token."""
-        self._router.tokens.append(key)
-        for expression, callback in self._router.watchers:
-            if matches(expression, key):
-                self._time.soon(callback, key, True)
+        """Declare a liveliness token, which lives as long as the session."""
+        self._router.tokens.append((self, key))
+        self._router.tell(key, alive=True)
 
     def watch(self, key: str, callback: Callable[[str, bool], None]) -> None:
-        """Call `callback(key, True)` for each token."""
-        self._router.watchers.append((key, callback))
-        for token in self._router.tokens:
+        """Call `callback(key, True)` for each token, and with False when its session ends."""
+        self._router.watchers.append((self, key, callback))
+        for _, token in self._router.tokens:
             if matches(key, token):
                 self._time.soon(callback, token, True)
 
@@ -149,7 +154,14 @@ class VirtualBus:
         self._closed = True
         self.targets.clear()
         router.subscriptions = [each for each in router.subscriptions if each.session is not self]
+        router.servers = {key: server for key, server in router.servers.items() if server[0] is not self}
+        router.waiting = [each for each in router.waiting if each[0] is not self]
+        router.watchers = [each for each in router.watchers if each[0] is not self]
+        ended = [token for session, token in router.tokens if session is self]
+        router.tokens = [each for each in router.tokens if each[0] is not self]
         router.sessions.remove(self)
+        for token in ended:
+            router.tell(token, alive=False)
         router.changed()
 
     def _targets(self, key: str) -> tuple[OnSample, ...]:
@@ -163,6 +175,6 @@ class VirtualBus:
         return found
 
     def _query(self, key: str, on_reply: OnSample, parameters: dict[str, str]) -> None:
-        for name, answer in tuple(self._router.servers.items()):
+        for name, (_, answer) in tuple(self._router.servers.items()):
             if matches(key, name) and (payload := answer(name, parameters)) is not None:
                 on_reply(name, payload)

@@ -6,6 +6,7 @@ import pytest
 
 from sim.virtual.bus import VirtualBus, VirtualRouter
 from sim.virtual.events import EventQueue
+from sim.virtual.periodic_publisher import PeriodicPublisher
 from swarm.app.mesh_clock import MeshClock
 from swarm.bus.protocol import BusLike
 from swarm.bus.zenoh_bus import Bus
@@ -80,6 +81,20 @@ def test_queries_are_answered_and_tokens_seen(router):
     first.announce("swarm/r0/y/alive")
     router.time.run()
     assert seen == [("swarm/r0/x/row", b"row 3"), ("swarm/r0/x/alive", True), ("swarm/r0/y/alive", True)]
+
+
+def test_a_session_that_ends_answers_nobody_and_leaves_nothing(router):
+    dead, other, seen = VirtualBus(router), VirtualBus(router), []
+    other.watch("swarm/*/*/alive", lambda *token: seen.append(token))
+    dead.announce("swarm/r0/x/alive")
+    dead.serve("swarm/r0/x/status", lambda *_: b"dead")
+    PeriodicPublisher(router.time, dead, ("swarm/r0/x/a",), 1.0, 1.0, lambda: None)
+    router.time.run(2.0)
+    dead.close()
+    other.ask("swarm/r0/x/status", lambda *answer: seen.append(answer))
+    router.time.run(4.0)
+    assert seen == [("swarm/r0/x/alive", True), ("swarm/r0/x/alive", False)]
+    assert (router.servers, router.tokens, router.waiting, router.sessions) == ({}, [], [], [other])
 
 
 def test_what_the_real_bus_refuses_it_refuses(router):
