@@ -11,7 +11,7 @@ import links_world
 from links_world import LinksWorld, way_around
 
 from services.apps.core.lockstep_run import LockstepRun, Renew
-from services.apps.core.terms import Terms
+from services.apps.core.terms import Terms, Told
 from swarm.core.epochs.actions import SaveEpochs, SendToNeighbours, SwitchEpoch
 from swarm.core.epochs.notes import LOST, first
 from swarm.core.graph import Graph
@@ -61,6 +61,9 @@ class Model:
         self.restore(k, own, private, graph)
         return own, private
 
+    def told(self):
+        return Told({}, {})
+
     def content(self):
         return self._content(STATE.unpack(self.own)[0])
 
@@ -85,8 +88,7 @@ class Process(links_world.Process):
         self.finished = None
         self.computing = False
         saved = self.lockstep.saved(list(world.pages[robot].values()))
-        first_one = self.lockstep.start(None) if self.lockstep.new and not saved else None
-        self.lockstep.begin(saved, first_one, world.now)
+        self.lockstep.begin(saved, self.lockstep.start(saved, None), world.now)
         self.pump()
 
     def pump(self):

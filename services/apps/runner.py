@@ -11,6 +11,7 @@ import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, TypeVar
 
+from services.apps.core.terms import Told
 from swarm.app.run_options import TOLERANCE
 from swarm.app.sync_app import BaseApp, SyncApp
 from swarm.core.arrays import is_array
@@ -49,6 +50,12 @@ class AppRunner:
         """The shared state, where the author's own result could name other values alike."""
         self.metrics = metrics_of(type(app))
         """What the app measures of itself where the truth is known."""
+        self._running = ""
+        """The method of the author that was called last, and when, in words."""
+
+    def told(self) -> Told:
+        """Return the shared state and the result. Takes as long as the author's code does."""
+        return Told(self.state(), self.result())
 
     def state(self) -> dict[str, Value]:
         """The shared state by name."""
@@ -73,12 +80,12 @@ class AppRunner:
             )
         return result
 
-    def known_result(self) -> dict[str, Value]:
-        """Return the result without metrics that are not known: a message carries finite numbers alone."""
+    def known(self, result: Mapping[str, Value]) -> dict[str, Value]:
+        """Return a result without metrics that are not known: a message carries finite numbers alone."""
         metrics = self.metrics
         return {
             name: value
-            for name, value in self.result().items()
+            for name, value in result.items()
             if name not in metrics or not isinstance(value, float) or math.isfinite(value)
         }
 
@@ -108,13 +115,13 @@ class AppRunner:
             raise AppError(f"{self._where(where)}: expected a number, got {shown(answer)}")
         return float(answer)
 
-    def hangs(self, where: str, thread: int | None, limit: float) -> str:
-        """Describe code of the author that has run for `limit` s in a thread, with the line at which it is."""
+    def hangs(self, thread: int | None, limit: float) -> str:
+        """Describe code of the author that has run for `limit` s in a thread, with method and line at which it is."""
         frame = None if thread is None else sys._current_frames().get(thread)
         while frame is not None and frame.f_code.co_filename != self.source:
             frame = frame.f_back
-        place = "" if frame is None else f"{self.source}, line {frame.f_lineno}: "
-        return f"{self._where(where)}: {place}it has not ended within {limit:g} s"
+        place = "" if frame is None else f"{self.source}, line {frame.f_lineno}, in {frame.f_code.co_name}(): "
+        return f"{self._where(self._running)}: {place}it has not ended within {limit:g} s"
 
     def _be_at(self, k: int) -> None:
         self.k = k
@@ -133,6 +140,7 @@ class AppRunner:
             raise AppError(f"{self._where(where)}: {name}: {error}") from None
 
     def _call(self, where: str, function: Callable[[], T]) -> T:
+        self._running = where
         try:
             return function()
         except AppError as error:

@@ -2,8 +2,8 @@
 
 An app has one, or one for each of its channels. It has no IO, no clock and no thread: the driver
 (`services.apps.host.lockstep_driver`) has these. Two things happen to it, perhaps in two threads: messages and timers,
-which take no time, and the app's code, which may take long. So `start`, `compute` and `renew` alone run the author's
-steps, beside whatever else happens.
+which take no time, and the app's code, which may take long or never return. So `start`, `compute` and `renew` alone run
+the author's code, all that belongs to one iteration together, beside whatever else happens.
 """
 
 import struct
@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from services.apps.core.terms import Program, Terms
+from services.apps.core.terms import Answer, Program, Terms, Told
 from swarm.core.epochs import actions as epoch_actions
 from swarm.core.epochs.actions import EpochRequest, SaveEpochs, SwitchEpoch
 from swarm.core.epochs.epochs import Epochs
@@ -77,6 +77,8 @@ class LockstepRun:
         """Robots whose value has been missing for a while."""
         self.computed_at = 0.0
         """The time at which the newest state was computed."""
+        self.told: Told | None = None
+        """What the app tells of the newest state; None before the first one."""
         self.lost = False
         """Whether this robot was in the run and has lost its state, as after a reboot."""
         of = terms.run, terms.schema
@@ -85,7 +87,7 @@ class LockstepRun:
         self._me = me
         self.terms = terms
         self._program = program
-        self.new = not vote_lost and (kept is None or (kept.run, kept.schema) != (terms.run, terms.schema))
+        self._new = not vote_lost and (kept is None or (kept.run, kept.schema) != (terms.run, terms.schema))
         """Whether this robot has not been in the run yet, so that it begins with the app\'s first state."""
         self._stopping: Stopping | None = None
         self._lockstep: Lockstep | None = None
@@ -130,13 +132,19 @@ class LockstepRun:
         found = [Snapshot.decode(page) for page in pages]
         return [one for one in found if (one.run, one.schema) == (self.terms.run, self.terms.schema)]
 
-    def start(self, measurement: Measurement | None) -> tuple[bytes, bytes]:
-        """Let the app set its first state, which goes to `begin`."""
-        return self._program.start(measurement)
+    def start(self, saved: Sequence[Snapshot], measurement: Measurement | None) -> Answer | None:
+        """Let the app be where the newest snapshot was taken, or set its first state where this robot is new; what it
+        gives goes to `begin`. None: it goes on with the next epoch."""
+        if not saved:
+            return self._answer(*self._program.start(measurement)) if self._new else None
+        if not self._resumes(saved[-1]):
+            return None
+        own, private = saved[-1].value[: self._program.size], saved[-1].private[_STAMP.size :]
+        self._program.restore(saved[-1].k, own, private, self._graph)
+        return self._answer(own, private)
 
-    def begin(self, saved: Sequence[Snapshot], first: tuple[bytes, bytes] | None, now: float) -> None:
-        """Go on from snapshots, the newest last, or begin with the app's first state where this robot is `new`. What
-        the app raises is `AppError`."""
+    def begin(self, saved: Sequence[Snapshot], first: Answer | None, now: float) -> None:
+        """Go on from snapshots, the newest last, or begin with the app's first state; `first` is what `start` gave."""
         self.phase = "running"
         self.progress_at = self._began_at = now
         epoch = self.epochs.epoch
@@ -147,8 +155,8 @@ class LockstepRun:
                     computed_at, self._began_at = _STAMP.unpack_from(snapshot.private)
                     private = snapshot.private[_STAMP.size :]
                     self._history.append(RunState(snapshot.k, snapshot.value, private, computed_at))
-            if saved[-1].epoch == epoch.number and self.epochs.member:
-                self._resume(saved[-1], epoch, now)
+            if first is not None and self._resumes(saved[-1]):
+                self._resume(saved[-1], first.told, epoch, now)
             else:
                 self.channel = Channel(self.terms.run, saved[-1].epoch, self.epochs.birth, self.terms.schema)
                 if self.epochs.lost:
@@ -156,41 +164,42 @@ class LockstepRun:
                 else:
                     self.epochs.resettle()
         elif first is not None:
-            self._enter(epoch, *first, now)
+            self._enter(epoch, first, now)
         else:
             self.lost = True
             self.epochs.lose()
 
-    def compute(self, todo: Compute, measurement: Measurement | None) -> tuple[bytes, bytes]:
+    def compute(self, todo: Compute, measurement: Measurement | None) -> Answer:
         """Run the app's step; what it gives goes to `computed`."""
         size = self._program.size  # behind it stands the count of a rule to stop
         values = {name: value[:size] for name, value in todo.values.items()}
-        return self._program.step(todo.k, todo.own[:size], values, measurement)
+        own, private = self._program.step(todo.k, todo.own[:size], values, measurement)
+        content = self.terms.rule is not None and self._program.content()
+        return Answer(own, private, self._program.told(), content)
 
-    def renew(self, epoch: Epoch, measurement: Measurement | None) -> tuple[bytes, bytes] | None:
+    def renew(self, epoch: Epoch, measurement: Measurement | None) -> Answer | None:
         """Let the app go over to an epoch; what it gives goes to `renewed`. None: this robot has no part in it."""
         if self._me not in epoch.members:
             return None
         self._graph = epoch.graph
         state = self._before(epoch)
-        if state is not None:
-            return self._program.renew(epoch.k, state.own, state.private, self._graph)
-        return self._program.renew(epoch.k, *self._program.start(measurement), self._graph)
+        own, private = (state.own, state.private) if state is not None else self._program.start(measurement)
+        return self._answer(*self._program.renew(epoch.k, own, private, self._graph))
 
     # The other side
 
-    def computed(self, todo: Compute, answer: tuple[bytes, bytes], now: float) -> None:
+    def computed(self, todo: Compute, answer: Answer, now: float) -> None:
         """Go on with what `compute` gave."""
         core = self._lockstep
         if core is None or self.epochs.frozen or self._changing or core.fault is not None:
             return
-        own, private = answer
+        own, private, self.told, content = answer
         last = False
         if self._stopping is not None:
             size = self._program.size
             counts = [value[size:] for value in todo.values.values()]
             seconds = now - self._began_at
-            count = self._stopping.next(todo.own[size:], counts, content=self._program.content(), seconds=seconds)
+            count = self._stopping.next(todo.own[size:], counts, content=content, seconds=seconds)
             own += count
             last = self._stopping.over(count)
         self.progress_at = self.computed_at = now
@@ -198,12 +207,12 @@ class LockstepRun:
         core.computed(own, self._stamp(private), now, last=last)
         self.epochs.k = core.k
 
-    def renewed(self, epoch: Epoch, answer: tuple[bytes, bytes] | None, now: float) -> None:
+    def renewed(self, epoch: Epoch, answer: Answer | None, now: float) -> None:
         """Go on with what `renew` gave."""
         if epoch.number != self.epochs.number:
             return  # there is a newer one by now
         if answer is not None:
-            self._enter(epoch, *answer, now)
+            self._enter(epoch, answer, now)
         self.epochs.settle()
 
     def receive(self, sender: str, channel: Channel, payload: bytes, now: float, *, around: bool = False) -> None:
@@ -322,6 +331,13 @@ class LockstepRun:
         waiting = self._graph.neighbours(self._me) if frozen else self._lockstep.waiting_for
         return [(n, max(self.progress_at, self._heard.get(n, 0.0)) + self.terms.after) for n in waiting]
 
+    def _answer(self, own: bytes, private: bytes) -> Answer:
+        return Answer(own, private, self._program.told())
+
+    def _resumes(self, snapshot: Snapshot) -> bool:
+        """Whether this robot goes on in the epoch of a snapshot."""
+        return snapshot.epoch == self.epochs.number and self.epochs.member
+
     def _channel_of(self, epoch: Epoch) -> Channel:
         return Channel(self.terms.run, epoch.number, self.epochs.birth, self.terms.schema)
 
@@ -346,8 +362,9 @@ class LockstepRun:
         last = None if self.terms.last is None else max(self.terms.last, epoch.k)
         return Lockstep(self._me, neighbours, self.channel, size, last=last, rtt=self.rtt)
 
-    def _enter(self, epoch: Epoch, own: bytes, private: bytes, now: float) -> None:
+    def _enter(self, epoch: Epoch, first: Answer, now: float) -> None:
         self._lockstep = self._lockstep_of(epoch)
+        own, private, self.told, _ = first
         own += Stopping.first() if self._stopping is not None else b""
         self.progress_at = self.computed_at = now
         self._heard.clear()
@@ -360,15 +377,14 @@ class LockstepRun:
         self._lockstep.start(own, now, self._stamp(private), epoch.k)
         self.epochs.k = epoch.k
 
-    def _resume(self, snapshot: Snapshot, epoch: Epoch, now: float) -> None:
+    def _resume(self, snapshot: Snapshot, told: Told, epoch: Epoch, now: float) -> None:
         """Go on in the epoch of an earlier process."""
         self._lockstep = self._lockstep_of(epoch)
         state = self._history[-1]
         count = state.own[self._program.size :]
         self._lockstep.resume(snapshot.encode(), now, last=self._stopping is not None and self._stopping.over(count))
         self._history = deque(self._history, maxlen=self._graph.span + 2)
-        self._program.restore(state.k, self._plain(state).own, state.private, self._graph)
-        self.computed_at = state.at
+        self.computed_at, self.told = state.at, told
         self.epochs.k = state.k
 
     def _stamp(self, private: bytes) -> bytes:

@@ -1,13 +1,34 @@
 """The input of a `LockstepRun`: the author's app between packed states, and the settings of the whole run."""
 
 from collections.abc import Mapping
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from swarm.app.run_options import AFTER
 from swarm.core.graph import Graph
 from swarm.core.lockstep.stopping import Rule
 from swarm.frozen import frozen
 from swarm.messages import Measurement
+from swarm.messages.codec import Value
+
+
+class Told(NamedTuple):
+    """What an app tells of its state at one iteration, or after one event."""
+
+    state: dict[str, Value]
+    """The shared state by name."""
+    result: Mapping[str, Value]
+    """The author's result, with the errors by which the app is measured."""
+
+
+class Answer(NamedTuple):
+    """What the author's code gave in one job of the worker."""
+
+    own: bytes
+    """The shared state, packed."""
+    private: bytes
+    told: Told
+    content: bool = False
+    """Whether the app might stop here."""
 
 
 class Program(Protocol):
@@ -32,6 +53,9 @@ class Program(Protocol):
 
     def renew(self, k: int, own: bytes, private: bytes, graph: Graph) -> tuple[bytes, bytes]:
         """Be at k with this state, among these robots; the state the app goes on with, packed: shared, private."""
+
+    def told(self) -> Told:
+        """What the app tells of the state at which it is."""
 
     def content(self) -> bool:
         """Return whether the last step has changed the state so little that the app might stop."""

@@ -63,6 +63,7 @@ class AppStatus:
 
     def publish_state(self, *, always: bool = True, news: bool = False) -> None:
         """Publish the state: `always`, or where it is another one than before. `news` is not throttled."""
+        self.late = False  # what is computed for this look, perhaps at once, is published by this look
         self.late = not self._refresh()
         state = self._state
         if state is None or self.late:

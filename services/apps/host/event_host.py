@@ -1,16 +1,17 @@
 """The shell around one event-driven or periodic app: its neighbours' states on the bus, its handlers, state and
 progress.
 
-Handlers run one at a time, on a worker: an author's code may take its time. The app's state is only looked at between
-two of them.
+Handlers run one at a time, on a worker: an author's code may take its time, or never return. So the author's result is
+computed there, too, after a handler or between two of them.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 
+from services.apps.core.terms import Told
 from services.apps.equipment.device_claims import DeviceClaims
-from services.apps.event_runner import EventRunner, place_of, version
+from services.apps.event_runner import EventRunner, version
 from services.apps.host.app_status import LOOK_EVERY, AppStatus
 from services.apps.host.changes import Changes
 from services.apps.host.host import MOST_KEYS, LockstepHost, Part
@@ -24,7 +25,7 @@ from swarm.app.event_app import ChannelView, channels_of
 from swarm.app.overlays import Message, Overlays
 from swarm.app.robot import Robot
 from swarm.config import Config
-from swarm.core.asynchronous import HANG, Asynchronous, HandlerCall, Publish
+from swarm.core.asynchronous import HANG, Asynchronous, HandlerCall, NeighbourState, Publish
 from swarm.core.lockstep.frames import Channel
 from swarm.errors import FrameError, SwarmError
 from swarm.messages import AppProgress, AppState, Topology
@@ -90,6 +91,8 @@ class EventHost:
         self._status = AppStatus(runtime, f"app/{name}", lambda: self.progress, self._look_at_state)
         self._changed_at = runtime.now
         """When the last handler returned."""
+        self._tells: Told | None = None
+        """What the app tells of the state that it left; None where that is not computed yet."""
         self._recorded = -1
         self._told: tuple[object, ...] = ()
         """Phase, robots waited for and reason that the observer was told last."""
@@ -126,8 +129,7 @@ class EventHost:
 
     def start(self) -> None:
         """Let the app begin."""
-        if self._observer is not None:
-            self._tell_observer()  # who reads a recording knows by it that the app begins anew, with k = 0
+        self._tell_observer()  # who reads a recording knows by it that the app begins anew, with k = 0
         self._core.begin(self._runtime.now)
         self._perform()
         self._runtime.every(LOOK_EVERY, self.look, self._status.keys)
@@ -144,7 +146,7 @@ class EventHost:
         self._claims.close()
         self._runtime.entry(self._stop)()
         if not self._worker.close(CLOSE_WITHIN):
-            self._runtime.log.warning("the app does not end: %s", self._hanging())
+            self._runtime.log.warning("the app does not end: %s", self.runner.hangs(self._worker.thread, CLOSE_WITHIN))
         if self.channels is not None:
             self.channels.close()
 
@@ -153,7 +155,7 @@ class EventHost:
 
     def look(self) -> None:
         """Publish state and progress where they are new, or were told a while ago."""
-        self._look_for_hang(self._runtime.now)
+        self._look_for_hang()
         repeated, new = self._status.look()
         if repeated:
             for name, count in {**self._core.counters, "unreadable": self.runner.unreadable}.items():
@@ -248,11 +250,18 @@ class EventHost:
         if not self._core.failure and not self._closed:
             self._take_channels()
             known = self._core.known(self._runtime.now)
-            job = partial(self.runner.call, call, self._core.k, known)
+            job = partial(self._handle, call, self._core.k, known)
             self._worker.run(job, partial(self._returned, call), self._app_failed)
 
-    def _returned(self, call: HandlerCall, own: bytes) -> None:
+    def _handle(self, call: HandlerCall, k: int, known: Sequence[NeighbourState]) -> tuple[bytes, Told | None]:
+        """Let the app handle an event, and tell of each step, or of each event where there are no steps."""
+        own = self.runner.call(call, k, known)
+        tells = self.runner.period is None or call.handler in ("start", "step") or self.runner.finished
+        return own, self.runner.told() if tells else None
+
+    def _returned(self, call: HandlerCall, answer: tuple[bytes, Told | None]) -> None:
         core, runner, now = self._core, self.runner, self._runtime.now
+        own, self._tells = answer
         self._changed_at = now
         if call.handler in ("start", "on_parameter"):
             self._changes.tell()
@@ -271,17 +280,12 @@ class EventHost:
     def _observe(self) -> None:
         """Tell of a step, or of an event where there are no steps."""
         k = self._core.k
-        if self._observer is None or k == self._recorded:
+        if self._observer is None or self._tells is None or k == self._recorded:
             return
         if self._recorded < 0:
             self._tell_observer()
         self._recorded = k
-        try:
-            line = StepRecord(k, self._changed_at, self.runner.state(), self.runner.result())
-        except SwarmError as error:
-            self._app_failed(error)
-            return
-        self._observer.advanced(self, line)
+        self._observer.advanced(self, StepRecord(k, self._changed_at, *self._tells))
 
     def _tell_observer(self) -> None:
         """Tell what the app does now, and whom it waits for."""
@@ -336,8 +340,13 @@ class EventHost:
 
     # What is told
 
-    def _look_for_hang(self, now: float) -> None:
-        if self._core.hangs(now) == self._hung:
+    @property
+    def _hangs(self) -> bool:
+        since = self._worker.running_since
+        return since is not None and self._runtime.now - since >= HANG and not self._core.failure
+
+    def _look_for_hang(self) -> None:
+        if self._hangs == self._hung:
             return
         self._hung = not self._hung
         self._claims.look()
@@ -348,24 +357,28 @@ class EventHost:
             self._runtime.ready()
 
     def _hanging(self) -> str:
-        call = self._core.running
-        return "" if call is None else self.runner.hangs(place_of(call, self._core.k), self._worker.thread, HANG)
+        return self.runner.hangs(self._worker.thread, HANG)
 
     def _look_at_state(self) -> AppState | None:
-        if self._core.phase in ("starting", "fault") or self._worker.busy:
+        if self._core.phase in ("starting", "fault"):
             return None
-        try:
-            return AppState(self._changed_at, self._core.k, self.runner.state(), self.runner.known_result())
-        except SwarmError as error:
-            self._app_failed(error)
+        if self._tells is None and not self._worker.busy:
+            self._worker.run(self.runner.told, self._take_told, self._app_failed)
+        if self._tells is None:
             return None
+        return AppState(self._changed_at, self._core.k, self._tells.state, self.runner.known(self._tells.result))
+
+    def _take_told(self, tells: Told) -> None:
+        self._tells = tells
+        if self._status.late:
+            self._status.publish_state()
 
     def _report(self) -> tuple[str, tuple[str, ...], str]:
         """Phase, robots waited for, reason."""
         core = self._core
         if core.failure:
             return "fault", (), core.failure
-        if core.hangs(self._runtime.now):
+        if self._hangs:
             return "fault", (), self._hanging()
         reason = ""
         if core.strangers:

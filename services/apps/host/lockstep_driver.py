@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 
 from services.apps.core.lockstep_run import ALONE, LockstepRun, Renew
-from services.apps.core.terms import Terms
+from services.apps.core.terms import Answer, Terms
 from services.apps.equipment.measurements import Measurements
 from services.apps.host.app_status import LOOK_EVERY, REPEAT, AppStatus
 from services.apps.host.observer import Observer, StepRecord
@@ -118,9 +118,9 @@ class LockstepDriver:
         if pages and not saved:
             self._runtime.log.info("the snapshot is of another run, this one begins anew")
         if saved:
-            self._begin(saved, None)
+            self._start(saved, None)
         else:
-            self._measure(0, self._start)
+            self._measure(0, partial(self._start, saved))
         self._runtime.every(LOOK_EVERY, self.look, self._status.keys)
 
     def close(self) -> bool:
@@ -128,7 +128,7 @@ class LockstepDriver:
         self._runtime.entry(self._stop)()
         ended = self._worker.close(CLOSE_WITHIN)
         if not ended:
-            self._runtime.log.warning("the step of iteration %d does not end", self.run.k)
+            self._runtime.log.warning("the app does not end: %s", self.runner.hangs(self._worker.thread, CLOSE_WITHIN))
         else:
             self._snapshots.close()
             self._votes.close()
@@ -171,7 +171,7 @@ class LockstepDriver:
         run, now = self.run, self._runtime.now
         since = self._worker.running_since
         if since is not None and now - since >= HANG:
-            self._fail(self.runner.hangs(f"iteration {run.k}", self._worker.thread, HANG))
+            self._fail(self.runner.hangs(self._worker.thread, HANG))
         repeated, _ = self._status.look()
         if repeated:
             for name, count in run.counters.items():
@@ -197,21 +197,14 @@ class LockstepDriver:
         if not self._closed and not self.failed:
             ready(measurement)
 
-    def _start(self, measurement: Measurement | None) -> None:
-        if self.run.new:
-            self._worker.run(partial(self.run.start, measurement), partial(self._begin, []), self._app_failed)
-        else:
-            self._begin([], None)
+    def _start(self, saved: list[Snapshot], measurement: Measurement | None) -> None:
+        self._worker.run(partial(self.run.start, saved, measurement), partial(self._begin, saved), self._app_failed)
 
-    def _begin(self, saved: list[Snapshot], first: tuple[bytes, bytes] | None) -> None:
+    def _begin(self, saved: list[Snapshot], first: Answer | None) -> None:
         run, log = self.run, self._runtime.log
         if self._closed or self.failed:
             return
-        try:
-            run.begin(saved, first, self._runtime.now)
-        except SwarmError as error:
-            self._app_failed(error)
-            return
+        run.begin(saved, first, self._runtime.now)
         if saved:
             log.info("goes on at iteration %d", run.k)
         elif run.lost:
@@ -227,7 +220,7 @@ class LockstepDriver:
                 partial(self.run.compute, todo, measurement), partial(self._computed, todo, asked), self._app_failed
             )
 
-    def _computed(self, todo: Compute, asked: Channel, answer: tuple[bytes, bytes]) -> None:
+    def _computed(self, todo: Compute, asked: Channel, answer: Answer) -> None:
         if not self.failed and asked is self.run.channel:
             self.run.computed(todo, answer, self._runtime.now)
             self._perform()
@@ -239,7 +232,7 @@ class LockstepDriver:
                 partial(self.run.renew, epoch, measurement), partial(self._renewed, epoch), self._app_failed
             )
 
-    def _renewed(self, epoch: Epoch, answer: tuple[bytes, bytes] | None) -> None:
+    def _renewed(self, epoch: Epoch, answer: Answer | None) -> None:
         if not self.failed:
             self.run.renewed(epoch, answer, self._runtime.now)
             self._perform()
@@ -305,12 +298,8 @@ class LockstepDriver:
         if self._observer is not None:
             if not begun or self._told_waiting:
                 self._tell_observer()
-            try:
-                line = StepRecord(k, self.run.computed_at, self.runner.state(), self.runner.result(), self._measured)
-            except SwarmError as error:
-                self._app_failed(error)
-                return
-            self._observer.advanced(self, line)
+            assert self.run.told is not None
+            self._observer.advanced(self, StepRecord(k, self.run.computed_at, *self.run.told, self._measured))
         if self._status.late:
             self._status.publish_state()
 
@@ -357,14 +346,10 @@ class LockstepDriver:
     # What is told
 
     def _look_at_state(self) -> AppState | None:
-        run, runner = self.run, self.runner
-        if run.phase not in ("running", "done") or not run.begun or self._worker.busy:
+        run = self.run
+        if run.phase not in ("running", "done") or run.told is None:
             return None
-        try:
-            return AppState(run.computed_at, runner.k, runner.state(), runner.known_result())
-        except SwarmError as error:
-            self._app_failed(error)
-            return None
+        return AppState(run.computed_at, run.k, run.told.state, self.runner.known(run.told.result))
 
     def _report(self) -> tuple[str, int, tuple[str, ...], str]:
         """Phase, iteration, robots waited for, reason."""

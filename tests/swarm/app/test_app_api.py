@@ -349,8 +349,8 @@ def test_an_error_that_is_not_known_is_left_out_of_what_the_bus_carries() -> Non
     runner = Runner(kind(Robot("r1", LINE)), __file__)
     runner.start(None)
     assert math.isnan(runner.result()["error"])
-    assert "error" not in runner.known_result()
-    decode(AppState, encode(AppState(0.0, 0, runner.state(), runner.known_result())), "key")
+    assert "error" not in runner.known(runner.result())
+    decode(AppState, encode(AppState(0.0, 0, runner.state(), runner.known(runner.result()))), "key")
 
 
 def test_a_fault_with_a_very_long_text_fits_into_a_message() -> None:

@@ -3,6 +3,7 @@
 import shutil
 import signal
 
+import pytest
 from apps_rig import NAMES, Rig
 from host_rig import START, MakeRig, ask, make_rig
 
@@ -88,9 +89,63 @@ def test_a_step_that_hangs_is_named_and_the_others_go_on(make_rig: MakeRig) -> N
     rig.until_phase("fault", "r1")
     reason = rig.progress["r1"].reason
     assert reason.startswith("Lazy on r1, iteration 7: /")
-    assert reason.endswith(".py, line 9: it has not ended within 0.5 s")
+    assert reason.endswith(".py, line 9, in step(): it has not ended within 0.5 s")
     rig.until_k(30, "r0", "r2")
     assert rig.stop("r1") == 3
+
+
+SPINNING = """
+from services.apps.host import lockstep_driver
+from swarm import SyncApp
+lockstep_driver.HANG = 0.5
+class Spinning(SyncApp):
+    value: float
+    def step(self, neighbours):
+        self.robot.truth = lambda: 1
+    def {method}(self, *truth):
+        while self.k == 7: pass
+        return {answer}
+"""
+
+
+@pytest.mark.parametrize(
+    ("method", "answer"), [("result", '{"value": self.value}'), ("converged", "False"), ("error_far", "0.0")]
+)
+def test_what_hangs_beside_the_step_is_named_and_the_process_stops(make_rig: MakeRig, method: str, answer: str) -> None:
+    rig = make_rig("", ("r0",))
+    app = rig.directory / "spinning.py"
+    app.write_text(SPINNING.format(method=method, answer=answer))
+    rig.start("r0", "apps", str(app), "--until", "converged")
+    rig.until_phase("fault", "r0")
+    where = f"Spinning on r0, {method}() at iteration 7: {app}, line 10, in {method}()"
+    assert rig.progress["r0"].reason == f"{where}: it has not ended within 0.5 s"
+    assert ask(rig, "r0", "spinning/state", AppState).k == 6
+    assert rig.stop("r0") == 3
+
+
+def test_weights_that_hang_when_an_app_goes_on_from_a_snapshot_are_named(make_rig: MakeRig) -> None:
+    rig = make_rig("")
+    app = rig.directory / "weighing.py"
+    app.write_text(
+        "import pathlib\nfrom services.apps.host import lockstep_driver\nfrom swarm import SyncApp\n"
+        "lockstep_driver.HANG = 0.5\n"
+        "class Weighing(SyncApp):\n    value: float\n    def step(self, neighbours):\n        pass\n"
+        "    def neighbour_weights(self):\n"
+        f"        while len(self.robot.swarm) == 2 and pathlib.Path({str(rig.directory / 'spin')!r}).exists(): pass\n"
+        "        return super().neighbour_weights()\n"
+    )
+    rig.start_all(str(app), *DROP)
+    rig.until_k(3)
+    rig.kill("r2")
+    until_members(rig, ("r0", "r1"), "r0", "r1")
+    k = rig.state["r0"].k
+    rig.until_k(k + 5, "r0")
+    rig.kill("r0")
+    (rig.directory / "spin").write_text("")
+    rig.start("r0", "apps", str(app), *DROP)
+    rig.until_phase("fault", "r0")
+    assert ", line 10, in neighbour_weights(): it has not ended within 0.5 s" in rig.progress["r0"].reason
+    assert rig.stop("r0") == 3
 
 
 def test_an_app_that_diverges_is_named(make_rig: MakeRig) -> None:

@@ -297,9 +297,41 @@ def test_a_handler_that_hangs_is_named_and_lets_go_of_the_drive(make_rig: MakeRi
     drive = Watch(rig, "r0", "swarm/r0/balancer/set/velocity", SetVelocity)
     rig.start("r0", "apps", app)
     rig.until_phase("fault", "r0")
-    words = r"Hangs on r0, step 3: /.*hangs\.py, line (9|10): it has not ended within 10 s"
+    words = r"Hangs on r0, step 3: /.*hangs\.py, line (9|10), in step\(\): it has not ended within 10 s"
     assert re.fullmatch(words, rig.progress["r0"].reason)
     drive.until(lambda message: message.speed == 0.0)
+    assert rig.stop("r0") == 3
+
+
+SPINNING = """
+from services.apps.host import event_host
+from swarm import PeriodicApp
+event_host.HANG = 0.5
+class Spinning(PeriodicApp):
+    period = {period}
+    _spins: bool = False
+    def start(self):
+        self.robot.after(0.5, "spin")
+    def on_timer(self, name):
+        self._spins = {step} < 0
+    def step(self, neighbours):
+        self._spins = self.k == {step}
+    def result(self):
+        while self._spins: pass
+        return {{"value": 1}}
+"""
+
+
+@pytest.mark.parametrize(("period", "step", "k"), [(0.1, 3, 3), (3600.0, -1, 1)])
+def test_a_result_that_hangs_is_named_after_a_step_and_between_two(
+    make_rig: MakeRig, period: float, step: int, k: int
+) -> None:
+    text = SPINNING.format(period=period, step=step)
+    rig, app = make_rig("spinning", text, ("r0",))
+    rig.start("r0", "apps", app)
+    rig.until_phase("fault", "r0")
+    where = rf"Spinning on r0, result\(\) at iteration {k}: /.*spinning\.py, line 15, in result\(\)"
+    assert re.fullmatch(f"{where}: it has not ended within 0.5 s", rig.progress["r0"].reason)
     assert rig.stop("r0") == 3
 
 
