@@ -4,6 +4,7 @@ No IO and no clock. Whatever the author's code raises comes out as one `AppError
 file, line and fault.
 """
 
+import copy
 import math
 import numbers
 import sys
@@ -173,13 +174,20 @@ class Runner(AppRunner):
 
     app: SyncApp
 
-    def __init__(self, app: SyncApp, source: str, tolerance: float = TOLERANCE) -> None:
+    def __init__(
+        self, app: SyncApp, source: str, tolerance: float = TOLERANCE, inputs: dict[str, object] | None = None
+    ) -> None:
         """`source`: path of the app's file; a fault is reported with the line in it. `tolerance`: an app that does not
-        say itself when it has converged has where no number of its shared state changes by more in a step."""
+        say itself when it has converged has where no number of its shared state changes by more in a step. `inputs`:
+        values of private fields for the next step, which takes them out; another thread may put them in at any
+        time."""
         super().__init__(app, source)
         self._tolerance = tolerance
         self._step = b"", b""
         self._changes: dict[str, Value] = {}
+        self._inputs = {} if inputs is None else inputs
+        self._taken: dict[str, tuple[int, object]] = {}
+        """By field the iteration whose step has taken the newest input, and the input."""
         self.changed: Callable[[], None] | None = None
         """Called when other parameters are in force."""
 
@@ -216,6 +224,8 @@ class Runner(AppRunner):
             self._call(f"iteration {k}", lambda: app.change(changes))
             if self.changed is not None:
                 self.changed()
+        if self._inputs:
+            self._call(f"iteration {k}", lambda: self._take_inputs(k))
         view, unpack = type(app).spec.view, self.schema.unpack
         app.robot.prepare(str(k), measurement)
         app.robot.begin_step(k)
@@ -231,7 +241,11 @@ class Runner(AppRunner):
         return packed
 
     def restore(self, k: int, own: bytes, private: bytes, graph: Graph) -> None:
-        """Be again where a snapshot was taken, among the robots of `graph`."""
+        """Be again where a snapshot was taken, among the robots of `graph`. Inputs that later steps have taken are for
+        the next step, where there is no newer one."""
+        for name, (taken, value) in self._taken.items():
+            if taken >= k:
+                self._inputs.setdefault(name, value)
         self._be_at(k)
         self._set(own)
         for name, value in unpack_private(private).items():
@@ -255,6 +269,11 @@ class Runner(AppRunner):
             return bool(said)
         before, after = (_numbers(self.schema.unpack(own)) for own in self._step)
         return all(abs(a - b) <= self._tolerance for a, b in zip(before, after, strict=True))
+
+    def _take_inputs(self, k: int) -> None:
+        for name in tuple(self._inputs):
+            self._taken[name] = k, self._inputs.pop(name)
+            setattr(self.app, name, copy.deepcopy(self._taken[name][1]))  # a step may change what it was given
 
     def _pack(self, where: str) -> tuple[bytes, bytes]:
         app, spec = self.app, type(self.app).spec

@@ -236,6 +236,7 @@ class ChannelView:
         put("begun", False)
         put("change", self.app.change)
         put("k", 0)
+        put("inputs", {})
         put("_values", {field: getattr(self.app, field) for field in declared.kind.spec.schema.names})
 
     name: str
@@ -245,6 +246,8 @@ class ChannelView:
     change: Callable[[Mapping[str, Value]], None]
     """The function that puts changed parameters in force: at once before the app runs, later as its host decides."""
     k: int
+    inputs: dict[str, object]
+    """What `feed` gave and no step has taken yet, by field: the host's runner takes it out."""
     _values: Mapping[str, Item]
 
     def begin(self, change: Callable[[Mapping[str, Value]], None]) -> None:
@@ -261,13 +264,17 @@ class ChannelView:
     def feed(self, **inputs: object) -> None:
         """Give the running lockstep an input: private fields, which its next step finds changed. What it makes of them
         is no function of the start any more; all else of the lockstep holds."""
+        spec = type(self.app).spec
         for name, value in inputs.items():
-            if name not in type(self.app).spec.private:
-                fields = ", ".join(type(self.app).spec.private) or "no private field"
+            if name not in spec.private:
+                fields = ", ".join(spec.private) or "no private field"
                 raise AttributeError(
                     f"channel {self.name}: {name!r} is no input; {type(self.app).__name__} has {fields}"
                 )
-            setattr(self.app, name, value)
+            # Not into the app itself, which a step may be changing, and which a new epoch puts back.
+            self.inputs[name] = spec.arrays[name].assigned(name, value) if name in spec.arrays else value
+            if not self.begun:
+                setattr(self.app, name, value)
 
     def __getattr__(self, name: str) -> Item:
         try:

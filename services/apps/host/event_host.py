@@ -318,7 +318,7 @@ class EventHost:
         parts = []
         for name, view in self._views.items():
             _equip(view.app.robot, self.runner.app.robot)
-            parts.append(Part(name, Runner(view.app, self.runner.source, endless.options.tolerance)))
+            parts.append(Part(name, Runner(view.app, self.runner.source, endless.options.tolerance, view.inputs)))
         self.channels = LockstepHost(
             *(self._runtime, self.app, parts, endless, self._storage, self._observer),
             links_change=self._links_change or endless.options.drop,  # who drops robots asks which links are in force

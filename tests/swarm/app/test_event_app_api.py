@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import pytest
 
 from services.apps.event_runner import EventRunner, version
+from services.apps.runner import Runner
 from swarm import EventApp, Matrix, PeriodicApp, SyncApp, channel, parameter
 from swarm.app.overlays import Message
 from swarm.app.robot import Robot
@@ -195,6 +196,53 @@ def test_a_channel_is_another_instance_with_parameters_of_its_own() -> None:
     assert (app.inner.k, app.inner.value) == (7, 4.0)
     with pytest.raises(AttributeError, match=r"channel inner has begun: its first values are set in start\(\)"):
         app.inner.value = 1.0
+
+
+class Adding(SyncApp):
+    """A lockstep that adds each input once."""
+
+    value: float
+    _input: list = []  # noqa: RUF012 - a field of an app, which each instance gets a copy of
+
+    def start(self) -> None:
+        self._input = []
+
+    def step(self, neighbours: list[Any]) -> None:
+        while self._input:
+            self.value += self._input.pop()
+
+
+class Feeding(EventApp):
+    inner = channel(Adding)
+
+
+def test_an_input_of_a_channel_counts_once_whatever_epochs_begin() -> None:
+    view = make(Feeding).inner
+    runner = Runner(view.app, __file__, inputs=view.inputs)
+    view.feed(_input=[0.25])  # before the lockstep's own start
+    history = [runner.start(None)]
+    view.begin(view.app.change)
+
+    def step() -> float:
+        history.append(runner.step(len(history) - 1, history[-1][0], {}, None))
+        return view.app.value  # type: ignore[no-any-return]
+
+    def renew(k: int) -> None:
+        """An epoch begins, at an iteration that this robot has done."""
+        del history[k + 1 :]
+        runner.renew(k, *history[k], LINE)
+
+    assert [step(), step()] == [0.25, 0.25]
+    view.feed(_input=[1.0])
+    renew(2)  # between the input and the step that takes it
+    assert [step(), step()] == [1.25, 1.25]
+    renew(3)  # the input is in the state
+    assert [step(), step()] == [1.25, 1.25]
+    renew(2)  # the step that took it is done again
+    assert [step(), step()] == [1.25, 1.25]
+    view.feed(_input=[2.0])
+    renew(2)  # of two inputs the newest counts
+    assert [step(), step()] == [2.25, 2.25]
 
 
 def test_wrong_use_of_a_channel_is_said() -> None:
