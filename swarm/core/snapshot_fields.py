@@ -14,6 +14,10 @@ MOST_LEVELS = 32
 
 _TUPLE = 1  # msgpack extension type: Python tuples come back as tuples, not as lists
 _ARRAY = 2  # numpy's arrays and single numbers: type, shape, bytes
+_BYTEARRAY = 3  # msgpack itself makes bytes of it
+
+_PLAIN = frozenset({int, float, str, bytes, bool, type(None), tuple})
+"""Types in which no bytearray can hide from `_to_extension`."""
 
 
 def pack_private(values: Mapping[str, object]) -> bytes:
@@ -36,8 +40,21 @@ def unpack_private(data: bytes) -> dict[str, Any]:
 
 
 def _packb(value: object, level: int = 0) -> bytes:
-    data: bytes = msgpack.packb(value, default=_EXTENSIONS[level], strict_types=True)
+    data: bytes = msgpack.packb(_marked(value), default=_EXTENSIONS[level], strict_types=True)
     return data
+
+
+def _marked(value: object) -> object:
+    """Return a value with an extension in place of each bytearray, of which msgpack does not ask `_to_extension`."""
+    if isinstance(value, bytearray):
+        return msgpack.ExtType(_BYTEARRAY, bytes(value))
+    if isinstance(value, memoryview):
+        raise TypeError("type memoryview")  # bytes would come back
+    if type(value) is list and not _PLAIN.issuperset(map(type, value)):
+        return [_marked(each) for each in value]
+    if type(value) is dict and not _PLAIN.issuperset(map(type, value.values())):
+        return {key: _marked(each) for key, each in value.items()}
+    return value
 
 
 def _to_extension(level: int, value: object) -> object:
@@ -54,6 +71,8 @@ _EXTENSIONS = tuple(partial(_to_extension, level) for level in range(MOST_LEVELS
 
 
 def _from_extension(code: int, data: bytes) -> object:
+    if code == _BYTEARRAY:
+        return bytearray(data)
     items = msgpack.unpackb(data, ext_hook=_from_extension, strict_map_key=False)
     if code == _ARRAY:
         return arrays.unpack(*items)

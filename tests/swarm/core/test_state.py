@@ -147,7 +147,13 @@ def test_a_state_fits_a_frame_together_with_its_predecessor() -> None:
 
 
 PRIVATE = st.recursive(
-    st.none() | st.booleans() | st.integers(-(2**63), 2**63 - 1) | st.floats(allow_nan=False) | st.text() | st.binary(),
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**63), 2**63 - 1)
+    | st.floats(allow_nan=False)
+    | st.text()
+    | st.binary()
+    | st.binary().map(bytearray),
     lambda inner: st.lists(inner) | st.lists(inner).map(tuple) | st.dictionaries(st.text() | st.integers(0, 9), inner),
     max_leaves=20,
 )
@@ -159,7 +165,7 @@ def test_private_fields_come_back_as_they_were(values: dict[str, Any]) -> None:
     assert repr(unpack_private(pack_private(values))) == repr(values)  # repr: tuples are not lists, 1 is not 1.0
 
 
-@pytest.mark.parametrize("value", [object(), {1, 2}, 2**64, 1j, lambda: None])
+@pytest.mark.parametrize("value", [object(), {1, 2}, 2**64, 1j, lambda: None, [memoryview(b"x")]])
 def test_private_fields_that_cannot_be_saved_are_named(value: object) -> None:
     with pytest.raises(AppError, match=r"^_x: .* cannot be saved for a restart"):
         pack_private({"_x": value})
