@@ -22,6 +22,7 @@ from swarm.app.robot import Robot
 from swarm.app.sync_app import BaseApp as AnyApp
 from swarm.app.sync_app import SyncApp
 from swarm.config import Config
+from swarm.core.state import shown
 from swarm.errors import AppError
 from swarm.frozen import frozen
 from swarm.messages.codec import Value
@@ -152,6 +153,12 @@ def _import(path: Path) -> ModuleType:
     return module
 
 
+def _is_entry(entry: tuple[object, object]) -> bool:
+    """Return whether an entry of `ALGORITHMS` has a name, and the class of an app."""
+    name, kind = entry
+    return isinstance(name, str) and name != "" and isinstance(kind, type) and issubclass(kind, AnyApp)
+
+
 def _app(name: str, path: Path, module: ModuleType) -> LoadedApp:
     # Of one of ours by its folder, since its file imports by whole names; of a user's by what it imports.
     own = {file.name: file.read_bytes() for file in path.parent.glob("*.py")} if path.name == "__init__.py" else None
@@ -167,6 +174,11 @@ def _app(name: str, path: Path, module: ModuleType) -> LoadedApp:
     algorithms: Mapping[str, type[AnyApp]]
     if hasattr(module, "ALGORITHMS"):
         algorithms = module.ALGORITHMS
+        if not (isinstance(algorithms, Mapping) and algorithms and all(map(_is_entry, algorithms.items()))):
+            raise AppError(
+                f"{path}: ALGORITHMS: expected the classes of apps (each derived from {KINDS}) by name, the default "
+                f'first, as ALGORITHMS = {{"name": Class, ...}}; got {shown(algorithms)}'
+            )
     elif len(found) == 1:
         algorithms = {"": next(iter(found.values()))}
     elif found:

@@ -54,6 +54,22 @@ def test_a_file_is_an_app_named_as_the_file(tmp_path: Path) -> None:
         ("x = 1\n", r"my_app.py defines no app: expected one class derived from SyncApp"),
         ("from swarm import SyncApp\n", r"defines no app"),
         (APP + APP.replace("Mine", "Yours"), r"defines several apps: Mine, Yours\. Leave one in it, or name them"),
+        *(
+            (
+                f"{APP}ALGORITHMS = {wrong}\n",
+                r"my_app\.py: ALGORITHMS: expected the classes of apps \(.*\) by name, the default first, as "
+                rf"ALGORITHMS = {{\"name\": Class, \.\.\.}}; got {shown}",
+            )
+            for wrong, shown in (
+                ("[Mine]", r"\[<class '.*Mine'>\]"),
+                ("{'one': Mine, 'two': 2}", ".*'two': 2}"),
+                ("{'one': int}", "{'one': <class 'int'>}"),
+                ("{1: Mine}", "{1: .*}"),
+                ("{'': Mine}", "{'': .*}"),
+                ("{}", "{}"),
+                ("None", "None"),
+            )
+        ),
         (APP.replace("float", "list"), r"my_app.py, line 2: class Mine: value: a shared field is of type"),
         (APP.replace("float", "'flaot'"), r"my_app.py, line 2: class Mine: an annotation cannot be read: name 'flaot'"),
     ],
