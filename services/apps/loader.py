@@ -22,8 +22,7 @@ from swarm.app.robot import Robot
 from swarm.app.sync_app import BaseApp as AnyApp
 from swarm.app.sync_app import SyncApp
 from swarm.config import Config
-from swarm.core.state import shown
-from swarm.errors import AppError
+from swarm.errors import AppError, shown
 from swarm.frozen import frozen
 from swarm.messages.codec import Value
 from swarm.messages.keys import is_name
