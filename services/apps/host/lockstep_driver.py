@@ -189,8 +189,13 @@ class LockstepDriver:
 
     def _measure_alone(self, k: int, asked: Channel, ready: Callable[[Measurement | None], None]) -> None:
         """Measure for a step that was planned a while ago. A void one must not take the place of another request."""
-        if asked is self.run.channel:
+        if self._counts(asked):
             self._measure(k, ready)
+
+    def _counts(self, asked: Channel) -> bool:
+        """Return whether a step asked for under a channel counts: it is void as soon as there is a newer epoch, even
+        while the app goes over to that."""
+        return asked is self.run.channel and asked.epoch == self.run.epochs.number
 
     def _take_measurement(self, ready: Callable[[Measurement | None], None], measurement: Measurement) -> None:
         self._measuring_since = None
@@ -213,15 +218,14 @@ class LockstepDriver:
         self._on_change()
 
     def _step(self, todo: Compute, asked: Channel, measurement: Measurement | None) -> None:
-        """Run a step that was asked for under the channel `asked`: one of an earlier epoch is void."""
-        if not self._closed and not self.failed and asked is self.run.channel:
+        if not self._closed and not self.failed and self._counts(asked):
             self._measured = measurement
             self._worker.run(
                 partial(self.run.compute, todo, measurement), partial(self._computed, todo, asked), self._app_failed
             )
 
     def _computed(self, todo: Compute, asked: Channel, answer: Answer) -> None:
-        if not self.failed and asked is self.run.channel:
+        if not self.failed and self._counts(asked):
             self.run.computed(todo, answer, self._runtime.now)
             self._perform()
 
