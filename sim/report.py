@@ -6,6 +6,7 @@ from dataclasses import field
 
 from sim.core.scene_record import SceneRecord
 from sim.scenario.scenario import Scenario
+from swarm.core.percentile import percentile
 from swarm.frozen import frozen
 from swarm.messages import BalancerState
 from swarm.recording import trajectory
@@ -93,7 +94,7 @@ def summary(outcome: RunOutcome) -> Json:
         "seconds": _rounded(outcome.seconds, 3),
         "iterations": max(iterations, 0),
         "iteration_s_median": _rounded(trajectory.median(times), 6),
-        "iteration_s_p95": _rounded(trajectory.percentile(times, 95), 6),
+        "iteration_s_p95": _rounded(percentile(times, 95) if times else None, 6),
         "result": {name: result(path) for name, path in paths.items()} or bodies(outcome),
         "messages_per_iteration": (
             round(outcome.messages / iterations, 2)

@@ -35,6 +35,7 @@ from sim.processes import footprint
 from sim.processes.processes import Child, Processes
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus
+from swarm.core.percentile import percentile
 from swarm.errors import LocalError
 from swarm.messages import BalancerState
 from swarm.messages.codec import decode
@@ -116,9 +117,9 @@ class Phase:
     began: float
     ended: float
     cyclictest: list[float]
-    """Lateness of each of its wake-ups, s, sorted."""
+    """Lateness of each of its wake-ups, s."""
     ticks: list[float] = field(default_factory=list)
-    """Of the loop, s, sorted."""
+    """Of the loop, s."""
     tilts: list[float] = field(default_factory=list)
     """True ones, rad."""
 
@@ -283,7 +284,7 @@ def _turn(sizes: Sizes, *, in_process: bool) -> dict[str, float]:
     with Robot(in_process=in_process) as robot:
         robot.stand(sizes.stand_s)
         found = [_loaded(robot, load, sizes.turn_s) for load in IN_PROCESS]
-        return {phase.load: _p(phase.ticks, 99) for phase in _ended(robot, found)}
+        return {phase.load: percentile(phase.ticks, 99) for phase in _ended(robot, found)}
 
 
 def _judge(phases: list[Phase]) -> Iterator[Row]:
@@ -293,9 +294,9 @@ def _judge(phases: list[Phase]) -> Iterator[Row]:
         # The quiet time of a pair is the one right before.
         pairs = [(before, phase) for before, phase in itertools.pairwise(phases) if phase.load == load]
         yield from _figures(load, [phase for _, phase in pairs])
-        ratios = [_p(phase.ticks, 99) / _p(before.ticks, 99) for before, phase in pairs]
+        ratios = [percentile(phase.ticks, 99) / percentile(before.ticks, 99) for before, phase in pairs]
         yield Row(f"{load}: p99 beside quiet, paired", _median(ratios), "", 1.0, BESIDE_QUIET)
-        beyond = [_p(phase.ticks, 99) - _p(phase.cyclictest, 99) for _, phase in pairs]
+        beyond = [percentile(phase.ticks, 99) - percentile(phase.cyclictest, 99) for _, phase in pairs]
         yield Row(f"{load}: p99 beyond cyclictest's", _median(beyond), "s", BEYOND_CYCLICTEST_S, 1.0)
     loaded = _rms([phase for phase in phases if phase.load != QUIET])
     yield Row("rms tilt under all loads beside quiet", loaded, "rad", max(RMS_FLOOR, _rms(quiet)), BESIDE_QUIET)
@@ -303,10 +304,12 @@ def _judge(phases: list[Phase]) -> Iterator[Row]:
 
 def _figures(load: str, phases: list[Phase]) -> Iterator[Row]:
     """Told, not judged: beside cyclictest's of the same times."""
-    ticks = sorted(late for phase in phases for late in phase.ticks)
-    rival = sorted(late for phase in phases for late in phase.cyclictest)
+    ticks = [late for phase in phases for late in phase.ticks]
+    rival = [late for phase in phases for late in phase.cyclictest]
     for name, percent in (("p50", 50.0), ("p99", 99.0), ("p99.9", 99.9), ("max", 100.0)):
-        yield Row(f"{load}: {name} beside cyclictest", _p(ticks, percent), "s", _p(rival, percent), None)
+        yield Row(
+            f"{load}: {name} beside cyclictest", percentile(ticks, percent), "s", percentile(rival, percent), None
+        )
 
 
 def _pair(robot: Robot, load: str, sizes: Sizes) -> list[Phase]:
@@ -331,7 +334,7 @@ def _phase(name: str, seconds: float, act: Callable[[], None]) -> Phase:
 
 
 def _cyclictest(seconds: float) -> list[float]:
-    """Lateness of a C thread at the loop's priority and period, s, sorted."""
+    """Lateness of a C thread at the loop's priority and period, s."""
     timing = [f"--priority={PRIORITY}", f"--interval={PERIOD_S * 1e6:.0f}", f"--loops={seconds / PERIOD_S:.0f}"]
     command = ["cyclictest", "--quiet", "--mlockall", "--threads=1", "--policy=fifo", *timing, "--histogram=100000"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -355,16 +358,11 @@ def _ended(robot: Robot, phases: list[Phase]) -> list[Phase]:
     robot.end()
     ticks = list(struct.iter_unpack("dd", robot.ticks.read_bytes()))
     for phase in phases:
-        phase.ticks = sorted(late for at, late in ticks if phase.began <= at <= phase.ended)
+        phase.ticks = [late for at, late in ticks if phase.began <= at <= phase.ended]
         phase.tilts = [tilt for at, tilt in robot.world.tilts if phase.began <= at <= phase.ended]
         if not phase.ticks or not phase.tilts:
             raise LocalError(f"bench balancer: no ticks or no poses under {phase.load}: did the balancer end?")
     return phases
-
-
-def _p(values: list[float], percent: float) -> float:
-    """Nearest-rank percentile of sorted values."""
-    return values[max(0, math.ceil(percent / 100 * len(values)) - 1)]
 
 
 def _median(values: list[float]) -> float:

@@ -29,6 +29,7 @@ from laptop.cli import halt as halt_ssh
 from laptop.view.actions import control
 from swarm import clock
 from swarm.app.overlays import Overlays
+from swarm.core.percentile import percentile
 from swarm.errors import LocalError
 from swarm.messages import Stop
 from swarm.messages.codec import encode
@@ -229,7 +230,5 @@ def _measure(robots: RobotsOnALine, way: str, cell: Cell, *, newer: bool) -> Non
 
 
 def _p99(cell: Cell) -> float:
-    """The 99th percentile by nearest rank; not a number where a stop was lost."""
-    if cell.lost or not cell.off:
-        return math.nan
-    return sorted(cell.off)[max(0, math.ceil(0.99 * len(cell.off)) - 1)]
+    """The 99th percentile; not a number where a stop was lost."""
+    return math.nan if cell.lost else percentile(cell.off, 99)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from services.balancer.core.control.estimation.posture import UPRIGHT
 from sim.core.track import Point, Track
+from swarm.core.percentile import percentile
 
 MOST_FLASHES = 20_000
 """Times of flashes that are kept of a robot: the first ones, three hours at two a second. A flash behind them is
@@ -84,7 +85,7 @@ class SceneRecord:
                 every += apart
                 if (a, b) in edges or (b, a) in edges:
                     near += apart
-        return Phases(percentile(near, 0.95), percentile(every, 0.95), self._synchronous(since))
+        return Phases(percentile(near, 95), percentile(every, 95), self._synchronous(since))
 
     def _synchronous(self, since: float) -> float | None:
         """The first flash after which for a while all went on together."""
@@ -120,12 +121,6 @@ class SceneRecord:
             x, y = (math.fsum(axis) / len(origins) for axis in zip(*origins, strict=True))
             found.append((t, math.sqrt(math.fsum((p - x) ** 2 + (q - y) ** 2 for p, q in origins) / len(origins))))
         return found
-
-
-def percentile(values: Collection[float], share: float) -> float:
-    """The smallest value that `share` of them do not exceed; nan where there are none."""
-    ordered = sorted(values)
-    return math.nan if not ordered else ordered[max(0, math.ceil(share * len(ordered)) - 1)]
 
 
 def _nearest(times: Sequence[float], t: float) -> float:

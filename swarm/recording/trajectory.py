@@ -230,11 +230,3 @@ def iteration_times(trajectories: Mapping[str, Trajectory]) -> list[float]:
 def median(values: list[float]) -> float | None:
     """The median, None of nothing."""
     return statistics.median(values) if values else None
-
-
-def percentile(values: list[float], percent: float) -> float | None:
-    """The nearest-rank percentile, None of nothing."""
-    if not values:
-        return None
-    ordered = sorted(values)
-    return ordered[min(len(ordered) - 1, math.ceil(percent / 100 * len(ordered)) - 1)]

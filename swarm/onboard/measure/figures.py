@@ -3,6 +3,7 @@
 import statistics
 from collections.abc import Sequence
 
+from swarm.core.percentile import percentile
 from swarm.frozen import frozen
 
 NEIGHBOURS, UNICAST, FLOOD = "neighbours", "unicast", "flood"
@@ -63,7 +64,7 @@ def of_times(size: int, times: Sequence[float], sent: int, *, both_ways: bool) -
         rtt_median=median,
         rtt_mean=statistics.fmean(ordered),
         rtt_deviation=statistics.stdev(ordered) if len(ordered) > 1 else 0.0,
-        rtt_p99=ordered[len(ordered) * 99 // 100],
+        rtt_p99=percentile(ordered, 99),
         goodput=(2.0 if both_ways else 1.0) * size / median,
     )
 

@@ -4,12 +4,10 @@ import itertools
 import math
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from sim.core import scene_record as scene_record_module
 from sim.core import track as track_module
-from sim.core.scene_record import SceneRecord, percentile
+from sim.core.scene_record import SceneRecord
 from sim.core.track import MOST_PLACES, TRACK_S, Track
 
 
@@ -88,13 +86,6 @@ def test_misfit_does_not_mind_where_the_shape_is() -> None:
     misfits = scene_record.misfits({"r0": (0.0, 0.0), "r1": (1.0, 0.0)})
     assert misfits[0][1] == pytest.approx(0.1)
     assert misfits[-1][1] == pytest.approx(0.0)
-
-
-@given(st.lists(st.floats(0.0, 10.0), min_size=1), st.floats(0.01, 1.0))
-def test_a_percentile_is_one_of_the_values_that_its_share_does_not_exceed(values: list[float], share: float) -> None:
-    found = percentile(values, share)
-    assert found in values
-    assert sum(value <= found for value in values) >= share * len(values)
 
 
 def test_a_track_of_days_stays_as_large_as_one_of_half_an_hour(monkeypatch):

@@ -2,6 +2,7 @@ import math
 
 import pytest
 
+from swarm.core.percentile import percentile
 from swarm.errors import RecordingError
 from swarm.messages import AppEpoch, AppState
 from swarm.recording import trajectory
@@ -106,13 +107,7 @@ def test_iterations_are_measured_over_windows_because_lockstep_alternates():
         t += 0.002 if k % 2 else 0.064
     values = trajectory.iteration_times({"r0": trajectory.Trajectory((), times, {})})
     assert trajectory.median(values) == pytest.approx(0.033)
-    assert trajectory.percentile(values, 95) == pytest.approx(0.033)
-
-
-def test_percentiles_are_nearest_rank():
-    assert trajectory.percentile([], 95) is None
-    assert trajectory.percentile([1.0], 95) == 1.0
-    assert trajectory.percentile(list(map(float, range(1, 101))), 95) == 95.0
+    assert percentile(values, 95) == pytest.approx(0.033)
 
 
 def test_of_a_long_run_that_is_only_measured_the_newest_states_and_some_times_are_kept(tmp_path, monkeypatch):

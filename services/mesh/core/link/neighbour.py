@@ -18,6 +18,7 @@ from services.mesh.core.link import Received
 from services.mesh.core.link.calls import Dialler
 from services.mesh.core.link.session import CONNECTING, DOWN, Session
 from services.mesh.core.wire.frames import BULK, MAX_MESSAGE, MAX_PAYLOAD, SYNC
+from swarm.core.percentile import percentile
 from swarm.errors import FrameError
 from swarm.messages import Echo, EchoRequest, HoldLink, LinkState
 from swarm.messages.codec import encode
@@ -132,7 +133,7 @@ class Link:
             "",
             rtt_min=rtts[0] if rtts else None,
             rtt_median=rtts[len(rtts) // 2] if rtts else None,
-            rtt_p99=rtts[len(rtts) * 99 // 100] if rtts else None,
+            rtt_p99=percentile(rtts, 99) if rtts else None,
             sent_rate=pulse.sent_rate,
             received_rate=pulse.received_rate,
             sent_bytes=self.sent_bytes + session.sent_bytes,

@@ -8,7 +8,8 @@ import pytest
 from services.apps.host.observer import StepRecord
 from sim.virtual.apps import trajectory_builder as module
 from sim.virtual.apps.trajectory_builder import TrajectoryBuilder
-from swarm.recording.trajectory import iteration_times, median, percentile
+from swarm.core.percentile import percentile
+from swarm.recording.trajectory import iteration_times, median
 
 FIELD = SimpleNamespace(name="value", columns=("value",), shape=())
 SOURCE = SimpleNamespace(runner=SimpleNamespace(schema=SimpleNamespace(fields=(FIELD,))))
