@@ -83,29 +83,41 @@ def run(target: Target, inputs: int, seed: int, *, most_failures: int = 3) -> Re
     """Feed a target; the same seed gives the same inputs."""
     rng = random.Random(f"{seed} {target.name}")
     result = Result(target.name)
-    golden, feed = target.prepare(rng)
-    for data in golden:  # caches and imports are no cost of an input
-        _feed(feed, data, target.errors)
+    data = b""
+    try:
+        golden, feed = target.prepare(rng)
+        for data in golden:  # caches and imports are no cost of an input
+            _feed(feed, data, target.errors)
+    except Exception as error:  # noqa: BLE001 - that is what is looked for
+        result.failures.append(_failure(error, data))
+        return result
     gc.collect()
     before = resource.getrlimit(resource.RLIMIT_AS)
+    limit = (_address_space() + target.room * MIB, before[1])
     began = time.monotonic()
-    resource.setrlimit(resource.RLIMIT_AS, (_address_space() + target.room * MIB, before[1]))
-    try:
-        for _ in range(inputs):
-            data = mutated(golden, rng)
-            result.inputs += 1
-            try:
+    while result.inputs < inputs and len(result.failures) < most_failures:
+        data = b""
+        resource.setrlimit(resource.RLIMIT_AS, limit)
+        try:
+            if result.failures:  # what the last one has left behind may be half changed
+                golden, feed = target.prepare(rng)
+            while result.inputs < inputs:
+                data = mutated(golden, rng)
+                result.inputs += 1
                 result.refused += _feed(feed, data, target.errors)
-            except Exception as error:  # noqa: BLE001 - that is what is looked for
-                if len(result.failures) < most_failures:
-                    result.failures.append(f"{type(error).__name__}: {str(error)[:200]}; input {data.hex()[:2000]}")
-                if isinstance(error, MemoryError) or len(result.failures) >= most_failures:
-                    break
-                golden, feed = target.prepare(rng)  # what it has left behind may be half changed
-    finally:
-        resource.setrlimit(resource.RLIMIT_AS, before)
+        except Exception as error:  # noqa: BLE001 - that is what is looked for
+            resource.setrlimit(resource.RLIMIT_AS, before)  # telling of it needs memory, too
+            result.failures.append(_failure(error, data))
+            if isinstance(error, MemoryError):
+                break
+        finally:
+            resource.setrlimit(resource.RLIMIT_AS, before)
     result.seconds = time.monotonic() - began
     return result
+
+
+def _failure(error: Exception, data: bytes) -> str:
+    return f"{type(error).__name__}: {str(error)[:200]}; input {data.hex()[:2000]}"
 
 
 def _feed(feed: Callable[[bytes], object], data: bytes, errors: tuple[type[Exception], ...]) -> bool:

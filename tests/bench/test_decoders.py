@@ -6,11 +6,12 @@
 import random
 import subprocess
 import sys
+from collections.abc import Callable
 
 import pytest
 
-from bench.decoders.decoders import ELSEWHERE, ROOT, TARGETS, taking_apart
-from bench.decoders.run import MIB, Target, mutated, run
+from bench.decoders.decoders import ELSEWHERE, ROOT, TARGETS, failed, taking_apart, told
+from bench.decoders.run import MIB, Result, Target, mutated, run
 
 HALVES = {"mesh": [each.name for each in TARGETS if each.name.startswith("mesh: ")]}
 HALVES["others"] = [each.name for each in TARGETS if each.name not in HALVES["mesh"]]
@@ -68,6 +69,38 @@ def test_an_error_that_is_not_the_decoders_own_is_a_failure() -> None:
 
     result = run(Target("wrong", (), lambda rng: ([bytes(4)], wrong), (ValueError,), room=64), 1000, 1)
     assert result.failures[0].startswith("KeyError: 'too long'; input ")
+
+
+def test_an_error_at_a_good_input_is_a_failure() -> None:
+    def wrong(data: bytes) -> None:
+        raise KeyError("never")
+
+    result = run(Target("wrong", (), lambda rng: ([bytes(4)], wrong), (ValueError,)), 10, 1)
+    assert result.failures == ["KeyError: 'never'; input 00000000"]
+
+
+def test_an_error_while_the_next_inputs_are_prepared_is_a_failure() -> None:
+    prepared = []
+
+    def prepare(rng: random.Random) -> tuple[list[bytes], Callable[[bytes], object]]:
+        prepared.append(1)
+        if len(prepared) > 1:
+            raise MemoryError("no room")
+        return [bytes(4)], lambda data: 1 // (len(data) == 4)
+
+    result = run(Target("wrong", (), prepare, room=64), 1000, 1)
+    assert [failure.partition(";")[0] for failure in result.failures] == [
+        "ZeroDivisionError: integer division or modulo by zero",
+        "MemoryError: no room",
+    ]
+
+
+@pytest.mark.parametrize(("lacking", "code", "found"), [(0, 0, 0), (0, 1, 1), (0, -9, 1), (3, 0, 3), (3, 1, 3)])
+def test_a_decoder_that_no_line_calls_well_has_failed(lacking: int, code: int, found: int) -> None:
+    """The first of `lacking` has a line that tells of its failure; the others have none, as after a crash."""
+    results = [Result(target.name) for target in TARGETS[lacking:]]
+    results += [Result(target.name, failures=["KeyError: 'x'"]) for target in TARGETS[: min(lacking, 1)]]
+    assert failed("\n".join(map(told, results)), code) == found
 
 
 def test_the_same_seed_gives_the_same_inputs() -> None:
