@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 
@@ -10,6 +10,13 @@ def number(run: Mapping[str, object], name: str) -> float:
     """A figure of a simulation's report; nan where the run did not give it."""
     value = run[name]
     return float(value) if isinstance(value, int | float) else math.nan
+
+
+def measured(values: Iterable[float]) -> list[float]:
+    """The values; a nan alone where there are none or one of them is nan, which `max`, `min` and a median would pass
+    over or not, as its place among them has it."""
+    found = list(values)
+    return [math.nan] if not found or any(map(math.isnan, found)) else found
 
 
 @dataclass(frozen=True)

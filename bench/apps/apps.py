@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.rigs.simulation import simulate
-from bench.rows import Row, number
+from bench.rows import Row, measured, number
 from services.apps import loader
 from services.apps.builtin.localization.leastsquares import refine
 from sim.core import noise
@@ -104,11 +104,11 @@ def table_4_1(columns: int) -> Iterator[Row]:
         report, outcome = simulate_virtually(*arguments, "--iterations", "60", rows=True)
         yield Row("  an iteration", number(report, "iteration_s_median"), "s", iteration, 1.0)
         swarm = consensus("thesis", robots, shape, 300)
-        off = max(abs(value(swarm, name, -1) - end) for name in swarm.names)
+        off = max(measured(abs(value(swarm, name, -1) - end) for name in swarm.names))
         yield Row(f"  distance of the end from {end:.4f}", off, "", 1e-6, 1.0)
         rounds = rounds_to(swarm, end, 1e-2)
         yield Row("  iterations to 1e-2 of the end", rounds, "", iterations, None)
-        reached = max(path.times[rounds] for path in outcome.trajectories.values())
+        reached = max(measured(path.times.get(rounds, math.nan) for path in outcome.trajectories.values()))
         began = max(path.times[0] for path in outcome.trajectories.values())
         yield Row("  convergence time", reached - began, "s", seconds, 1.0)
 
@@ -122,7 +122,7 @@ def consensus_rounds(shapes: int) -> Iterator[Row]:
             yield Row(f"rounds to 1e-2, {shape} 6: {algorithm}", rounds_to(swarm, limit, 1e-2), "", most, 1.0)
     for shape in SHAPES[:shapes]:
         swarm = consensus("metropolis", 6, shape, 200)
-        error = max(abs(value(swarm, name, -1) - 15.5 / 6) for name in swarm.names)
+        error = max(measured(abs(value(swarm, name, -1) - 15.5 / 6) for name in swarm.names))
         yield Row(f"metropolis, {shape} 6: distance from the mean", error, "", 1e-6, 1.0)
 
 
@@ -182,9 +182,11 @@ def recorded(count: int) -> Iterator[Row]:
 
         swarm = localization("thesis", 3, "line", last, measure, step_size=step)
         off = max(
-            math.dist(place(swarm, name, k), recordings[int(name[1:])].estimates[k])
-            for name in swarm.names
-            for k in range(last + 1)
+            measured(
+                math.dist(place(swarm, name, k), recordings[int(name[1:])].estimates[k])
+                for name in swarm.names
+                for k in range(last + 1)
+            )
         )
         yield Row(f"{test}: thesis, distance from the recorded estimates", 100 * off, "cm", 0.001, 1.0)
         found = localization("info", 3, "line", last, measure)
@@ -302,7 +304,8 @@ def _rounds_to_end(swarm: SyncRehearsal) -> int:
 
 
 def _rounds(swarm: SyncRehearsal, error: Callable[[str, int], float], within: float) -> int:
-    late = [k for k, name in itertools.product(range(swarm.k + 1), swarm.names) if error(name, k) > within]
+    # A nan is not within anything.
+    late = [k for k, name in itertools.product(range(swarm.k + 1), swarm.names) if not error(name, k) <= within]
     return max(late, default=-1) + 1
 
 

@@ -6,12 +6,13 @@ in virtual time, with the cart that follows the balancer's ramps.
 
 import math
 import random
+import statistics
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 from bench.rigs.simulation import simulate
-from bench.rows import Row
+from bench.rows import Row, measured
 from sim.core.contacts import TOUCH_M
 from sim.scenario.options import parse
 from sim.scenario.scenario import build
@@ -101,7 +102,7 @@ def _stand_up(sizes: Sizes) -> Iterator[Row]:
     scene = _real("stand_up", *arguments)
     after = scene.get("after_its_neighbour_s")
     gaps = [math.nan if gap is None else float(gap) for gap in after.values()] if isinstance(after, dict) else []
-    slowest = max(gaps) if len(gaps) == 4 and not any(map(math.isnan, gaps)) else math.nan
+    slowest = max(measured(gaps)) if len(gaps) == 4 else math.nan
     yield Row("stand_up: a robot stands after its neighbour", slowest, "s", PERIOD_S, 1.0)
 
 
@@ -118,8 +119,7 @@ def _formation(sizes: Sizes) -> Iterator[Row]:
         f"formation, {sizes.starts} random starts: worst rms at 60 s", _worst(found, "misfit_m"), "m", MISFIT_M, 1.0
     )
     yield Row("the same: slowest formed after", _worst(found, "formed_after_s"), "s", FORMED_S, 1.0)
-    closest = min(_figure(scene, "closest_m") for scene in found)
-    yield Row("the same: contact, beside the nearest two came", TOUCH_M, "m", closest, 1.0)
+    yield Row("the same: contact, beside the nearest two came", TOUCH_M, "m", _closest(found), 1.0)
 
 
 def _crossings(sizes: Sizes) -> Iterator[Row]:
@@ -131,11 +131,10 @@ def _crossings(sizes: Sizes) -> Iterator[Row]:
         found.append(scene)
         arrived += bool(scene["all_arrived"])
         took.append(_figure(scene, "seconds"))
-    closest = min(_figure(scene, "closest_m") for scene in found)
-    yield Row(f"{sizes.crossings} crossings: contact, beside the nearest two came", TOUCH_M, "m", closest, 1.0)
+    yield Row(f"{sizes.crossings} crossings: contact, beside the nearest two came", TOUCH_M, "m", _closest(found), 1.0)
     yield Row("the same: missed within 60 s", sizes.crossings - arrived, "", 1.0, 0.0)
-    yield Row("the same: slowest", max(took), "s", CROSSING_S, 1.0)
-    yield Row("the same: median", sorted(took)[len(took) // 2], "s", 2 * RADIUS / 0.2, None)
+    yield Row("the same: slowest", max(measured(took)), "s", CROSSING_S, 1.0)
+    yield Row("the same: median", statistics.median(measured(took)), "s", 2 * RADIUS / 0.2, None)
 
 
 def crossing(seed: int, count: int = 6) -> tuple[dict[str, tuple[float, float, float]], dict[str, str]]:
@@ -191,5 +190,8 @@ def _figure(scene: Mapping[str, Any], name: str) -> float:
 
 
 def _worst(scenes: list[Mapping[str, Any]], name: str) -> float:
-    values = [_figure(scene, name) for scene in scenes]
-    return math.nan if any(map(math.isnan, values)) else max(values)
+    return max(measured(_figure(scene, name) for scene in scenes))
+
+
+def _closest(scenes: list[Mapping[str, Any]]) -> float:
+    return min(measured(_figure(scene, "closest_m") for scene in scenes))

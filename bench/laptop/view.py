@@ -9,6 +9,7 @@ watching costs the robots' own processes.
 
 import asyncio
 import contextlib
+import math
 import os
 import statistics
 import subprocess
@@ -38,6 +39,9 @@ BROWSER = 0.20
 SERVER = 0.10
 """Cores."""
 SCREEN_S = 0.2
+LEAST_SPREAD, MOST_SPREAD = 0.05, 0.1
+"""What watching may cost is the spread of the turns without it, at least the first of these shares. Where they differ
+by more than the second one, the machine was too busy for anything to be told from them."""
 
 # Notes, for each new place of a robot, when it will have been drawn there: the time of the page's clock, s, behind the
 # sample's. The newest of each robot is looked at with each frame.
@@ -158,7 +162,8 @@ def _pairs(how: str, seen: Seen, sizes: Sizes, cores: tuple[int, int] | None = N
     for name, (left, looked) in (("a lockstep iteration", iterations), ("lateness of balancers, p99", lateness)):
         noise = (max(left) - min(left)) / middle(left)
         rows.append(Row(f"{name}: unwatched, spread of the turns", noise, "1", 1.0, None))
-        rows.append(Row(f"{name}: {how} beside unwatched", middle(looked), "s", middle(left), 1.0 + max(0.05, noise)))
+        seen_s = middle(looked) if noise <= MOST_SPREAD else math.nan
+        rows.append(Row(f"{name}: {how} beside unwatched", seen_s, "s", middle(left), 1.0 + max(LEAST_SPREAD, noise)))
     return rows
 
 

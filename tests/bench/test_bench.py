@@ -2,6 +2,7 @@ import json
 import math
 import os
 import shutil
+import statistics
 import subprocess
 import sys
 
@@ -11,7 +12,7 @@ from bench import __main__ as program
 from bench import page
 from bench.__main__ import AREAS
 from bench.costs import memory
-from bench.rows import Row
+from bench.rows import Row, measured
 from swarm.errors import SwarmError
 
 
@@ -75,6 +76,21 @@ def test_a_table_that_is_written_takes_the_place_of_the_old_one_alone(monkeypatc
     assert len(capsys.readouterr().out.splitlines()) == len(rows)
 
 
+def test_an_area_that_fails_does_not_take_the_rows_of_the_others(monkeypatch, capsys):
+    def measure(area, **_):
+        yield Row(f"of {area}", 1.0, "s", 1.0, 1.0)
+        if area == "mesh":
+            raise KeyError("no such robot")
+
+    monkeypatch.setattr(program, "measure", measure)
+    monkeypatch.setattr(sys, "argv", ["bench", "all"])
+    assert program.main() == program.FAILED
+    out, err = capsys.readouterr()
+    assert [line.split()[1] for line in out.splitlines()] == list(AREAS)
+    assert "bench mesh: it failed" in err
+    assert "no such robot" in err
+
+
 def test_a_page_without_a_place_for_the_table_is_refused():
     with pytest.raises(SwarmError, match="<!-- bench mesh -->"):
         page.replaced("# Results\n", "mesh", "")
@@ -123,6 +139,14 @@ def test_what_was_not_measured_is_never_good():
     row = Row("iteration", math.nan, "s", 0.030, 1.15)
     assert not row.ok
     assert json.loads(row.json())["value"] is None
+
+
+@pytest.mark.parametrize("values", [[math.nan, 1.0, 2.0], [1.0, 2.0, math.nan], []])
+def test_a_largest_value_is_not_known_where_one_was_not_measured(values):
+    assert math.isnan(max(measured(values)))
+    assert math.isnan(min(measured(values)))
+    assert math.isnan(statistics.median(measured(values)))
+    assert max(measured([1.0, 2.0])) == 2.0
 
 
 @pytest.mark.parametrize("arguments", [[], ["nonsense"]])
