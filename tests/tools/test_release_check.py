@@ -85,6 +85,19 @@ def test_the_citation_has_the_same_address(release: ModuleType, tree: Path, caps
     assert capsys.readouterr().out == f"address {ADDRESS}\n"
 
 
+def test_a_python_that_is_named_must_be_there(release: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    here = {"3.11": "/usr/bin/python3.11"}
+    monkeypatch.setattr(release, "interpreter", here.get)
+    assert release.pythons(None) == release.pythons(["3.11"]) == here
+    for named in (["3.13"], ["3.11", "3.13"]):
+        with pytest.raises(SystemExit) as ended:
+            release.pythons(named)
+        assert ended.value.code == 1
+    here.clear()
+    with pytest.raises(SystemExit):
+        release.pythons(None)
+
+
 def test_links_and_pictures_of_the_readme_lead_to_the_files_of_the_release() -> None:
     pytest.importorskip("hatchling")
     absolute = loaded(ROOT / "tools" / "readme.py").absolute
