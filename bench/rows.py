@@ -19,6 +19,11 @@ def measured(values: Iterable[float]) -> list[float]:
     return [math.nan] if not found or any(map(math.isnan, found)) else found
 
 
+def possible(count: float, least: float) -> float:
+    """A count; nan below the least that is possible at all, where something was not counted."""
+    return count if count >= least else math.nan
+
+
 @dataclass(frozen=True)
 class Row:
     """One figure. The ratio is value / limit; it is `ok` when at most `goal`."""

@@ -1,14 +1,16 @@
 """`python -m bench.balancer.body TICKS [--in-process]`: a simulated robot's balancer that notes each tick's lateness.
 
-The very program of a simulated robot (`sim.body`). With `--in-process` its process has a Zenoh session of its
-own besides, whose callbacks run beside the loop's thread: as the threads of the thesis' one process did, and the
-reason why ours are two. At the end TICKS holds pairs of doubles: monotonic time and lateness, s.
+The very program of a simulated robot (`sim.body`). With `--in-process` its process has a Zenoh session of its own
+besides, which takes all messages (`bench.rigs.loads.handle`) beside the loop's thread: as the threads of the thesis'
+one process did, and the reason why ours are two. At the end TICKS holds pairs of doubles: monotonic time and lateness,
+s.
 """
 
 import array
 import sys
 from pathlib import Path
 
+from bench.rigs.loads import handle
 from services.balancer import loop
 from services.balancer.core.lateness import Lateness
 from services.balancer.i2c import I2CBus
@@ -17,9 +19,6 @@ from swarm import clock
 from swarm.bus.zenoh_bus import Bus
 from swarm.config import Config
 from swarm.process.paths import runtime_dir
-
-CALLBACK_S = 200e-6
-"""What a message costs a process that does something with it."""
 
 
 def main() -> None:
@@ -37,7 +36,7 @@ def main() -> None:
     def open_bus(config: Config, robot: str) -> I2CBus:
         if "--in-process" in sys.argv:
             buses.append(Bus.of(runtime_dir()))
-            buses[0].subscribe("swarm/**", _handle)
+            handle(buses[0])
         return simulated_bus(config, robot)
 
     try:
@@ -46,12 +45,6 @@ def main() -> None:
         for bus in buses:
             bus.close()
         Path(sys.argv[1]).write_bytes(ticks.tobytes())
-
-
-def _handle(key: str, payload: bytes) -> None:
-    end = clock.now() + CALLBACK_S
-    while clock.now() < end:
-        pass
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
-"""`python -m bench.rigs.loads flood|listen|hog|commands`: what makes a robot busy, each a process, until it is killed.
+"""`python -m bench.rigs.loads flood|listen|handle|hog|commands`: what makes a robot busy, each a process, until killed.
 
-`flood` publishes 2000 messages of 200 bytes a second on the robot's bus, `listen` takes them, `hog` computes,
-`commands` publishes 5000 velocity commands a second, 25 at a time.
+`flood` publishes 2000 messages of 200 bytes a second on the robot's bus, `listen` takes them, `handle` takes all
+messages and does something with each, `hog` computes, `commands` publishes 5000 velocity commands a second, 25 at a
+time.
 """
 
 import sys
@@ -16,8 +17,22 @@ RATE_HZ = 2000.0
 SIZE = 200
 KEY = "swarm/r0/app/flood/noise"
 
+HANDLER_S = 200e-6
+"""What a message costs a process that does something with it."""
+
 COMMANDS_HZ = 200.0
 COMMANDS_AT_ONCE = 25
+
+
+def handle(bus: Bus) -> None:
+    """Take all messages, and do something with each."""
+
+    def spin(_key: str, _payload: bytes) -> None:
+        end = time.monotonic() + HANDLER_S
+        while time.monotonic() < end:
+            pass
+
+    bus.subscribe("swarm/**", spin)
 
 
 def main() -> None:
@@ -30,6 +45,8 @@ def main() -> None:
     bus = Bus.of(runtime_dir())
     if what == "listen":
         bus.subscribe(KEY, lambda _key, _payload: None)
+    elif what == "handle":
+        handle(bus)
     due = time.monotonic()
     period = {"flood": 1.0 / RATE_HZ, "commands": 1.0 / COMMANDS_HZ}.get(what, 1.0)
     while True:

@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from swarm.errors import LocalError
+
 PATIENCE_S = 30.0
 """What ends by SIGTERM has ended by then, on a busy machine, too."""
 
@@ -26,6 +28,16 @@ def running(
             yield process
         finally:
             end(process)
+
+
+@contextmanager
+def lasting(command: Sequence[object], **options: Any) -> "Iterator[subprocess.Popen[Any]]":
+    """`running`, for a process that is there as long as the block. Raises `LocalError` where it has ended before: what
+    was measured in the block had no such load."""
+    with running(command, **options) as process:
+        yield process
+        if process.poll() is not None:
+            raise LocalError(f"{' '.join(map(str, command))} ended by itself, with code {process.returncode}")
 
 
 def end(process: "subprocess.Popen[Any]") -> None:

@@ -62,6 +62,8 @@ ANSWER_S = 0.5
 """s after which an order is given again."""
 LOST_S = 10.0
 """s after which a stop without effect counts as lost."""
+MOST_FALLS = 10
+"""Stops in turn before which the robot may fall by itself; such a stop is given again."""
 LONGEST_PAUSE_S = 0.04
 """A stop comes at any time of the ticks (10 ms) and of the telemetry (40 ms)."""
 
@@ -87,13 +89,6 @@ class RobotsOnALine:
     def __init__(self) -> None:
         self._stack = contextlib.ExitStack()
         self.home = Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="swarm-")))
-        try:
-            self._start()
-        except BaseException:
-            self._stack.close()
-            raise
-
-    def _start(self) -> None:
         self._heard = threading.Condition()
         self._off: float | None = None
         self._driven = False
@@ -102,6 +97,13 @@ class RobotsOnALine:
         self._stopped: dict[str, bool] = {}
         self._given: list[float] = []
         self._random = random.Random(1)
+        try:
+            self._start()
+        except BaseException:
+            self._stack.close()
+            raise
+
+    def _start(self) -> None:
         config = self.home / "swarm.toml"
         config.write_text(CONFIG + "".join(ROBOT.format(name=name, home=self.home) for name in NAMES))
         self._listen(self.home / "truth", self._take_truth)
@@ -155,22 +157,30 @@ class RobotsOnALine:
 
         `give` gives the stop and returns when it did, or None where the time in the message tells.
         """
-        self._stand_up()
-        time.sleep(self._random.uniform(0.0, LONGEST_PAUSE_S))
-        with self._heard:
-            self._off, self._given, self._said = None, [], (0.0, "")
-        began = clock.now()
-        known = give()
-        try:
-            self._wait(lambda: self._off is not None and self._said[1] == FAULT, LOST_S, "r0 stops")
-        except LocalError:
-            return None
-        with self._heard:
-            # The mesh repeats a stop: the first one is meant.
-            given = known if known is not None else min((at for at in self._given if at >= began), default=None)
-            if given is None or self._off is None:
+        for _ in range(MOST_FALLS):
+            self._stand_up()
+            time.sleep(self._random.uniform(0.0, LONGEST_PAUSE_S))
+            with self._heard:
+                self._off, self._given, self._said = None, [], (0.0, "")
+                if not self._moves():
+                    continue
+            began = clock.now()
+            known = give()
+            try:
+                self._wait(lambda: self._off is not None and self._said[1] == FAULT, LOST_S, "r0 stops")
+            except LocalError:
                 return None
-            return self._off - given, self._said[0] - self._off, given - began
+            with self._heard:
+                # The mesh repeats a stop: the first one is meant.
+                given = known if known is not None else min((at for at in self._given if at >= began), default=None)
+                if given is None or self._off is None:
+                    return None
+                if self._off >= given:  # otherwise it has fallen by itself, and there was nothing left to stop
+                    return self._off - given, self._said[0] - self._off, given - began
+        raise LocalError(f"bench stop: r0 fell by itself before each of {MOST_FALLS} stops")
+
+    def _moves(self) -> bool:
+        return self._driven and self._mode in MOVING
 
     def _await_links(self) -> None:
         """Stop the swarm on r3 until r0 hears of it."""
@@ -191,7 +201,7 @@ class RobotsOnALine:
             with contextlib.suppress(LocalError):
                 self._wait(lambda: not any(self._stopped.values()), ANSWER_S, "armed")
                 self.buses["r0"].publish(key("r0", "balancer", "set", "mode"), SetMode("stand"))
-                self._wait(lambda: self._driven and self._mode in MOVING, 4 * ANSWER_S, "r0 moves")
+                self._wait(self._moves, 4 * ANSWER_S, "r0 moves")
                 return
             if clock.now() > end:
                 raise LocalError(f"bench stop: r0 does not stand up again: {self._mode}, stopped {self._stopped}")

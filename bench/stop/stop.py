@@ -18,10 +18,11 @@ import termios
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 from bench.mesh.transfer import FULL as TRANSFER
-from bench.rigs.running import running
+from bench.rigs.running import lasting
 from bench.rows import Row
 from bench.stop.estop import NewerStop
 from bench.stop.robots import RobotsOnALine
@@ -116,7 +117,7 @@ def _loads(robots: RobotsOnALine, what: str, count: int = 1) -> Iterator[None]:
     command = [sys.executable, "-m", "bench.rigs.loads", what]
     with contextlib.ExitStack() as stack:
         for _ in range(count):
-            stack.enter_context(running(command, env=robots.environment("r0")))
+            stack.enter_context(lasting(command, env=robots.environment("r0")))
         time.sleep(FLOOD_SETTLES_S)
         yield
 
@@ -127,19 +128,23 @@ def _transfer(robots: RobotsOnALine) -> Iterator[None]:
     overlays, ended = Overlays(robots.buses["r3"], "r3", "bench"), threading.Event()
     Overlays(robots.buses["r0"], "r0", "bench").on_message(lambda sender, data: None)
 
-    def run() -> None:
+    def run() -> int:
+        delivered = 0
         while not ended.is_set():
             with contextlib.suppress(LocalError, TimeoutError):
                 overlays.send("r0", bytes(TRANSFER.size), timeout=60.0).result(timeout=60.0)
+                delivered += 1
+        return delivered
 
-    thread = threading.Thread(target=run, name="transfer")
-    thread.start()
-    try:
-        time.sleep(FLOOD_SETTLES_S)
-        yield
-    finally:
-        ended.set()
-        thread.join()
+    with ThreadPoolExecutor(1) as threads:
+        transfers = threads.submit(run)
+        try:
+            time.sleep(FLOOD_SETTLES_S)
+            yield
+        finally:
+            ended.set()
+        if not transfers.result():
+            raise LocalError("bench stop: no megabyte reached r0, so none was under way beside the stops")
 
 
 @contextlib.contextmanager
@@ -156,6 +161,8 @@ def _full_pipe(robots: RobotsOnALine) -> Iterator[None]:
             if now_waiting != waiting:
                 waiting, since = now_waiting, clock.now()
         yield
+        if process.poll() is not None:
+            raise LocalError("bench stop: what fills the page's pipe ended, so there was no full pipe beside the stops")
 
 
 CONDITIONS: Mapping[str, Callable[[RobotsOnALine], contextlib.AbstractContextManager[None]]] = {

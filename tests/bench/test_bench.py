@@ -12,7 +12,7 @@ from bench import __main__ as program
 from bench import page
 from bench.__main__ import AREAS
 from bench.costs import memory
-from bench.rows import Row, measured
+from bench.rows import Row, measured, possible
 from swarm.errors import SwarmError
 
 
@@ -147,6 +147,13 @@ def test_a_largest_value_is_not_known_where_one_was_not_measured(values):
     assert math.isnan(min(measured(values)))
     assert math.isnan(statistics.median(measured(values)))
     assert max(measured([1.0, 2.0])) == 2.0
+
+
+def test_a_count_below_what_is_possible_is_not_known():
+    assert possible(10, 10) == 10
+    assert possible(12.5, 10) == 12.5
+    assert math.isnan(possible(9.9, 10))
+    assert math.isnan(possible(math.nan, 0))
 
 
 @pytest.mark.parametrize("arguments", [[], ["nonsense"]])
