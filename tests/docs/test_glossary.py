@@ -25,7 +25,19 @@ def test_the_tree_keeps_to_the_glossary() -> None:
     assert check.main() == 0
 
 
-@pytest.mark.parametrize("text", ["tape = 1", "def play_tape(): pass", "class TapeReader: pass", "def f(tape): pass"])
+KINDS = (
+    "tape = 1",
+    "def play_tape(): pass",
+    "class TapeReader: pass",
+    "def f(tape): pass",
+    "import os as tape",
+    "from os import path as tape",
+    "try: pass\nexcept OSError as tape: pass",
+    *(f"match x:\n case {pattern}: pass" for pattern in ("int() as tape", "[*tape]", "{1: 2, **tape}")),
+)
+
+
+@pytest.mark.parametrize("text", KINDS)
 def test_a_replaced_word_is_found_in_every_kind_of_identifier(text: str) -> None:
     assert any("'tape' is now: trajectory builder" in line for line in found(app=text))
 

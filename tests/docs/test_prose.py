@@ -8,6 +8,7 @@ text for those who do not see it, and pages to be read in one go are short.
 import ast
 import functools
 import re
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -51,9 +52,14 @@ def test_the_checks_of_prose_find_the_pages() -> None:
     assert len(PAGES) > 35
 
 
+NOTE = re.compile(r'^(?:!!!|\?\?\?)\+? \w+(?: "(.*)")?\n((?: {4}.*\n|\n)*)', re.MULTILINE)
+"""A note of a page: its title, and its text, which is indented as code would be."""
+
+
 def sentences(text: str) -> Iterator[str]:
-    """Sentences of a page's prose, lists and tables, with code and the targets of links left out."""
+    """Sentences of a page's prose, notes, lists and tables, with code and the targets of links left out."""
     text = re.sub(r"^( *)```.*?^ *```$", "\n\n", text, flags=re.MULTILINE | re.DOTALL)
+    text = NOTE.sub(lambda note: f"{note[1] or ''}\n\n{textwrap.dedent(note[2])}\n", text)
     paragraphs: list[list[str]] = [[]]
     inside = False
     for line in text.splitlines():
@@ -61,7 +67,7 @@ def sentences(text: str) -> Iterator[str]:
         inside = bool(item) or (inside and line.startswith(" "))
         if line.startswith("|"):
             paragraphs += [[cell.strip()] for cell in re.split(r"(?<!\\)\|", line)]
-        elif not line.strip() or item or line.startswith(("#", "!!!", "<!--")) or (line[:4].isspace() and not inside):
+        elif not line.strip() or item or line.startswith(("#", "<!--")) or (line[:4].isspace() and not inside):
             paragraphs.append([item[2]] if item else [])
         else:
             paragraphs[-1].append(line.strip())
@@ -106,6 +112,10 @@ def texts(module: Path) -> Iterator[str]:
     for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Call):
             yield from (wording(each.value) for each in node.keywords if each.arg in ("help", "description", "epilog"))
+        elif isinstance(node, ast.Assign) and any(
+            ast.unparse(name).endswith(("HELP", "DESCRIPTION")) for name in node.targets
+        ):
+            yield wording(node.value)
         elif isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
             yield from map(wording, node.exc.args)
 
@@ -136,6 +146,20 @@ def test_a_page_that_is_read_in_one_go_is_short(page: Path) -> None:
     text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
     count = len(re.findall(r"[^\s|]+", text))
     assert count <= MOST_WORDS_OF_A_PAGE, f"{name} has {count} words: split it, or move facts into a reference page"
+
+
+def test_notes_and_modules_helps_are_read(tmp_path: Path) -> None:
+    page, module = tmp_path / "page.md", tmp_path / "command.py"
+    page.write_text(
+        'Before.\n\n!!! note "Whoever reads"\n    Whoever comes.\n\n    Whoever goes.\n\n        whoever is code\n'
+    )
+    assert [fault.partition(": ")[2] for fault in breaches(page)] == [
+        "Whoever reads",
+        "Whoever comes.",
+        "Whoever goes.",
+    ]
+    module.write_text('HELP = "greet whoever comes"\n')
+    assert list(texts(module)) == ["greet whoever comes"]
 
 
 def test_what_the_rules_are_about_is_found(tmp_path: Path) -> None:
