@@ -245,11 +245,12 @@ def _restarts(robot: Robot, seconds: float) -> None:
 LOADS: dict[str, Callable[[Robot, float], None]] = {
     "flood": _flood,
     "stopped subscriber": _stopped,
-    "router killed": _router,
-    "hog": _hog,
     "mesh transfer": _transfer,
+    "hog": _hog,
+    "router killed": _router,
     RESTARTS: _restarts,
 }
+"""In the order of measuring: those that kill services are last, since what is published right behind them is lost."""
 SHORT = tuple(load for load in LOADS if load != RESTARTS)
 
 
