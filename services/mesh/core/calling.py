@@ -4,6 +4,10 @@ A robot that has no link for a while knocks: it calls one of those that should c
 knock as a reason to call back at once, and makes no second connection of it. Once there is a link again, it knocks at
 each of the others that still lack theirs once.
 
+Robots that were apart while the hub changed have different hubs, so both of two robots may call, or both may wait.
+Where both call, a second call of the robot with the lower name is no knock but makes the link. Where both wait, a knock
+makes it, and a robot that lacks its hub knocks again every few minutes. Over the link they come to have the same hub.
+
 `Callers` bounds what a stranger can cost us before we believe a word of it: `MAX_HALF_OPEN` handshakes at once for
 all of them and `MAX_PER_SOURCE` for one address, and an address whose handshakes we refuse is shut out for a while.
 An address of a neighbour has room of its own, which nobody else's calls take, and is never shut out: a neighbour that
@@ -34,6 +38,10 @@ FIRST_SHUT_OUT = 0.2
 
 LONGEST_SHUT_OUT = 5.0
 """s; as long as our own robots wait at most until they call again."""
+
+AGAIN = 100.0
+"""Seconds between two knocks of robots that reach each other, all together, at a hub that does not call them: the pages
+of an absent hub, 5 s each, then take the share of time that the hub has for its own pages (`link.calls.SHARE`)."""
 
 _MAX_REMEMBERED = 256
 """Addresses whose refusals are remembered; the longest unheard of goes first."""
@@ -107,6 +115,11 @@ class Calling:
         self._lacked: set[str] = set()
         """Those of them with which there was no link at the last look."""
         self._knocks = 0
+        self._owed_since = 0.0
+        """The time at which this robot last came to owe knocks to all that should call it."""
+        self._again = AGAIN
+        self._knocked: set[str] = set()
+        """Robots whose call was taken for a knock, and with which there has been no link since."""
 
     # -- own calls -------------------------------------------------------------------------------------------
 
@@ -157,6 +170,7 @@ class Calling:
         if now < self._look_at:
             return None
         self._look_at = now + KNOCK * (1.0 + self._random())
+        self._owe_again(now)
         before, self._alone = self._alone, not any(link.session or link.attempt for link in self._links.values())
         callers = self._callers_of_this()
         if not self._alone:
@@ -175,6 +189,17 @@ class Calling:
         if not self._alone:
             self._owed.discard(caller)
         return caller
+
+    def _owe_again(self, now: float) -> None:
+        """Owe a knock again, from time to time, to all that should call this robot: where the hub can change, they may
+        have another hub than this robot and wait for its call."""
+        if self._linking.hub() is None:
+            return
+        together = 1 + sum(map(self._linking.is_reachable, self._local.dials))
+        if now >= self._owed_since + self._again * together:
+            self._owed = set(self._callers_of_this())
+            # Spread, so that robots that have lost a hub together do not knock together.
+            self._owed_since, self._again = now, AGAIN * (0.5 + self._random())
 
     def _callers_of_this(self) -> list[str]:
         """Return the robots that are to call this one."""
@@ -196,11 +221,21 @@ class Calling:
         link = self._links.get(robot)
         if not self._local.pages or not self._local.dials.get(robot) or (link is not None and link.session is not None):
             return False
+        if self.may_call(robot):
+            return False
+        if self._linking.hub() is not None:
+            self._knocked.add(robot)
         if link is not None and link.dialler is not None:
             link.dialler.hurry(now)
         else:
             self._linking.knocked(robot, now)
         return True
+
+    def may_call(self, robot: str) -> bool:
+        """Return whether a robot that this one calls may call it: the robot has knocked and there is still no link, so
+        each of the two may take the other's calls for knocks. Only the robot with the lower name may, for the two must
+        not replace each other's connection."""
+        return robot in self._knocked and robot < self._local.robot
 
     def begun(self, session: Session, caller: Caller) -> None:
         """The handshake with a caller begins."""
@@ -209,6 +244,7 @@ class Calling:
     def confirmed(self, session: Session) -> None:
         """Note that a handshake has succeeded."""
         self._alone = False
+        self._knocked.discard(session.peer or "")
         if (caller := self._half_open.pop(session, None)) is not None:
             self._callers.confirmed(caller)
 
@@ -219,4 +255,5 @@ class Calling:
         if caller is not None and refused:
             self._callers.refused(caller, now)
         robot, source = (None, "") if caller is None else (caller.robot, caller.source)
+        self._knocked.discard(robot or "")  # its next call is a knock again: perhaps this robot reaches it
         return robot or session.dialled or "a caller", source

@@ -66,14 +66,14 @@ class Connections:
         self._holds = Holds()
         self.prober = Prober(local.robot, local.dials)
         self.clock = ClockSync(local.robot, local.incarnation, local.robots)
+        self._calling = Calling(local, overlays.linking, self.links, actions, random)
         self._session = partial(
             Session, local,
-            admit=admit, clock=self.clock, counters=counters, has_room=overlays.linking.has_room,
-            is_held=self._holds.holds, clash=self._clash,
+            admit=admit, clock=self.clock, counters=counters, may_call=self._calling.may_call,
+            has_room=overlays.linking.has_room, is_held=self._holds.holds, clash=self._clash,
         )  # fmt: skip
         self._sessions: list[Session] = []
         self._ready: list[Session] = []
-        self._calling = Calling(local, overlays.linking, self.links, actions, random)
 
     # -- what transports and operators say -------------------------------------------------------------------
 

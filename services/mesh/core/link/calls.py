@@ -291,6 +291,7 @@ def refusal(
     *,
     dialled: str | None,
     expected: str | None,
+    may_call: Callable[[str], bool],
     has_room: Callable[[str], bool],
     is_held: Callable[[str], bool],
     clash: Callable[[str, int], str],
@@ -298,8 +299,9 @@ def refusal(
     """Why the sender of a HELLO is refused, as code of BYE and text; None = it may prove that it holds the key.
 
     `dialled` names whom we called, None where we were called; `expected` names the robot whose address a caller has,
-    where the transport knows it; `has_room(robot)` says whether that one may have a link with us, `is_held(robot)`
-    whether an operator wants none for now, `clash(robot, process)` why not, where another robot has its name.
+    where the transport knows it; `may_call(robot)` says whether a robot that we dial may call us, `has_room(robot)`
+    whether it may have a link with us, `is_held(robot)` whether an operator wants none for now, `clash(robot, process)`
+    why not, where another robot has its name.
     """
     key_id = newest_common(local.keys, hello.key_ids)
     refused = None
@@ -320,7 +322,7 @@ def refusal(
         refused = frames.NOT_NEIGHBOUR, f"robot {hello.robot} has no address that links could lead to"
     elif hello.dialler == (dialled is not None):
         refused = frames.BAD_ROLE, "both ends claim the same role"
-    elif hello.dialler and local.dials[hello.robot]:
+    elif hello.dialler and local.dials[hello.robot] and not may_call(hello.robot):
         refused = frames.BAD_ROLE, f"{local.robot} is to dial {hello.robot}, not the other way round"
     elif not local.insecure and key_id is None:
         ids = _ids(hello.key_ids), _ids(local.keys)

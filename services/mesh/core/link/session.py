@@ -56,6 +56,7 @@ class Session:
         counters: Counter[str],
         expected: str | None = None,
         patience: float | None = None,
+        may_call: Callable[[str], bool] = lambda robot: False,
         has_room: Callable[[str], bool] = lambda robot: True,
         is_held: Callable[[str, float], bool] = lambda robot, now: False,
         clash: Callable[[str, int, float], str] = lambda robot, process, now: "",
@@ -64,11 +65,13 @@ class Session:
         `expected` names the robot whose address a caller has, where the transport knows it (Bluetooth does);
         `patience`: s for HELLO, and then for CONFIRM of the other end to arrive.
 
-        `admit(peer, overlay, key)` says whether that peer may use a channel, `has_room(robot)` whether a robot may
-        have a link with us now, `is_held(robot, now)` whether an operator wants none,
-        `clash(robot, process, now)` why a robot's process may have none, where another robot has its name.
+        `admit(peer, overlay, key)` says whether that peer may use a channel, `may_call(robot)` whether a robot that we
+        dial may call us, `has_room(robot)` whether a robot may have a link with us now, `is_held(robot, now)` whether
+        an operator wants none, `clash(robot, process, now)` why a robot's process may have none, where another robot
+        has its name.
         """
         self._local = local
+        self._may_call = may_call
         self._has_room = has_room
         self._is_held = is_held
         self._clash = clash
@@ -326,7 +329,8 @@ class Session:
         local = self._local
         key_id = newest_common(local.keys, hello.key_ids)
         refusal = calls.refusal(
-            hello, local, dialled=self.dialled, expected=self._expected, has_room=self._has_room,
+            hello, local, dialled=self.dialled, expected=self._expected,
+            may_call=self._may_call, has_room=self._has_room,
             is_held=lambda robot: self._is_held(robot, now),
             clash=lambda robot, process: self._clash(robot, process, now),
         )  # fmt: skip

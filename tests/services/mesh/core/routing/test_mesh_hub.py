@@ -1,14 +1,21 @@
 """`links = auto`: which robot is the hub follows from measured round trips, by rule, on the wire and on the slot
 radio."""
 
+from collections import Counter
+from functools import partial
 from itertools import pairwise
 from random import Random
+from types import SimpleNamespace
 
 import pytest
 from conftest import costly
 from hypothesis import given
 from hypothesis import strategies as st
 
+from services.mesh.core.actions import Actions
+from services.mesh.core.calling import Calling
+from services.mesh.core.link.calls import Caller, Local
+from services.mesh.core.link.session import Session
 from services.mesh.core.routing import hub_choice
 from services.mesh.core.routing.hub_choice import (
     EVERY,
@@ -29,6 +36,7 @@ from sim.virtual.run import PLACE, VirtualRun
 from swarm.config.types import TREE
 from swarm.core.graph import Graph
 from swarm.errors import FrameError
+from swarm.messages import Stop
 
 SIX = [f"r{place}" for place in range(6)]
 HOUR = 3600.0
@@ -198,6 +206,20 @@ def test_each_robot_calls_those_behind_it_in_the_order_of_hubs(order, me, dials)
     assert turned == {peer for peer in before if before[peer] != dials[peer]}
 
 
+def test_of_two_robots_that_both_call_only_the_lower_ones_second_call_makes_a_link():
+    """An accepted call that comes to nothing is forgotten: the next one is a knock again, which is answered."""
+    linking = SimpleNamespace(hub=lambda: Hub(), knocked=lambda robot, now: None)
+    local = partial(Local, network="lab", incarnation=1, insecure=True, robots=frozenset(("r0", "r1")), pages=True)
+    of_low, of_high = local(robot="r0", dials={"r1": True}), local(robot="r1", dials={"r0": True})
+    low, high = (Calling(each, linking, {}, Actions(), Random(0).random) for each in (of_low, of_high))
+    assert [high.is_knock("r0", 0.0) for _ in range(3)] == [True, False, False]
+    assert [low.is_knock("r1", 0.0) for _ in range(3)] == [True, True, True]
+    inert = {"admit": lambda *channel: True, "clock": None, "counters": Counter()}
+    high.begun(session := Session(of_high, bytes(16), 0.0, dialled=None, **inert), Caller("address", "r0"))
+    high.failed(session, 1.0, refused=False)
+    assert [high.is_knock("r0", 0.0) for _ in range(2)] == [True, False]
+
+
 # -- whole swarms on the slot radio ------------------------------------------------------------------------------------
 
 
@@ -294,3 +316,37 @@ def test_a_good_hub_stays():
     swarm = AutoRun("full", "--seconds", "100")
     assert swarm.run.go().problems == ()
     assert swarm.hubs == [Hub()]
+
+
+@pytest.mark.parametrize(
+    ("count", "older", "before", "after"),
+    [
+        pytest.param(4, "r0 r1", Hub(3, 2, 200, trial=True), Hub(2, 3, 200), id="both call"),
+        pytest.param(4, "r0 r1", Hub(3, 1, 200), Hub(0, 3, 200, trial=True), id="each waits for a hub in the other"),
+        pytest.param(6, "r5", Hub(5, 1, 200), Hub(0, 5, 200), id="an earlier hub was away"),
+    ],
+)
+def test_parts_of_a_swarm_with_different_hubs_meet_agree_and_hear_each_others_stops(count, older, before, after):
+    options = parse(["consensus", "--virtual", "--radio", "slots", "--robots", str(count), "--topology", "line",
+                     "--iterations", "100000"])  # fmt: skip
+    world = VirtualRun(options, build(options, PLACE)).world
+    world.time.run(25.0)
+    first = world.robots["r0"].mesh.look(lambda overlays, now: overlays.linking.value)
+    ground = Ground(SIX[:count], first.edges, auto=False, links=TREE, measured=True)
+    for name, robot in world.robots.items():
+        for other in world.robots.keys() - set(older.split()) if name in older else ():
+            world.air.cut(name, other, 60.0)
+        step, hub = (1, before) if name in older else (2, after)
+        data = ground.encode(first._replace(step=step, issuer=SIX[hub.before], hub=hub))
+        robot.mesh.ask(lambda overlays, now, data=data: overlays.linking.receive("r0", data, now))
+    world.time.run(85.0)
+    world.robots["r0"].mesh.ask(lambda overlays, now: overlays.stop(Stop(now, "r0", "smoke"), now))
+    world.time.run(240.0)
+    values = {robot.mesh.look(lambda overlays, now: overlays.linking.value) for robot in world.robots.values()}
+    assert len(values) == 1
+    hub = SIX[values.pop().hub.place]
+    links = {link.peer: link.state for link in world.robots[hub].mesh.links().links}
+    assert links == dict.fromkeys(world.robots.keys() - {hub}, "up")
+    assert {tuple(device.roles) for device in world.air.radio.devices.values()} == {(hub,)}  # one piconet
+    for robot in world.robots.values():
+        assert robot.mesh.look(lambda overlays, now: overlays.stopped(now)).by == {"r0": "smoke"}
