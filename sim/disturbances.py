@@ -1,7 +1,8 @@
 """The disturbances of a run: links are cut, robots switched off, services killed, bodies pushed, buttons pressed.
 
 Times count from the first iteration of all robots. A time `2s..8s` is drawn between the two by the seed, a robot `any`
-is one of the swarm, drawn likewise: so a sweep over seeds is one over failures.
+is one of the swarm, drawn likewise, and `any` at an end of a cut is one that has a link with the other end: so a sweep
+over seeds is one over failures.
 
 Each reader of an option raises `argparse.ArgumentTypeError`, which says what was expected.
 """
@@ -15,6 +16,7 @@ from typing import TypeVar
 
 from sim.core.actions import MAX_IMPULSE
 from sim.scenario.quantities import duration
+from swarm.core.graph import Edge
 from swarm.errors import ConfigError
 from swarm.frozen import frozen
 
@@ -122,12 +124,13 @@ D = TypeVar("D", bound=Disturbance)
 
 
 def cut(text: str) -> Cut:
-    """Parse a cut `r0-r1@12s,3s`: which link, when, how long."""
-    match = re.fullmatch(r"([a-z][a-z0-9_]*)-([a-z][a-z0-9_]*)@([^,]+),(.+)", text)
+    """Parse a cut `r0-r1@12s,3s`: which link, when, how long. A name may hold a `-`, so `drawn`, which knows the links,
+    says where the first name ends."""
+    match = re.fullmatch(rf"({_ROBOT})-({_ROBOT})@([^,]+),(.+)", text)
     if match is None:
         raise argparse.ArgumentTypeError(f"{text!r} is not a cut such as r0-r1@12s,3s (link, start, length)")
     at, span = _when(match[3])
-    return Cut(match[1], match[2], at, duration(match[4]), span)
+    return Cut(match[1], match[2], at, _length(text, match[4]), span)
 
 
 def off(text: str) -> Off:
@@ -136,10 +139,7 @@ def off(text: str) -> Off:
     if match is None:
         raise argparse.ArgumentTypeError(f"{text!r} is not a robot such as r2@5s,10s (which, from when, how long)")
     at, span = (None, None) if match[2] == AT_START else _when(match[2])
-    seconds = duration(match[3])
-    if not seconds > 0:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a time above zero")
-    return Off(match[1], at, seconds, span)
+    return Off(match[1], at, _length(text, match[3]), span)
 
 
 def kill(text: str) -> Kill:
@@ -175,14 +175,27 @@ def press(text: str) -> ScheduledPress:
     return ScheduledPress(match[1], match[2].upper(), *_when(match[3]))
 
 
-def drawn(asked: Sequence[D], names: Sequence[str], seed: int) -> tuple[D, ...]:
-    """The same with the times and robots that the seed draws. Raises `ConfigError` for a robot that is none."""
+def drawn(asked: Sequence[D], names: Sequence[str], seed: int, links: Collection[Edge] = ()) -> tuple[D, ...]:
+    """The same with the times, robots and links that the seed draws. Raises `ConfigError` for a robot or a link that is
+    none."""
     found = []
     for index, each in enumerate(asked):
         numbers = random.Random(f"{seed} {type(each).__name__} {index}")
-        if not isinstance(each, Cut):
+        robots = f"the robots are {', '.join(names)}, or {ANY} for one that the seed draws"
+        if isinstance(each, Cut):
+            text = f"{each.a}-{each.b}"
+            fits = _fitting(text, links)
+            if not fits:
+                raise ConfigError(f"{each}: there is no such link in the topology; {robots}")
+            drawing = text.startswith(f"{ANY}-") or text.endswith(f"-{ANY}")
+            if not drawing and len({frozenset(way) for way in fits}) > 1:
+                meant = ", ".join(f"{a} and {b}" for a, b in fits)
+                raise ConfigError(f"{each}: this names several links: {meant}; give one of the robots another name")
+            a, b = numbers.choice(fits) if drawing else fits[0]
+            each = replace(each, a=a, b=b)  # noqa: PLW2901
+        else:
             if each.robot not in names and each.robot != ANY:
-                raise ConfigError(f"{each}: the robots are {', '.join(names)}, or {ANY} for one that the seed draws")
+                raise ConfigError(f"{each}: {robots}")
             each = replace(each, robot=numbers.choice(names) if each.robot == ANY else each.robot)  # noqa: PLW2901
         if each.span is not None:
             each = replace(each, at=numbers.uniform(each.span.low, each.span.high), span=None)  # noqa: PLW2901
@@ -190,11 +203,27 @@ def drawn(asked: Sequence[D], names: Sequence[str], seed: int) -> tuple[D, ...]:
     return tuple(found)
 
 
+def _fitting(text: str, links: Collection[Edge]) -> list[Edge]:
+    """Return the links that a text such as `r0-r1` may mean, each with the end first that is first in the text."""
+    parts = text.split("-")
+    meant = [("-".join(parts[:at]), "-".join(parts[at:])) for at in range(1, len(parts))]
+    ways = [way for a, b in links for way in ((a, b), (b, a))]
+    return [(a, b) for a, b in ways if any(one in (a, ANY) and other in (b, ANY) for one, other in meant)]
+
+
 def never(asked: Collection[Disturbance], happened: Collection[Disturbance], seconds: float) -> tuple[str, ...]:
     """Return one sentence for each disturbance that did not happen, since the run ended `seconds` s after its first
     iteration."""
     lost = (each for each in asked if each not in happened and each.at is not None)
     return tuple(f"{each}: the run ended {seconds:.3g} s after its first iteration" for each in lost)
+
+
+def _length(text: str, part: str) -> float:
+    """Parse how long a fault lasts, which is the `part` of the option's `text`."""
+    seconds = duration(part)
+    if not seconds > 0:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a time above zero")
+    return seconds
 
 
 def _when(text: str) -> tuple[float, Span | None]:

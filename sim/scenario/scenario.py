@@ -6,7 +6,9 @@ its three places. The simulated modules read as its modules did, so the thesis' 
 
 import math
 import random
+from collections.abc import Collection
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,7 +16,7 @@ from services.apps import loader
 from services.mesh.core.routing.physical_links import links_of, physical
 from sim.core import noise
 from sim.core.module_line import SOURCE, module_address
-from sim.disturbances import Cut, Disturbance, Kill, Off, drawn
+from sim.disturbances import Disturbance, Kill, Off, drawn
 from sim.scenario import commission_report
 from sim.scenario.notes import algorithm_of, notes
 from sim.scenario.options import Options
@@ -25,7 +27,7 @@ from swarm.app.settings import on_top
 from swarm.config import Affine, Anchor, AppConfig, Config, Dwm, Linear, MeshConfig, RobotConfig, SimulationConfig
 from swarm.config.load import AUTO, wrong_links
 from swarm.config.types import DEFAULT_RELAY
-from swarm.core.graph import Graph
+from swarm.core.graph import Edge, Graph
 from swarm.errors import ConfigError, LocalError
 from swarm.frozen import frozen
 from swarm.messages.codec import Value
@@ -214,12 +216,12 @@ def build(options: Options, run_dir: Path, app: loader.LoadedApp | None = None) 
 def _disturbances(config: Config, options: Options) -> tuple[Disturbance, ...]:
     """Return the disturbances, with robots and times that the seed has drawn."""
     kinds = (options.presses, options.cuts, options.offs, options.kills, options.pushes)
-    found = tuple(each for kind in kinds for each in drawn(kind, config.names, options.seed))
-    links = links_of(config)
-    pairs = {frozenset(pair) for pair in (*config.edges, *physical(config.names, config.edges, links))}
+    links: Collection[Edge] = ()
+    if options.cuts:  # an automatic topology may link any two robots
+        carrying = physical(config.names, config.edges, links_of(config))
+        links = tuple(combinations(config.names, 2)) if config.auto else dict.fromkeys((*config.edges, *carrying))
+    found = tuple(each for kind in kinds for each in drawn(kind, config.names, options.seed, links))
     for each in found:
-        if isinstance(each, Cut) and not config.auto and frozenset((each.a, each.b)) not in pairs:
-            raise ConfigError(f"--cut {each.a}-{each.b}: there is no such link in the topology")
         if isinstance(each, Kill) and options.virtual and each.service not in VIRTUAL_SERVICES:
             raise ConfigError(f"{each}: under virtual time {' and '.join(VIRTUAL_SERVICES)} are processes of their own")
     return found

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from sim.disturbances import Off, drawn, off
+from sim.disturbances import Cut, Off, cut, drawn, off
 from sim.virtual.run import simulate
 from swarm.errors import ConfigError
 from swarm.recording.run import Run
@@ -111,3 +111,34 @@ def test_the_seed_draws_times_and_robots() -> None:
 def test_the_services_of_virtual_time_are_named() -> None:
     with pytest.raises(ConfigError, match="mesh and app are processes of their own"):
         simulate("consensus", "--robots", "3", "--kill", "r0.dwm@1s")
+
+
+LINKS = (("r-0", "r1"), ("r1", "r-2-b"))
+
+
+def cut_of(text: str, links: tuple[tuple[str, str], ...] = LINKS, seed: int = 1) -> Cut:
+    names = sorted({name for link in links for name in link})
+    (found,) = drawn([cut(f"{text}@2s,3s")], names, seed, links)
+    return found
+
+
+def test_the_links_tell_where_a_name_with_a_hyphen_ends_in_a_cut() -> None:
+    assert cut_of("r-0-r1") == Cut("r-0", "r1", 2.0, 3.0)
+    assert cut_of("r-2-b-r1") == Cut("r-2-b", "r1", 2.0, 3.0)
+    with pytest.raises(ConfigError, match="--cut a-b-c@2s,3s: this names several links: a and b-c, a-b and c"):
+        cut_of("a-b-c", (("a", "b-c"), ("c", "a-b")))
+
+
+def test_the_seed_draws_the_link_of_a_cut_with_any() -> None:
+    ends = {frozenset(pair) for pair in LINKS}
+    assert {frozenset((each.a, each.b)) for seed in range(20) for each in [cut_of("any-any", seed=seed)]} == ends
+    assert cut_of("any-r-0") == Cut("r1", "r-0", 2.0, 3.0)
+    assert cut_of("any-r-2-b") == Cut("r1", "r-2-b", 2.0, 3.0)
+    assert {cut_of("r1-any", seed=seed).b for seed in range(20)} == {"r-0", "r-2-b"}
+
+
+@pytest.mark.parametrize("link", ["r0-r9", "r8-r9", "r1-r1", "any-r9"])
+@pytest.mark.parametrize("topology", ["line", "auto"])
+def test_a_cut_of_no_link_is_refused_on_every_topology(link: str, topology: str) -> None:
+    with pytest.raises(ConfigError, match=f"--cut {link}@1s,1s: there is no such link .* robots are r0, r1, r2"):
+        simulate("consensus", "--robots", "3", "--topology", topology, "--cut", f"{link}@1s,1s", "--iterations", "1")

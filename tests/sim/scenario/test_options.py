@@ -42,6 +42,7 @@ def test_durations_and_rates_have_units():
         (quantities.rate, "0kB"),
         (disturbances.cut, "r0r1@12s,3s"),
         (disturbances.cut, "r0-r1@12s"),
+        (disturbances.cut, "r0-r1@12s,0s"),
         (quantities.loss, "95%"),
         (quantities.loss, "5kB"),
         (disturbances.off, "r2@5s"),
