@@ -90,6 +90,8 @@ def sweep(
     with which no run is possible."""
     found = app_of(app)
     by_class = not isinstance(app, str | Path)
+    if jobs < 1:
+        raise ConfigError(f"jobs: expected a number of processes above zero, got {jobs}")
     if jobs > 1 and by_class:
         raise ConfigError("jobs: a class cannot go to other processes; put it into a file, and give its path")
     for name, choices in over.items():
@@ -100,6 +102,8 @@ def sweep(
         empty = ", ".join(name for name, choices in over.items() if not choices)
         raise ConfigError(f"over: {empty}: a list is empty, expected values")
     numbers = range(1, seeds + 1) if isinstance(seeds, int) else seeds
+    if not numbers or min(numbers) < 0:
+        raise ConfigError(f"seeds: {seeds!r}: expected a number of seeds above zero, or a list of seeds of 0 or more")
     planned: list[Job] = []
     for index, point in enumerate(points):
         chosen = dict(point.choices)

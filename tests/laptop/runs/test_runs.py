@@ -2,6 +2,7 @@
 
 import asyncio
 import io
+import re
 import sys
 import types
 from pathlib import Path
@@ -209,8 +210,13 @@ def test_a_sweep_is_a_table_of_all_combinations(tmp_path: Path) -> None:
 def test_a_sweep_refuses_what_no_run_can_be_made_of() -> None:
     with pytest.raises(ConfigError, match="jobs: a class cannot go to other processes"):
         sweep(Mean, {"gain": [1.0]}, jobs=2)
+    with pytest.raises(ConfigError, match="jobs: expected a number of processes above zero, got 0"):
+        sweep(Mean, {"gain": [1.0]}, jobs=0)
     with pytest.raises(ConfigError, match="a list is empty"):
         sweep(Mean, {"gain": []})
+    for none in (0, -2, [], [1, -1]):
+        with pytest.raises(ConfigError, match=f"seeds: {re.escape(repr(none))}: expected a number of seeds above zero"):
+            sweep(Mean, {"gain": [1.0]}, seeds=none)
     with pytest.raises(ConfigError, match=r"over: gain: expected a list of values, got 0.5"):
         sweep(Mean, {"gain": 0.5})  # type: ignore[dict-item]
     with pytest.raises(ConfigError, match="over: topology: expected a list of values, got 'line'"):
