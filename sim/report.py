@@ -58,7 +58,7 @@ class RunOutcome:
     beside: Mapping[str, Mapping[str, Trajectory]] = field(default_factory=dict)
     """The trajectories of other apps that the robots ran meanwhile."""
     never: tuple[str, ...] = ()
-    """What was to happen and did not, and why: the run ended before, or nobody could be told of a cut."""
+    """What was to happen and did not, and why."""
     radio: Mapping[str, float] = field(default_factory=dict)
     """How late the process was that is the radio (`sim.processes.radio`)."""
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from bench.rows import Row, possible
+from services.mesh.links.sim import AIR_SOCKET
 from sim.control import link_cuts
 from sim.processes.processes import Child, Processes
 from swarm import clock
@@ -95,7 +96,7 @@ class Swarm:
 
     def runs(self) -> bool:
         """Whether every mesh has opened its end of the simulated radio."""
-        return all((self._home / name / link_cuts.SOCKET).exists() for name in self.names)
+        return all((self._home / name / AIR_SOCKET).exists() for name in self.names)
 
     def mesh(self, name: str) -> Child:
         """The mesh process of a robot."""

@@ -1,35 +1,43 @@
 """Cutting the simulated radio: the process that is the radio is told, or each end of a link by a datagram to its mesh's
-`sim:` transport."""
+`sim:` transport. A file in the run directory tells it to those that are being restarted, once they are back."""
 
+import contextlib
 import socket
 from pathlib import Path
 
 import msgpack
 
 from services.mesh.links import slots
-from sim.disturbances import Cut
+from services.mesh.links.sim import AIR_SOCKET, cut_file, cuts_in
+from swarm import clock
 from swarm.errors import LocalError
-
-SOCKET = "air.sock"
 
 
 def cut(run_dir: Path, robot: str, peer: str, seconds: float) -> None:
-    """Cut the radio between two robots of a simulation for some seconds; 0 mends it. Raises `LocalError`."""
+    """Cut the radio between two robots of a simulation for some seconds, or as long as an earlier cut lasts; 0 ends all
+    cuts of the link. Raises `LocalError`."""
+    for name in (robot, peer):
+        if not (run_dir / name).is_dir():
+            raise LocalError(f"not cut: there is no robot {name} in {run_dir}")
+    file, now = cut_file(run_dir, robot, peer), clock.now()
+    try:
+        if seconds:
+            until = max(now + seconds, cuts_in(run_dir).get(frozenset((robot, peer)), 0.0))
+            file.write_text(f"{until!r}\n", encoding="ascii")
+            seconds = until - now
+        else:
+            file.unlink(missing_ok=True)
+    except OSError as error:
+        raise LocalError(f"not cut: {file}: {error.strerror}") from None
+    # Only now, since what is not running yet reads the file when it listens.
     radio = run_dir / slots.RADIO_SOCKET
     if radio.exists():
-        try:
+        with contextlib.suppress(OSError):
             slots.ask(radio, slots.RadioCut(robot, peer, float(seconds))).close()
-        except OSError as error:
-            raise LocalError(f"not cut: the radio is not running at this moment ({error.strerror})") from None
         return
-    problem = ""
     for end, other in ((robot, peer), (peer, robot)):
-        try:
+        with contextlib.suppress(OSError):
             silence(run_dir, end, other, seconds)
-        except OSError as error:
-            problem = problem or f"not cut: the mesh of {end} is not running at this moment ({error.strerror})"
-    if problem:
-        raise LocalError(problem)
 
 
 def silence(run_dir: Path, robot: str, peer: str, seconds: float) -> None:
@@ -38,35 +46,4 @@ def silence(run_dir: Path, robot: str, peer: str, seconds: float) -> None:
     Raises OSError where the robot's mesh is not there.
     """
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
-        sock.sendto(msgpack.packb({"cut": peer, "seconds": seconds}), str(run_dir / robot / SOCKET))
-
-
-class DueCuts:
-    """The cuts of a run whose time has come.
-
-    While the radio, or a mesh at an end of the link, is being restarted nobody can be told of a cut. It is tried again
-    until it would be over, and ends when it would have ended.
-    """
-
-    def __init__(self, run_dir: Path) -> None:
-        self._run_dir = run_dir
-        self.waiting: list[tuple[Cut, float]] = []
-        """Cuts that nobody was told of yet, each with its end, s."""
-        self.failed: list[str] = []
-        """One sentence for each cut that was over before anybody could be told."""
-
-    def add(self, due: Cut, now: float) -> None:
-        """Begin a cut with the next `do`; `now` in s."""
-        self.waiting.append((due, now + due.seconds))
-
-    def do(self, now: float) -> None:
-        """Cut what waits."""
-        waiting, self.waiting = self.waiting, []
-        for due, end in waiting:
-            try:
-                cut(self._run_dir, due.a, due.b, max(0.0, end - now))
-            except LocalError as error:
-                if now < end:
-                    self.waiting.append((due, end))
-                else:
-                    self.failed.append(f"{due}: {error}")
+        sock.sendto(msgpack.packb({"cut": peer, "seconds": seconds}), str(run_dir / robot / AIR_SOCKET))

@@ -21,7 +21,7 @@ from functools import partial
 from pathlib import Path
 
 from services.mesh import link_address
-from services.mesh.links.sim import bound, precise_timers
+from services.mesh.links.sim import bound, cuts_in, precise_timers
 from services.mesh.links.slots import (
     MAX_PACKET,
     RADIO_SOCKET,
@@ -138,6 +138,10 @@ class RadioServer:
         self._listener = bound(self._path, socket.SOCK_SEQPACKET)
         self._listener.listen(len(meshes))
         self._listener.setblocking(False)
+        for ends, until in cuts_in(run_dir).items():  # of the later ones the listener hears
+            a, b = ends
+            if until > now and self._known(a, b):
+                self._connections.cut(a, b, until - now)
         self._look()
 
     def watched(self) -> tuple[list[socket.socket], list[socket.socket]]:

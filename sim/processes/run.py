@@ -13,7 +13,7 @@ from typing import TextIO
 
 from sim import scene
 from sim.control.app_requests_server import Orders
-from sim.control.link_cuts import DueCuts
+from sim.control.link_cuts import cut
 from sim.control.power_server import Power
 from sim.control.send_action import do
 from sim.core import actions
@@ -88,7 +88,6 @@ class ProcessRun:
         timed = (each for each in scenario.disturbances if each.at is not None)
         self._disturbances = sorted(timed, key=lambda each: each.at or 0.0)
         """What is still to happen."""
-        self._cuts = DueCuts(run_dir)
 
     def __enter__(self) -> "ProcessRun":
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -160,7 +159,6 @@ class ProcessRun:
             else:
                 while self._disturbances and now - started >= (self._disturbances[0].at or 0.0):
                     self._let_happen(self._disturbances.pop(0), now)
-                self._cuts.do(now)
                 if self._is_done(seen, now - started):
                     break
             time.sleep(TICK_S)
@@ -228,8 +226,8 @@ class ProcessRun:
     def _let_happen(self, what: Disturbance, now: float) -> None:
         self._progress.say(str(what))
         match what:
-            case Cut():
-                self._cuts.add(what, now)
+            case Cut(a, b, _, seconds):
+                cut(self._run_dir, a, b, seconds)
             case Off(robot, _, seconds):
                 self._power.off(robot, now, seconds)
             case Kill(robot, service):
@@ -268,7 +266,6 @@ class ProcessRun:
     def _outcome(self, started: float | None) -> RunOutcome:
         names = self._scenario.config.names
         now = clock.now()
-        left = [*(cut for cut, _ in self._cuts.waiting), *self._disturbances]
         self._refresh(now)
         seen = self._monitor.look()
         if self._options.seconds is not None:
@@ -306,7 +303,7 @@ class ProcessRun:
             moves_from=self._moves_from,
             beside=beside,
             radio=late,
-            never=(*self._cuts.failed, *never(left, (), 0.0 if started is None else now - started)),
+            never=never(self._disturbances, (), 0.0 if started is None else now - started),
         )
 
 

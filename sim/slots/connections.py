@@ -60,7 +60,7 @@ class RadioConnections:
         """Until when nothing passes between two robots."""
 
     def cut(self, a: str, b: str, seconds: float) -> None:
-        """Let nothing pass between two robots for a while; 0 ends that."""
+        """Let nothing pass between two robots for a while, or as long as an earlier cut lasts; 0 ends that."""
         pair, until = frozenset((a, b)), self._clock.now + seconds
         self.cuts[pair] = max(self.cuts.get(pair, 0.0), until) if seconds else until
 

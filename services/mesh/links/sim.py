@@ -2,8 +2,9 @@
 
 The caller first says its name (u8 length, name), as a radio's address would. Then each write carries its
 length (u32) and when it was made (f64, the machine's monotonic clock), little endian. `AIR_SOCKET` in the
-runtime directory takes datagrams `{"cut": peer, "seconds": s}` (msgpack): until that time nothing arrives
-from that peer and neither can dial the other. Both ends must be told.
+runtime directory takes datagrams `{"cut": peer, "seconds": s}` (msgpack): until that time, and as long as an
+earlier cut holds, nothing arrives from that peer and neither can dial the other; 0 ends all cuts. Both ends must be
+told. The files of cuts in the run directory tell a mesh that is started anew which cuts hold.
 """
 
 import contextlib
@@ -28,6 +29,8 @@ from swarm.process.paths import socket_path
 AIR_SOCKET = "air.sock"
 LOCK = "mesh.lock"
 LINK_VARIABLE = "SWARM_SIM_LINK"
+CUT = ".cut"
+"""The end of the name of a file that tells until when a link is cut."""
 
 DIAL_TIMEOUT = 1.0
 """s; only a stopped neighbour makes a Unix socket wait."""
@@ -52,10 +55,11 @@ class LinkConditions:
         self.model = AirModel.parse(os.environ.get(LINK_VARIABLE, ""))
         self.quiet_until = 0.0
         """Until then nothing can arrive that has not been put on the air already: see `SimPipe.read`."""
-        self._cuts: dict[str, float] = {}
         self._lock = only_mesh(directory)
         self._path = socket_path(directory, AIR_SOCKET)
         self._sock = bound(self._path, socket.SOCK_DGRAM)
+        # Of a cut that is not in a file yet the socket hears, which is there already.
+        self._cuts = {peer: at for ends, at in cuts_in(directory.parent).items() if me in ends for peer in ends - {me}}
         precise_timers()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="air", daemon=True)
@@ -97,7 +101,8 @@ class LinkConditions:
             except (PayloadError, KeyError, TypeError, ValueError) as error:
                 _log.warning("no cut: expected {cut: PEER, seconds: S}, error=%s", error)
                 continue
-            self._cuts[peer] = clock.now() + seconds
+            until = clock.now() + seconds
+            self._cuts[peer] = max(self.cut_until(peer), until) if seconds else until
 
 
 class SimPipe(Pipe):
@@ -222,6 +227,22 @@ class SimListener:
     def close(self) -> None:
         self._sock.close()
         self._path.unlink(missing_ok=True)
+
+
+def cut_file(run_dir: Path, a: str, b: str) -> Path:
+    """Return the file that tells until when the link between two robots is cut, in s of the machine's monotonic
+    clock."""
+    return run_dir / f"{min(a, b)}.{max(a, b)}{CUT}"
+
+
+def cuts_in(run_dir: Path) -> dict[frozenset[str], float]:
+    """Return until when links are cut, by their two robots, as the files of cuts in a run directory tell it."""
+    found = {}
+    for path in run_dir.glob(f"*{CUT}"):
+        with contextlib.suppress(OSError, ValueError):  # a cut that is just being written, or mended
+            a, b = path.stem.split(".")
+            found[frozenset((a, b))] = float(path.read_text(encoding="ascii"))
+    return found
 
 
 def dial(path: Path, air: LinkConditions, peer: str) -> Pipe:

@@ -1,4 +1,4 @@
-"""Cuts of a run that come while the radio or a mesh is being restarted."""
+"""Cuts of a run: those who are there are told, and a file tells those that are being restarted."""
 
 import contextlib
 import socket
@@ -9,12 +9,13 @@ import msgpack
 import pytest
 
 from services.mesh.links import slots
-from sim.control.link_cuts import SOCKET, DueCuts
-from sim.disturbances import Cut
+from services.mesh.links.sim import AIR_SOCKET, cuts_in
+from sim.control.link_cuts import cut
+from swarm import clock
+from swarm.errors import LocalError
 from swarm.messages.codec import decode
 
-DUE = Cut("r0", "r1", 5.0, 3.0)
-NOW = 100.0
+LINK = frozenset(("r0", "r1"))
 
 
 @contextlib.contextmanager
@@ -28,57 +29,58 @@ def listening(path: Path, kind: int) -> Iterator[socket.socket]:
     path.unlink()
 
 
-@contextlib.contextmanager
-def mesh(run_dir: Path, name: str) -> Iterator[socket.socket]:
-    (run_dir / name).mkdir(exist_ok=True)
-    with listening(run_dir / name / SOCKET, socket.SOCK_DGRAM) as sock:
-        yield sock
-
-
-def told(radio: socket.socket) -> slots.RadioCut:
-    with radio.accept()[0] as connection:
-        return decode(slots.RadioCut, connection.recv(slots.MAX_PACKET), "radio")
-
-
 @pytest.fixture
-def cuts(runtime: Path) -> DueCuts:
-    found = DueCuts(runtime)
-    found.add(DUE, NOW)
-    return found
+def run_dir(runtime: Path) -> Path:
+    for name in ("r0", "r1"):
+        (runtime / name).mkdir()
+    return runtime
+
+
+def left(run_dir: Path) -> float:
+    """Seconds that the cut still lasts."""
+    return cuts_in(run_dir)[LINK] - clock.now()
 
 
 @pytest.mark.parametrize("killed", [True, False])
-def test_a_cut_waits_for_the_radio_and_ends_when_it_would_have_ended(
-    cuts: DueCuts, runtime: Path, killed: bool
-) -> None:
-    path = runtime / slots.RADIO_SOCKET
+def test_a_cut_is_kept_for_a_radio_that_is_being_restarted(run_dir: Path, killed: bool) -> None:
+    path = run_dir / slots.RADIO_SOCKET
     if killed:  # it leaves its socket behind
-        with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as left:
-            left.bind(str(path))
-    cuts.do(NOW)
-    cuts.do(NOW + 0.5)
-    assert [due for due, _ in cuts.waiting] == [DUE]
+        with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as radio:
+            radio.bind(str(path))
+    cut(run_dir, "r1", "r0", 60.0)
+    assert left(run_dir) == pytest.approx(60.0, abs=10.0)
     path.unlink(missing_ok=True)
     with listening(path, socket.SOCK_SEQPACKET) as radio:
-        cuts.do(NOW + 1.0)
-        assert told(radio) == slots.RadioCut("r0", "r1", 2.0)
-    assert (cuts.waiting, cuts.failed) == ([], [])
+        cut(run_dir, "r0", "r1", 20.0)
+        with radio.accept()[0] as connection:
+            told = decode(slots.RadioCut, connection.recv(slots.MAX_PACKET), "radio")
+    assert told.seconds == pytest.approx(60.0, abs=10.0)  # the first cut still holds
 
 
-def test_a_cut_waits_until_the_meshes_at_both_ends_are_there(cuts: DueCuts, runtime: Path) -> None:
-    with mesh(runtime, "r0") as here:
-        cuts.do(NOW)
-        assert msgpack.unpackb(here.recv(1000)) == {"cut": "r1", "seconds": 3.0}
-        with mesh(runtime, "r1") as there:
-            cuts.do(NOW + 1.0)
-            assert msgpack.unpackb(here.recv(1000)) == {"cut": "r1", "seconds": 2.0}
-            assert msgpack.unpackb(there.recv(1000)) == {"cut": "r0", "seconds": 2.0}
-    assert (cuts.waiting, cuts.failed) == ([], [])
+def test_a_cut_is_told_to_the_mesh_that_is_there_and_kept_for_the_other_one(run_dir: Path) -> None:
+    with listening(run_dir / "r0" / AIR_SOCKET, socket.SOCK_DGRAM) as mesh:
+        cut(run_dir, "r1", "r0", 60.0)
+        assert msgpack.unpackb(mesh.recv(1000)) == {"cut": "r1", "seconds": 60.0}
+        assert left(run_dir) == pytest.approx(60.0, abs=10.0)
+        cut(run_dir, "r0", "r1", 0.0)
+        assert msgpack.unpackb(mesh.recv(1000)) == {"cut": "r1", "seconds": 0.0}
+    assert cuts_in(run_dir) == {}
 
 
-def test_a_cut_that_is_over_before_the_radio_is_back_is_named(cuts: DueCuts, runtime: Path) -> None:
-    for seconds in (0.0, 2.9, 3.1):
-        cuts.do(NOW + seconds)
-    assert cuts.waiting == []
-    (sentence,) = cuts.failed
-    assert sentence.startswith("--cut r0-r1@5s,3s: not cut: the mesh of r0 is not running at this moment")
+def test_a_shorter_cut_leaves_a_longer_one_as_it_is(run_dir: Path) -> None:
+    cut(run_dir, "r0", "r1", 60.0)
+    before = cuts_in(run_dir)
+    cut(run_dir, "r1", "r0", 1.0)
+    assert cuts_in(run_dir) == before
+
+
+def test_a_cut_of_a_robot_that_is_not_there_is_refused(run_dir: Path) -> None:
+    with pytest.raises(LocalError, match="not cut: there is no robot r9 in "):
+        cut(run_dir, "r0", "r9", 1.0)
+
+
+@pytest.mark.parametrize("text", ["", "soon", "1.0 2.0"])
+def test_a_file_that_tells_of_no_cut_is_passed_over(run_dir: Path, text: str) -> None:
+    (run_dir / "r0.r1.cut").write_text(text)
+    (run_dir / "r0.cut").write_text("5.0")
+    assert cuts_in(run_dir) == {}

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from services.mesh.core.link.calls import Caller
 from services.mesh.links import slots
 from services.mesh.links.pipe import Pipe
+from services.mesh.links.sim import cut_file
 from services.mesh.links.slots import RADIO_SOCKET, RadioAnswer, RadioCall, RadioCut, RadioSupervise, SlotsListener
 from sim.control.link_cuts import cut
 from sim.processes.radio import LOOK_EVERY, MOST_LATE, RadioServer
@@ -345,12 +346,19 @@ def test_a_radio_that_ends_during_a_call_is_a_call_in_vain(runtime: Path) -> Non
         thread.join()
 
 
-def test_a_cut_says_where_the_radio_has_ended(swarm: Swarm) -> None:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as dead:
-        (swarm.run_dir / "old").mkdir()
-        dead.bind(str(swarm.run_dir / "old" / RADIO_SOCKET))
-    with pytest.raises(LocalError, match="the radio is not running at this moment"):
-        cut(swarm.run_dir / "old", "r0", "r1", 1.0)
+def test_a_radio_that_starts_anew_goes_on_with_a_cut_that_holds(swarm: Swarm) -> None:
+    cut_file(swarm.run_dir, "r1", "r0").write_text(f"{swarm.now + 60.0!r}\n")
+    swarm.server.close()
+    swarm.start_radio()
+    swarm.let_pass(0.1)
+    for name in NAMES:
+        assert swarm.accepted(name) is None
+    reason, sock = swarm.call("r0", "r1")
+    sock.close()
+    assert reason == ABSENT
+    swarm.link("r0", "r2")
+    swarm.let_pass(60.0)
+    swarm.link("r1", "r0")
 
 
 def test_a_second_mesh_of_a_robot_is_refused(swarm: Swarm) -> None:

@@ -39,11 +39,14 @@ class Place:
         self.pipes += (sim.dial(self.path, self.near, "r1"), self.listener.accept())
         return self.pipes[-2], self.pipes[-1]
 
-    def cut(self, robot: str, peer: str, seconds: float) -> None:
+    def send_cut(self, robot: str, peer: str, seconds: float) -> None:
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
             sock.sendto(
                 msgpack.packb({"cut": peer, "seconds": seconds}), os.fspath(self.runtime / robot / sim.AIR_SOCKET)
             )
+
+    def cut(self, robot: str, peer: str, seconds: float) -> None:
+        self.send_cut(robot, peer, seconds)
         air = self.near if robot == "r0" else self.far
         wait_until(lambda: air.is_cut(peer))
 
@@ -135,6 +138,25 @@ def test_a_cut_holds_what_is_under_way_and_stops_dialling(place: Place) -> None:
     place.cut("r0", "r1", 60.0)
     with pytest.raises(ConnectionError, match="unreachable"):
         sim.dial(place.path, place.near, "r1")
+
+
+def test_a_link_is_cut_while_one_of_two_cuts_holds_and_mended_by_0(place: Place) -> None:
+    place.cut("r1", "r0", 60.0)
+    end = place.far.cut_until("r0")
+    place.cut("r1", "r0", 1.0)
+    place.cut("r1", "r7", 1.0)  # the datagrams before it are taken
+    assert place.far.cut_until("r0") == end
+    place.send_cut("r1", "r0", 0.0)
+    wait_until(lambda: not place.far.is_cut("r0"))
+
+
+def test_a_mesh_that_is_started_anew_goes_on_with_a_cut_that_holds(place: Place) -> None:
+    end = clock.now() + 60.0
+    sim.cut_file(place.runtime, "r1", "r0").write_text(f"{end!r}\n")
+    place.near.close()
+    place.near = sim.LinkConditions("r0", place.runtime / "r0")
+    assert place.near.cut_until("r1") == end
+    assert not place.near.is_cut("r2")
 
 
 def test_who_is_cut_off_is_not_let_in(place: Place) -> None:
