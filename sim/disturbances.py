@@ -1,8 +1,8 @@
 """The disturbances of a run: links are cut, robots switched off, services killed, bodies pushed, buttons pressed.
 
-Times count from the first iteration of all robots. A time `2s..8s` is drawn between the two by the seed, a robot `any`
-is one of the swarm, drawn likewise, and `any` at an end of a cut is one that has a link with the other end: so a sweep
-over seeds is one over failures.
+Times count from the first iteration of all robots that do not come late. A time `2s..8s` is drawn between the two by
+the seed, a robot `any` is one of the swarm, drawn likewise, and `any` at an end of a cut is one that has a link with
+the other end: so a sweep over seeds is one over failures.
 
 Each reader of an option raises `argparse.ArgumentTypeError`, which says what was expected.
 """
@@ -10,7 +10,7 @@ Each reader of an option raises `argparse.ArgumentTypeError`, which says what wa
 import argparse
 import random
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
@@ -122,6 +122,10 @@ class ScheduledPress:
 Disturbance = Cut | Off | Kill | ScheduledPush | ScheduledPress
 D = TypeVar("D", bound=Disturbance)
 
+SWITCHED_OFF = "the robot was switched off then"
+NOT_RUNNING = "the service did not run then"
+"""Why a disturbance was not possible."""
+
 
 def cut(text: str) -> Cut:
     """Parse a cut `r0-r1@12s,3s`: which link, when, how long. A name may hold a `-`, so `drawn`, which knows the links,
@@ -211,11 +215,11 @@ def _fitting(text: str, links: Collection[Edge]) -> list[Edge]:
     return [(a, b) for a, b in ways if any(one in (a, ANY) and other in (b, ANY) for one, other in meant)]
 
 
-def never(asked: Collection[Disturbance], happened: Collection[Disturbance], seconds: float) -> tuple[str, ...]:
-    """Return one sentence for each disturbance that did not happen, since the run ended `seconds` s after its first
-    iteration."""
-    lost = (each for each in asked if each not in happened and each.at is not None)
-    return tuple(f"{each}: the run ended {seconds:.3g} s after its first iteration" for each in lost)
+def never(left: Iterable[Disturbance], seconds: float) -> tuple[str, ...]:
+    """Return one sentence for each disturbance that is left, since the run ended `seconds` s after its first
+    iteration. One that is left from the beginning is a robot that has not come."""
+    ended = f"the run ended {seconds:.3g} s after its first iteration"
+    return tuple(f"{each}: {ended}" + (f", before {each.robot} came" if each.at is None else "") for each in left)
 
 
 def _length(text: str, part: str) -> float:

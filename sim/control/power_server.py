@@ -47,10 +47,15 @@ class Power:
             self._processes.start(robot)
 
     def off(self, robot: str, now: float, seconds: float) -> None:
-        """Switch a robot off, and after so many seconds on."""
-        self.cycles[robot] += 1
-        self._switch_off(robot)
-        self._off[robot] = now + seconds
+        """Switch a robot off, and after so many seconds on. One that is off already stays so for longer."""
+        if robot not in self._off:
+            self.cycles[robot] += 1
+            self._switch_off(robot)
+        self._off[robot] = max(self._off.get(robot, 0.0), now + seconds)
+
+    def is_off(self, robot: str) -> bool:
+        """Return whether a robot is switched off."""
+        return robot in self._off
 
     def close(self) -> None:
         self._socket.close()

@@ -145,11 +145,13 @@ class Processes:
                 child.process = None
             child.restart_at = None
 
-    def end(self, robot: str, service: str) -> None:
-        """End the process of a robot's service at once; it is started again."""
+    def end(self, robot: str, service: str) -> bool:
+        """End the process of a robot's service at once; it is started again. Return False where it does not run."""
         child = self.find(robot, service)
-        if child is not None and child.process is not None:
-            child.process.kill()
+        if child is None or child.process is None:
+            return False
+        child.process.kill()
+        return True
 
     def start(self, robot: str) -> None:
         """Boot a robot that `kill` has ended: whatever went before is forgotten."""

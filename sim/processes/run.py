@@ -18,7 +18,17 @@ from sim.control.power_server import Power
 from sim.control.send_action import do
 from sim.core import actions
 from sim.core.start_timeout import START_LIMIT_S, StartTimeout
-from sim.disturbances import Cut, Disturbance, Kill, Off, ScheduledPress, ScheduledPush, never
+from sim.disturbances import (
+    NOT_RUNNING,
+    SWITCHED_OFF,
+    Cut,
+    Disturbance,
+    Kill,
+    Off,
+    ScheduledPress,
+    ScheduledPush,
+    never,
+)
 from sim.processes import footprint
 from sim.processes.monitor import Monitor, Seen
 from sim.processes.processes import APP_FAULT, Processes
@@ -88,6 +98,8 @@ class ProcessRun:
         timed = (each for each in scenario.disturbances if each.at is not None)
         self._disturbances = sorted(timed, key=lambda each: each.at or 0.0)
         """What is still to happen."""
+        self._impossible: list[str] = []
+        """One sentence for each disturbance that was not possible when its time had come."""
 
     def __enter__(self) -> "ProcessRun":
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -199,13 +211,16 @@ class ProcessRun:
         }
 
     def _has_started(self, seen: Mapping[str, Seen], missing: Mapping[str, Sequence[str]]) -> bool:
+        """Return whether all robots have begun that are not still to come."""
+        present = {name: robot for name, robot in seen.items() if name not in self._late}
+        ready = bool(present) and not any(missing[name] for name in present)
         if self._scenario.app is None:
-            return not any(missing.values())
+            return ready
         if not self._scenario.steps:  # it may wait for a button, or a message, for ever
-            return not any(missing.values()) and all(
-                robot.progress is not None and robot.progress.phase == "running" for robot in seen.values()
+            return ready and all(
+                robot.progress is not None and robot.progress.phase == "running" for robot in present.values()
             )
-        return all(_iteration(robot) >= 1 or _failed(robot) for robot in seen.values())
+        return bool(present) and all(_iteration(robot) >= 1 or _failed(robot) for robot in present.values())
 
     def _is_done(self, seen: Mapping[str, Seen], elapsed: float) -> bool:
         faults = _faults(seen)
@@ -225,24 +240,32 @@ class ProcessRun:
 
     def _let_happen(self, what: Disturbance, now: float) -> None:
         self._progress.say(str(what))
+        try:
+            self._do(what, now)
+        except LocalError as error:
+            self._impossible.append(f"{what}: {error}")
+            self._progress.say(f"warning: {self._impossible[-1]}")
+
+    def _do(self, what: Disturbance, now: float) -> None:
+        """Do it; raises `LocalError` where it is not possible at this moment."""
         match what:
             case Cut(a, b, _, seconds):
                 cut(self._run_dir, a, b, seconds)
+            case Off(robot, _, seconds) if robot in self._late:
+                self._late[robot] = max(self._late[robot], now - self._commanded + seconds)
             case Off(robot, _, seconds):
                 self._power.off(robot, now, seconds)
+            case Kill(robot) | ScheduledPress(robot) | ScheduledPush(robot) if (
+                robot in self._late or self._power.is_off(robot)
+            ):
+                raise LocalError(SWITCHED_OFF)
             case Kill(robot, service):
-                self._processes.end(robot, f"app/{self._scenario.app}" if service == "app" else service)
+                if not self._processes.end(robot, f"app/{self._scenario.app}" if service == "app" else service):
+                    raise LocalError(NOT_RUNNING)
             case ScheduledPress(robot, button):
-                self._act(robot, actions.Press(button, PRESS_S))
+                do(self._run_dir / robot, actions.Press(button, PRESS_S))
             case ScheduledPush(robot, _, impulse):
-                self._act(robot, actions.Push(impulse))
-
-    def _act(self, robot: str, act: actions.SimulationAction) -> None:
-        """Lay a hand on a robot; its body may be away for a moment."""
-        try:
-            do(self._run_dir / robot, act)
-        except LocalError as error:
-            self._progress.say(f"warning: {error}")
+                do(self._run_dir / robot, actions.Push(impulse))
 
     def _refresh(self, now: float) -> None:
         """Have every mesh's counters as they are at the end; one that does not answer keeps the last it told."""
@@ -266,6 +289,8 @@ class ProcessRun:
     def _outcome(self, started: float | None) -> RunOutcome:
         names = self._scenario.config.names
         now = clock.now()
+        absent = [each for each in self._scenario.disturbances if each.at is None and each.robot in self._late]
+        left = [*absent, *self._disturbances]
         self._refresh(now)
         seen = self._monitor.look()
         if self._options.seconds is not None:
@@ -278,9 +303,9 @@ class ProcessRun:
             late = json.loads((self._run_dir / RADIO / LATENESS).read_text())
         paths = self._trajectories(self._scenario.app) if self._scenario.app is not None else {}
         beside = {each.app: self._trajectories(each.app) for each in self._beside.values()}
-        firsts = [path.first_reached() for path in paths.values()]
+        firsts = [path.first_reached() for name, path in paths.items() if name not in self._scenario.late]
         reached = [at for at in firsts if at is not None]
-        if len(reached) == len(names):
+        if reached and len(reached) == len(firsts):
             started = max(reached)
         return RunOutcome(
             scenario=self._scenario,
@@ -303,7 +328,7 @@ class ProcessRun:
             moves_from=self._moves_from,
             beside=beside,
             radio=late,
-            never=never(self._disturbances, (), 0.0 if started is None else now - started),
+            never=(*self._impossible, *never(left, 0.0 if started is None else now - started)),
         )
 
 

@@ -30,7 +30,7 @@ from sim.virtual.world import Launch, VirtualWorld
 from swarm.app.run_options import RunOptions
 from swarm.config.dump import dump
 from swarm.config.types import GRAPH
-from swarm.errors import ConfigError
+from swarm.errors import ConfigError, LocalError
 from swarm.messages import AppEpoch, AppLog, AppParameters
 from swarm.recording import folder
 from swarm.recording.recorded_topics import TOPICS
@@ -118,6 +118,9 @@ class VirtualRun:
         self._beside = {each.app: self._records_of(each.app) for each in scenario.beside}
         self._late = scenario.late
         self._happened: list[Disturbance] = []
+        """The disturbances whose time has come."""
+        self._impossible: list[str] = []
+        """One sentence for each that was not possible then."""
         self._running = set(names)
         self._missing_first = set(names) - self._late.keys()
         self._epoch = (0, 0)
@@ -256,6 +259,12 @@ class VirtualRun:
     def _let_happen(self, what: Disturbance) -> None:
         self._happened.append(what)
         self._last_progress = self.world.time.now  # what follows of it may take as long again
+        try:
+            self._do(what)
+        except LocalError as error:
+            self._impossible.append(f"{what}: {error}")
+
+    def _do(self, what: Disturbance) -> None:
         match what:
             case ScheduledPress(robot, button):
                 self.world.act(robot, actions.Press(button, PRESS_S))
@@ -326,7 +335,9 @@ class VirtualRun:
 
     def _never(self, ended_at: float) -> tuple[str, ...]:
         started = ended_at if self._started is None else self._started
-        return never(self._scenario.disturbances, self._happened, ended_at - started)
+        come = [each for each in self._scenario.disturbances if each.at is None and ended_at >= each.seconds]
+        left = [each for each in self._scenario.disturbances if each not in (*come, *self._happened)]
+        return (*self._impossible, *never(left, ended_at - started))
 
     def _seen(self) -> Json:
         return scene.seen(self._scenario, self._scene_record, self.world.contacts, 0.0)

@@ -24,6 +24,7 @@ from services.mesh.core.routing.topology import Advertisement
 from services.mesh.links.radio_model import AirModel
 from sim.core.actions import SimulationAction
 from sim.core.scene_record import SceneRecord
+from sim.disturbances import NOT_RUNNING, SWITCHED_OFF
 from sim.scenario.options import DELAY, FROM_START, SETTLED
 from sim.scene import contacts_of
 from sim.slots.parameters import SlotParameters
@@ -44,6 +45,7 @@ from swarm.app.run_options import RunOptions
 from swarm.app.sync_app import SyncApp
 from swarm.app.truth import RobotTruth, told
 from swarm.config import Config
+from swarm.errors import LocalError
 from swarm.messages import Target
 from swarm.messages.codec import Value
 from swarm.messages.keys import key
@@ -171,7 +173,7 @@ class VirtualWorld:
         there.off_until = max(there.off_until, self.time.now + seconds)
         if not there.balancer.powered:
             return  # it stays off for longer
-        begun = [launch for (name, _), launch in self._launched.items() if name == robot]
+        begun = self._launches(robot)
         for app in tuple(there.apps):
             self._end(there, app)
         there.storage.forget()
@@ -182,20 +184,29 @@ class VirtualWorld:
         self.time.at(self.time.now + seconds, self._switch_on, robot, begun)
 
     def kill_app(self, robot: str, app: str) -> None:
-        """End an app's process at once; it is started again, and goes on from its snapshots."""
-        there = self.robots[robot]
-        if app in there.apps:
-            self._end(there, app)
-            begun = [self._launched[robot, app]]
-            self.time.at(self.time.now + RESTART_DELAY_S, self._start_again, there, begun)
+        """End an app's process at once; it is started again, and goes on from its snapshots. Raises `LocalError` where
+        it does not run."""
+        there = self._powered(robot)
+        if app not in there.apps:
+            raise LocalError(NOT_RUNNING)
+        self._end(there, app)
+        begun = [self._launched[robot, app]]
+        self.time.at(self.time.now + RESTART_DELAY_S, self._start_again, there, begun)
 
     def kill_mesh(self, robot: str) -> None:
-        """End a robot's mesh at once; it is started again."""
-        there = self.robots[robot]
+        """End a robot's mesh at once; it is started again. Raises `LocalError` where it does not run."""
+        there = self._powered(robot)
         if isinstance(there.mesh, VirtualMesh) and not there.mesh.running:
-            return  # switched off already
+            raise LocalError(NOT_RUNNING)
         self._kill_mesh(robot, RESTART_DELAY_S)
         self.time.at(self.time.now + RESTART_DELAY_S, self._start_again, there, [])
+
+    def _powered(self, robot: str) -> VirtualRobot:
+        """Return a robot that is on. Raises `LocalError` where it is switched off."""
+        there = self.robots[robot]
+        if not there.balancer.powered:
+            raise LocalError(SWITCHED_OFF)
+        return there
 
     def _kill_mesh(self, robot: str, seconds: float) -> None:
         """End a mesh. Where there are the delays of a mesh alone, messages stay away for `seconds`."""
@@ -232,14 +243,18 @@ class VirtualWorld:
     def _switch_on(self, robot: str, begun: list[Launch]) -> None:
         there = self.robots[robot]
         if self.time.now < there.off_until:
-            self.time.at(there.off_until, self._switch_on, robot, begun)
+            # The apps of a robot that was to come meanwhile have been launched, and have not begun.
+            self.time.at(there.off_until, self._switch_on, robot, self._launches(robot))
             return
         there.balancer.switch_on()
         self._start_again(there, begun)
 
+    def _launches(self, robot: str) -> list[Launch]:
+        return [launch for (name, _), launch in self._launched.items() if name == robot]
+
     def act(self, robot: str, act: SimulationAction) -> None:
-        """Let a person do something to a robot."""
-        self.robots[robot].balancer.act(act)
+        """Let a person do something to a robot. Raises `LocalError` where it is switched off."""
+        self._powered(robot).balancer.act(act)
 
     def start_app(self, robot: str, launch: Launch, after: float = 0.0) -> None:
         """Start an app's host after so many s; with an automatic topology it begins when that links all robots."""

@@ -1,9 +1,12 @@
 """Failures as part of an experiment: for every kind of app, by time and by seed, and told when they did not happen."""
 
+import re
 from pathlib import Path
 
+import fork_server
 import pytest
 
+from bench.rigs.simulation import Simulation
 from sim.disturbances import Cut, Off, cut, drawn, off
 from sim.virtual.run import simulate
 from swarm.errors import ConfigError
@@ -93,6 +96,46 @@ def test_what_never_happened_is_named() -> None:
     )
     (never,) = report["never"]
     assert never.startswith("--cut r0-r1@5s,60s: the run ended 1.")
+
+
+ABSENT = (
+    *("consensus", "--robots", "5", "--topology", "full", "--seconds", "6", "--absent", "drop", "--drop-after", "1"),
+    *("--off", "r2@0.5s,60s", "--off", "r1@start,90s", "--cut", "r0-r2@1s,60s", "--cut", "r0-r1@50s,1s"),
+    *("--kill", "r2.app@1.5s", "--kill", "r1.mesh@1.5s", "--kill", "r0.mesh@1s", "--kill", "r0.mesh@1.05s"),
+    *("--press", "r2.A@1.5s", "--push", "r1@1.5s"),
+)
+NEVER = {
+    "--kill r2.app@1.5s: the robot was switched off then",
+    "--kill r1.mesh@1.5s: the robot was switched off then",
+    "--kill r0.mesh@1.05s: the service did not run then",
+    "--press r2.A@1.5s: the robot was switched off then",
+    "--push r1@1.5s,0.1: the robot was switched off then",
+    "--off r1@start,90s: the run ended 6 s after its first iteration, before r1 came",
+    "--cut r0-r1@50s,1s: the run ended 6 s after its first iteration",
+}
+
+
+def test_acts_on_a_robot_that_is_off_and_a_robot_that_never_came_are_named_under_virtual_time() -> None:
+    report, outcome = simulate(*ABSENT)
+    assert set(report["never"]) == NEVER
+    assert len(report["never"]) == len(NEVER)
+    assert outcome.bodies["r1"].tilt == 0.0
+
+
+@pytest.mark.slow
+def test_acts_on_a_robot_that_is_off_and_a_robot_that_never_came_are_named_between_processes() -> None:
+    with Simulation(*ABSENT, program=("laptop.cli.runs.sim",), start=fork_server.start) as simulation:
+        named = {re.sub(r"ended 6\.\d+ s", "ended 6 s", sentence) for sentence in simulation.finish()["never"]}
+    assert named == NEVER
+
+
+def test_a_late_robot_that_is_switched_off_comes_when_it_is_on_again() -> None:
+    late = ("--off", "r2@start,4s", "--off", "r2@1s,6s")
+    report, outcome = simulate(
+        "consensus", "--robots", "3", "--seconds", "12", "--absent", "drop", "--drop-after", "0.5", *late
+    )
+    assert (report["never"], report["missing"]) == ([], [])
+    assert outcome.trajectories["r2"].last > 0
 
 
 def test_the_seed_draws_times_and_robots() -> None:

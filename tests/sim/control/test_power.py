@@ -59,6 +59,18 @@ def test_its_processes_end_and_its_memory_is_lost(tmp_path: Path, processes: Pro
     assert pid_of(tmp_path, "r0", "bus") not in (None, old.pid)
 
 
+def test_a_robot_that_is_off_already_stays_off_for_the_longest_time(
+    tmp_path: Path, processes: Processes, switches: Power
+) -> None:
+    switches.off("r0", 10.0, 5.0)
+    switches.off("r0", 11.0, 1.0)
+    switches.look(14.9)
+    assert switches.is_off("r0")
+    switches.look(15.0)
+    assert not switches.is_off("r0")
+    assert switches.cycles["r0"] == 1
+
+
 def test_a_boot_forgets_that_a_service_was_given_up(tmp_path: Path, processes: Processes, switches: Power) -> None:
     child = processes.of("r0")[0]
     for now in range(5):
