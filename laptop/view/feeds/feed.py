@@ -115,9 +115,11 @@ class SimulationFeed(RealTime):
         """Whether the run was still going on at the last look."""
         self.config: Config | None = None
         """The swarm's configuration; None until it is known."""
+        self._config_time = 0
+        """When its file was written, ns."""
         self.buses: dict[str, Bus] = {}
         """The bus of each robot."""
-        self._traffic: list[Traffic] = []
+        self._traffic: dict[str, Traffic] = {}
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._look, name="feed", daemon=True)
         self._thread.start()
@@ -136,12 +138,27 @@ class SimulationFeed(RealTime):
     def _look(self) -> None:
         while not self._closing.wait(_LOOK_EVERY if self.buses else 0.05):
             self.live = is_live(self.directory)
-            if self.config is None:
-                self.config = config_of(self.directory)
+            self._read_config()
             if self.config is None or not self.buses.keys() >= set(self.config.names):
                 self._join()
-            for each in self._traffic:
+            for each in self._traffic.values():
                 each.look(self.now())
+
+    def _read_config(self) -> None:
+        """Read a configuration that has been written since, as by the next run in this directory, and leave robots that
+        are not in it."""
+        try:
+            written = (self.directory / CONFIG).stat().st_mtime_ns
+        except OSError:
+            return  # between two runs
+        if written == self._config_time or (config := config_of(self.directory)) is None:
+            return
+        self._config_time, self.config = written, config
+        gone = {name: bus for name, bus in self.buses.items() if name not in config.names}
+        self.buses = {name: bus for name, bus in self.buses.items() if name not in gone}
+        for name, bus in gone.items():
+            self._traffic.pop(name, None)
+            bus.close()
 
     def _join(self) -> None:
         """Watch the buses that have come."""
@@ -150,7 +167,7 @@ class SimulationFeed(RealTime):
                 bus = Bus(bus_endpoint(runtime))
                 self.buses = {**self.buses, name: bus}  # others may be going through it
                 watch(bus, name, self._taker(name), self._alive)
-                self._traffic.append(Traffic(bus, name, self._counter(name)))
+                self._traffic[name] = Traffic(bus, name, self._counter(name))
 
     def _taker(self, robot: str) -> Callable[[str, bytes], None]:
         def take(key: str, payload: bytes) -> None:

@@ -4,6 +4,7 @@ import argparse
 import asyncio
 import json
 import math
+import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,12 +21,12 @@ from laptop.cli import main
 from laptop.view import live, server
 from laptop.view.actions.control import ANSWER_S, DRIVE_S, Control
 from laptop.view.actions.simulated_actions import SimulatedActions
-from laptop.view.feeds.feed import SimulationFeed
+from laptop.view.feeds.feed import _LOOK_EVERY, SimulationFeed
 from laptop.view.server import application
 from swarm.errors import LocalError
 from swarm.messages import SetMode, SetVelocity, Status
 from swarm.messages.codec import encode
-from swarm.process.simulations import claim
+from swarm.process.simulations import CONFIG, claim
 
 TOKEN = "a-token"
 
@@ -53,6 +54,22 @@ def feed(tmp_path: Path):
         feed.buses = {"r0": Bus(), "r1": Bus()}
         yield feed
         feed.close()
+
+
+def test_the_page_of_a_simulation_follows_the_next_run_in_its_directory(feed: SimulationFeed) -> None:
+    def begin(*names: str) -> None:
+        table = "".join(f'[[robots]]\nname = "{name}"\nlink = "sim:/tmp/{name}"\n' for name in names)
+        (feed.directory / CONFIG).write_text(f'network = "x"\ntopology = "auto"\n[mesh]\ninsecure = true\n{table}')
+
+    begin("r0", "r1")
+    wait_until(lambda: feed.config is not None and feed.config.names == ("r0", "r1"))
+    feed.buses["r2"] = Bus()
+    begin("r1", "r2")
+    wait_until(lambda: feed.config.names == ("r1", "r2"))
+    wait_until(lambda: sorted(feed.buses) == ["r1", "r2"])
+    (feed.directory / CONFIG).unlink()  # between two runs the page keeps what it has
+    time.sleep(2 * _LOOK_EVERY)
+    assert feed.config.names == ("r1", "r2")
 
 
 def talk(feed: SimulationFeed, act: Any, *, allowed: bool = False) -> None:
