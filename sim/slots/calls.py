@@ -9,7 +9,7 @@ pages one at a time; what else its host wants waits (newer Linux kernels; older 
 from collections import deque
 from collections.abc import Callable
 
-from sim.slots.devices import PAGE, RadioLink
+from sim.slots.devices import PAGE, RadioDevice, RadioLink
 from sim.slots.radio import EventClock, SlotRadio
 
 ABSENT = "not in range, switched off, or deaf"
@@ -70,6 +70,14 @@ class Calls:
         call.done = lambda link, reason: None
         self._end(call, "")
 
+    def switch_off(self, name: str) -> None:
+        """Forget the calls of a device that has lost its power."""
+        waiting, self._waiting[name] = self._waiting[name], deque()
+        for call in waiting:
+            self.cancel(call)
+        if (paging := self._paging.get(name)) is not None:
+            self.cancel(paging)
+
     def _next(self, caller: str) -> None:
         radio = self._radio
         while caller not in self._paging and self._waiting[caller]:
@@ -101,11 +109,12 @@ class Calls:
         for caller, call in self._paging.items():
             if call.called == name and radio.devices[caller].is_in(PAGE, now):
                 if radio.passes(caller, name):
-                    self._clock.at(now + parameters.page_answer, self._answered, call)
+                    self._clock.at(now + parameters.page_answer, self._answered, call, device)
                 return
 
-    def _answered(self, call: CallAttempt) -> None:
-        if self._paging.get(call.caller) is not call:
+    def _answered(self, call: CallAttempt, device: RadioDevice) -> None:
+        """Make the link, unless the device that has heard the page has lost its power meanwhile."""
+        if self._paging.get(call.caller) is not call or self._radio.devices[call.called] is not device:
             return
         self._hang_up_page(call)
         call.link = link = self._radio.connect(call.caller, call.called)

@@ -68,6 +68,11 @@ class RadioConnections:
         """Make a link; see `Calls.call`."""
         self._calls.call(caller, called, DIAL_TIMEOUT, done)
 
+    def switch_off(self, robot: str) -> None:
+        """Let a robot that loses its power fall silent: its neighbours lose their links by supervision."""
+        self.radio.switch_off(robot)
+        self._calls.switch_off(robot)
+
     def join(self, near: End, far: End) -> None:
         """Make a connection of two ends of one link."""
         near.other, far.other = far, near

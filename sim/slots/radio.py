@@ -123,7 +123,8 @@ class SlotRadio:
             self._refill(end.device)
         if not c.central_of:
             self.leave_role(c, c.name)
-        self.leave_role(p, c.name)
+        if all(each.central.device.name != c.name for each in p.links):  # else with a new device of that name
+            self.leave_role(p, c.name)
 
     def send(self, link: RadioLink, sender: str, size: int, arrived: Callable[[], None]) -> None:
         """Send a frame of so many bytes; `arrived()` is called when the other end's host has it, unless the link is
@@ -169,8 +170,8 @@ class SlotRadio:
     # -- where a device is -------------------------------------------------------------------------------------
 
     def take_role(self, device: RadioDevice, role: str) -> None:
-        """Add a role among which a device shares its time."""
-        if role in device.roles:
+        """Add a role among which a device shares its time. One without power has none."""
+        if role in device.roles or self.devices[device.name] is not device:
             return
         device.roles.append(role)
         if len(device.roles) == 1:

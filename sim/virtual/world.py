@@ -178,6 +178,7 @@ class VirtualWorld:
             self._end(there, app)
         there.storage.forget()
         there.balancer.switch_off(falls=falls)
+        self.air.switch_off(robot)
         self._kill_mesh(robot, seconds)
         if isinstance(there.mesh, VirtualMesh):
             there.mesh.kept_stops = b""

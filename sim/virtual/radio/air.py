@@ -36,6 +36,9 @@ class Medium(Protocol):
     def cut(self, a: str, b: str, seconds: float) -> None:
         """Let nothing pass between two robots for a while; what is under way arrives afterwards."""
 
+    def switch_off(self, robot: str) -> None:
+        """Let a robot that is about to end lose its power: a radio carries its last words no more."""
+
     def dial(self, caller: "Station", peer: str) -> None:
         """Make a connection, and tell both ends of it; or tell the caller that there is none."""
 
@@ -175,6 +178,9 @@ class Air:
         """Let nothing pass between two robots for a while; what is under way arrives afterwards."""
         pair = frozenset((a, b))
         self.cuts[pair] = max(self.cuts.get(pair, 0.0), self._time.now + seconds)
+
+    def switch_off(self, robot: str) -> None:
+        """Do nothing: the other end of a pipe hears of its end whatever has ended it."""
 
     def dial(self, caller: Station, peer: str) -> None:
         """Make a connection, and tell both ends of it; or tell the caller that there is none."""

@@ -217,6 +217,56 @@ def test_a_device_that_falls_silent_is_lost_by_supervision_and_its_name_is_free(
     assert [device.roles for device in swarm.radio.devices.values()] == [[], ["d"], [], ["d"]]
 
 
+def test_a_device_that_is_new_under_its_name_keeps_its_link_when_the_old_one_is_lost():
+    swarm = Swarm([("a", "b")], replace(EXACT, supervision=2.0))
+    swarm.run(1.0)
+    swarm.radio.switch_off("a")
+    again = swarm.radio.connect("a", "b")
+    swarm.run(4.0)
+    assert [link for link, _ in swarm.lost] == [("a", "b")]
+    heard = []
+    swarm.radio.send(again, "b", 10, lambda: heard.append(swarm.time.now))
+    swarm.run(5.0)
+    assert heard
+    assert [device.roles for device in swarm.radio.devices.values()] == [["a"], ["a"]]
+
+
+def test_a_device_without_power_hears_nothing_whatever_its_neighbours_do_with_the_link():
+    swarm = Swarm([("a", "b")], replace(EXACT, supervision=2.0))
+    link = swarm.links["a", "b"]
+    dead = swarm.radio.devices["a"]
+    swarm.run(1.0)
+    swarm.radio.switch_off("a")
+    swarm.radio.be_central("b", link)
+    swarm.send(("a", "b"), "b", 10, 0)
+    swarm.run(4.0)
+    assert dead.tuned is None
+    assert swarm.heard == []
+    assert [link for link, _ in swarm.lost] == [("a", "b")]
+
+
+def test_a_call_of_or_to_a_device_that_loses_its_power_makes_no_link():
+    swarm = Made(["a", "b", "c"])
+    swarm.call("a", "b")
+    swarm.call("c", "a")
+    scanned = swarm.calls._answered
+
+    def answered(call, *rest):  # it was heard in a scan, and the power is cut before the answer
+        if call.called == "a":
+            swarm.radio.switch_off("a")
+            swarm.calls.switch_off("a")
+        scanned(call, *rest)
+
+    swarm.calls._answered = answered
+    swarm.run(40.0)
+    assert ("c", "a") not in swarm.made
+    assert swarm.failed["c", "a"][0] == ABSENT
+    assert ("a", "b") not in swarm.made or not swarm.made["a", "b"][0].up
+    swarm.call("b", "c")
+    swarm.run(60.0)
+    assert ("b", "c") in swarm.made
+
+
 def test_a_cut_link_is_lost_after_its_supervision_time_out():
     swarm = Swarm([("a", "b"), ("a", "c")], replace(EXACT, supervision=2.0))
     swarm.time.at(10.0, setattr, swarm.radio, "passes", lambda a, b: {a, b} != {"a", "b"})

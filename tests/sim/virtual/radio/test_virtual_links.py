@@ -83,20 +83,23 @@ SILENT = [word for place in range(1, 6) for word in ("--cut", f"r0-r{place}@1s,1
 
 
 @pytest.mark.parametrize(
-    "lost",
+    ("lost", "most"),
     [
-        pytest.param(["--off", "r0@1s,14s", "--seconds", "26"], id="off"),
-        pytest.param([*SILENT, "--seconds", "26"], id="silent"),
-        pytest.param(["--radio", "slots", "--off", "r0@1s,30s", "--seconds", "55"], id="slots", marks=pytest.mark.slow),
+        pytest.param(["--off", "r0@1s,14s", "--seconds", "26"], 10, id="off"),
+        pytest.param([*SILENT, "--seconds", "26"], 10, id="silent"),
+        # The hub's robots lose it by the supervision time-out, which is 11 s while round trips of the start count.
+        pytest.param(
+            ["--radio", "slots", "--off", "r0@1s,30s", "--seconds", "55"], 20, id="slots", marks=pytest.mark.slow
+        ),
     ],
 )
-def test_when_the_hub_is_lost_the_others_go_on_without_it_and_with_it_when_it_is_back(lost):
+def test_when_the_hub_is_lost_the_others_go_on_without_it_and_with_it_when_it_is_back(lost, most):
     options = parse([*SIX, *DROP, "--virtual", "--latency", "100ms", "--links", "star", *lost])
     run = VirtualRun(options, build(options, PLACE))
     moments = moments_of(run, "r1")
     outcome = run.go()
     assert outcome.problems == ()
-    assert 2 < max(after - before for before, after in pairwise(moments)) < 10
+    assert 2 < max(after - before for before, after in pairwise(moments)) < most
     ends = {name: path.last for name, path in outcome.trajectories.items()}
     assert max(ends.values()) - min(ends.values()) <= 2  # r0, too
     topology = run.world.robots["r1"].mesh.look(lambda overlays, now: overlays.topology(now))
@@ -105,7 +108,7 @@ def test_when_the_hub_is_lost_the_others_go_on_without_it_and_with_it_when_it_is
 
 @pytest.mark.parametrize("seed", thinned([0, 1]))
 def test_successors_of_a_hub_lost_just_after_the_start_are_not_called_by_who_knocks_at_it(seed):
-    assert 2 < fail_over("thesis-d 6", seed) < 10
+    assert 2 < fail_over("thesis-d 6", seed) < 14  # with the supervision time-out, by which the hub is lost
 
 
 @pytest.mark.slow

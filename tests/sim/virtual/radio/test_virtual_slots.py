@@ -73,6 +73,52 @@ def test_a_robot_that_was_absent_has_all_of_its_links_again_soon(seed):
     assert [link.state for link in world.robots["r2"].mesh.links().links] == ["up", "up"]
 
 
+def noticed_after(happens, robot="r2", neighbour="r1"):
+    """How long after `happens(world)` a neighbour's link with the robot is no longer up, s, and what it says."""
+    options = parse([*CONSENSUS[:5], "--virtual", "--radio", "slots", "--iterations", "20000"])
+    world = VirtualRun(options, build(options, PLACE)).world
+    world.time.run(20.0)
+    happens(world)
+    while world.time.now < 60.0:
+        (link,) = [link for link in world.robots[neighbour].mesh.links().links if link.peer == robot]
+        if link.state not in ("up", "suspect"):
+            return world.time.now - 20.0, link.reason, world
+        world.time.run(world.time.now + 0.01)
+    raise AssertionError("it is never noticed")
+
+
+def test_a_power_cut_is_noticed_after_the_supervision_time_out_and_the_end_of_a_mesh_at_once():
+    waited, _, _ = noticed_after(lambda world: world.kill_mesh("r2"))
+    assert waited < 0.3
+    waited, reason, world = noticed_after(lambda world: world.switch_off("r2", 8.0))
+    assert 1.5 < waited < 3.0
+    assert reason == "silent: the radio gave the link up"
+    world.time.run(60.0)
+    states = {name: {link.peer: link.state for link in each.mesh.links().links} for name, each in world.robots.items()}
+    assert states["r1"] == {"r0": "up", "r2": "up"}
+    assert states["r2"]["r1"] == "up"
+
+
+@pytest.mark.parametrize("seconds", [0.05, 0.5, 1.5, 2.5])
+@pytest.mark.parametrize("robot", ["r0", "r1", "r2"])
+def test_a_robot_that_is_on_again_before_its_links_are_given_up_has_them_again(robot, seconds):
+    options = parse([*CONSENSUS[:5], "--virtual", "--radio", "slots", "--iterations", "20000"])
+    world = VirtualRun(options, build(options, PLACE)).world
+    world.time.run(20.0)
+    world.switch_off(robot, seconds)
+    world.time.run(80.0)
+    for name, each in world.robots.items():
+        up = {link.peer for link in each.mesh.links().links if link.state == "up"}
+        assert up >= set(world.config.neighbours(name)), name
+    radio = world.air.radio
+    for device in radio.devices.values():
+        assert all(
+            end.device is radio.devices[end.device.name]
+            for link in device.links
+            for end in (link.central, link.peripheral)
+        )
+
+
 def test_a_report_says_how_late_the_radio_of_real_processes_was():
     late = {"frames": 300, "late_mean_s": 0.0005, "late_most_s": 0.012, "stood_still_s": 2.0}
     outcome = replace(simulate(*CONSENSUS)[1], radio=late)
