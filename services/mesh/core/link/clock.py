@@ -67,8 +67,16 @@ ROOT_LOST = 5.0
 """Seconds without a new epoch after which a root is given up, and the smallest name left takes over."""
 
 LISTEN = 10.0
-"""Seconds after its start in which a robot follows any root that is older than that, rather than be root itself: the
-swarm's time survives a restart of the smallest name."""
+"""Seconds in which a robot that was started anew follows a settled root, rather than be root itself: the swarm's time
+survives a restart of the smallest name."""
+
+COMPANY = 60.0
+"""Seconds after its first neighbour's claim after which a robot that has met no settled root is settled itself. Two
+robots that were started together meet each other at once, the swarm perhaps by their second knock at 24 to 48 s."""
+
+ALONE = 150.0
+"""Seconds after its start after which a robot that has heard nobody is settled: neighbours that have taken it for
+absent may call it once in 142 s, and knock after knock may go to robots that are off."""
 
 MAX_HOPS = 255
 _MAX_SAMPLES = 256
@@ -91,7 +99,7 @@ class ClockClaim(NamedTuple):
     child: bool
     """Whether the sender follows the receiver, which must not follow it in turn."""
     settled: bool
-    """Whether the root was started longer than `LISTEN` ago."""
+    """Whether the root has the time of a settled one, or had long enough to meet one."""
     at: float
     """Sender's monotonic clock, s, for which the following hold."""
     offset: float
@@ -233,8 +241,8 @@ class _Root(NamedTuple):
     """When that came."""
     settled: bool
     early: bool
-    """Whether this robot first heard of it within its own first `LISTEN` seconds. A root of which it first hears later
-    was started later: it has no time of its own yet, and takes over ours before it is followed."""
+    """Whether this robot first heard of it before it was settled itself. A root of which it first hears later was
+    started later: it has no time of its own yet, and takes over ours before it is followed."""
 
 
 class ClockSync:
@@ -248,7 +256,10 @@ class ClockSync:
         self._neighbours: dict[str, _Neighbour] = {}
         self._roots: dict[tuple[str, int], _Root] = {}
         """What was heard of each root and incarnation."""
-        self._started: float | None = None
+        self._settles_at = math.inf
+        """The time from which this robot is settled; `inf` before its start."""
+        self._alone = True
+        """Whether no neighbour's claim has come yet."""
         self._root = (robot, self._incarnation)
         self._followed = robot
         """The robot whose time this is: the root as soon as there is a way to it."""
@@ -277,6 +288,10 @@ class ClockSync:
         if claim.root not in self._robots or claim.root == self._robot:
             # Who still follows our own earlier process will hear of this one.
             claim = claim._replace(root=peer, child=True)
+        if self._alone:
+            self._alone = False
+            if now < self._settles_at:
+                self._settles_at = now + COMPANY
         neighbour = self._neighbour(peer)
         before, neighbour.claim = neighbour.claim, claim
         if claim.child:
@@ -286,7 +301,7 @@ class ClockSync:
             neighbour.advanced = now
         known = self._roots.get(root)
         if known is None or claim.epoch > known.epoch:
-            early = known.early if known is not None else self._started is None or now < self._started + LISTEN
+            early = known.early if known is not None else now < self._settles_at
             self._roots[root] = _Root(claim.epoch, now, claim.settled, early)
             if len(self._roots) > _MAX_ROOTS:
                 del self._roots[min(self._roots, key=lambda each: self._roots[each].at)]
@@ -330,8 +345,8 @@ class ClockSync:
         return found
 
     def _update(self, now: float) -> None:
-        if self._started is None:
-            self._started = now
+        if self._settles_at == math.inf:
+            self._settles_at = now + ALONE
         passed = now - self._at
         self._offset += self._rate * passed
         self._at = now
@@ -342,7 +357,7 @@ class ClockSync:
             if now >= self._own_epoch_at + EPOCH_PERIOD:
                 self._own_epoch, self._own_epoch_at = self._own_epoch + 1, now
             self._epoch = self._own_epoch
-            self._settled = now >= self._started + LISTEN
+            self._settled = now >= self._settles_at
             return
         self._parent = self._choose_parent(now)
         if self._parent is None:
@@ -356,6 +371,8 @@ class ClockSync:
         self._hop = parent.claim.hop + 1
         self._epoch = parent.claim.epoch
         self._settled = parent.claim.settled
+        if self._settled:
+            self._settles_at = min(self._settles_at, now + LISTEN)
         self._follow(parent.claim, parent.link.fit, now)
         self._followed = self._root[0]
 
@@ -373,9 +390,8 @@ class ClockSync:
 
     def _choose_root(self, now: float) -> tuple[str, int]:
         """The smallest name heard of lately, or the own one; of two incarnations the one heard of last."""
-        assert self._started is not None
         lately = [(root, each) for root, each in self._roots.items() if now < each.at + ROOT_LOST]
-        listens = now < self._started + LISTEN and any(each.settled for _, each in lately)
+        listens = now < self._settles_at and any(each.settled for _, each in lately)
         candidates = [
             (root[0], -each.at, root) for root, each in lately if each.settled or (each.early and not listens)
         ]

@@ -257,6 +257,75 @@ def test_a_root_whose_machine_was_started_anew_at_once_takes_over_the_time_of_th
     assert world.spread() < 0.02
 
 
+def started_anew(names: tuple[str, ...]) -> Clocks:
+    """A line of four that has run for a while, of which these machines were started anew and have no links yet."""
+    world = Clocks(shaped("line", 4), jitter=0.0)
+    world.run(200.0)
+    for name in names:
+        world.kill(name)
+    world.run(20.0)
+    world.dead.clear()
+    world.down.update(edge for edge in world.graph.edges if {*edge} & {*names})
+    world.stamps = {pair: stamps for pair, stamps in world.stamps.items() if not {*pair} & {*names}}
+    for number, name in enumerate(names):
+        world.clocks[name] = world.new(name, 2)
+        world.since[name] = 5.0 + number - world.now
+        world.times()  # its mesh clock is there at once
+    return world
+
+
+def furthest(world: Clocks, seconds: float) -> float:
+    """How far the mesh time of the robot that ran all the time is moved, s."""
+    before, apart = world.times()["r3"] - world.now, [0.0]
+    world.run(seconds, 0.5, lambda: apart.append(abs(world.times()["r3"] - world.now - before)))
+    return max(apart)
+
+
+@costly(20)
+@given(late=st.floats(0.0, clock.ALONE - 1.0))
+def test_a_root_started_anew_does_not_move_the_time_whenever_its_first_link_comes(late: float) -> None:
+    world = started_anew(("r0",))
+    world.at(world.now + late, world.down.clear)
+    assert furthest(world, late + 30.0) < 0.02
+    assert world.roots() == {"r0"}
+    assert world.spread() < 0.02
+
+
+@costly(20)
+@given(first=st.floats(0.0, clock.ALONE - 1.0), then=st.floats(0.0, clock.COMPANY - 1.0))
+def test_two_roots_started_anew_do_not_move_the_time_when_they_meet_each_other_first(first: float, then: float) -> None:
+    world = started_anew(("r0", "r1"))
+    world.at(world.now + first, lambda: world.down.discard(("r0", "r1")))
+    world.at(world.now + first + then, world.down.clear)
+    assert furthest(world, first + then + 40.0) < 0.02
+    assert world.roots() == {"r0"}
+    assert world.spread() < 0.02
+
+
+def test_a_root_started_anew_that_loses_its_first_link_at_once_does_not_move_the_time() -> None:
+    """A link that carried a claim but no sample of the clock has not told it the swarm's time."""
+    world = started_anew(("r0",))
+    claim = world.clocks["r1"].claim("r0", world.monotonic("r1"))
+    world.clocks["r0"].hear("r1", claim, world.monotonic("r0"))
+    world.clocks["r0"].lost("r1")
+    world.at(world.now + 30.0, world.down.clear)
+    assert furthest(world, 60.0) < 0.02
+    assert world.roots() == {"r0"}
+
+
+@costly(20)
+@given(st.lists(st.floats(0.0, 30.0), min_size=3, max_size=3))
+def test_robots_that_are_all_new_agree_as_soon_as_they_are_linked(late: list[float]) -> None:
+    world = Clocks(shaped("line", 4), jitter=0.0)
+    world.down.update(world.graph.edges)
+    for edge, time in zip(world.graph.edges, late, strict=True):
+        world.at(time, lambda edge=edge: world.down.discard(edge))  # type: ignore[misc]
+    assert world.roots() == {"r0", "r1", "r2", "r3"}
+    world.run(max(late) + 5.0)
+    assert world.roots() == {"r0"}
+    assert world.spread() < 0.02
+
+
 def test_after_a_link_was_down_its_neighbours_clock_is_compared_before_it_is_followed() -> None:
     """The neighbour's machine may have been started anew, and have joined the swarm by another link before."""
     each = ClockSync("r1", 1, frozenset(("r0", "r1")))
