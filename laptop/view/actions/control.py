@@ -44,6 +44,11 @@ class _Halt:
         """The time at which it was given, s."""
         self.confirmed: set[str] = set()
         """Robots that have said so. They are not told again: somebody else may give another command meanwhile."""
+        self.overruled = False
+        """Whether somebody else has given a later command: this one is not told to robots that come later."""
+        self._opposed: dict[str, int | None] = {}
+        """Of the confirmed robots whose buses have been there since: the version in which it first said the opposite.
+        A robot that was switched off is none of them, since it has forgotten its stops when it comes back."""
         self._version = version
         self._given: Counter[str] = Counter()
         """How often each robot was told while its bus was there."""
@@ -57,11 +62,18 @@ class _Halt:
         self._given[name] += bus.connected
 
     def look(self, name: str, bus: RobotBus, stopped: object, version: int) -> None:
-        """Look whether a robot confirms: it does by what it says afterwards. A mesh says nothing where nothing changes,
-        so what it said before counts when it was told often enough."""
-        says_so = isinstance(stopped, dict) and stopped.get("stopped") is self.stop
-        if says_so and bus.connected and (version > self._version or self._given[name] >= ENOUGH):
-            self.confirmed.add(name)
+        """Look what a robot says now. It confirms by what it says afterwards, or said before where it was told often
+        enough: its news may be lost. Where it says the opposite later, twice in a row, it obeys a later command."""
+        says = stopped.get("stopped") if isinstance(stopped, dict) else None
+        if not bus.connected:
+            self._opposed.pop(name, None)
+        elif says is self.stop:
+            if version > self._version or self._given[name] >= ENOUGH:
+                self.confirmed.add(name)
+                self._opposed[name] = None
+        elif says is not None and name in self._opposed:
+            first = self._opposed[name] = self._opposed[name] or version
+            self.overruled = self.overruled or version > first
 
 
 class Control:
@@ -125,7 +137,7 @@ class Control:
             if self._wanted is not wanted:
                 return  # a later one has gone out meanwhile
             late = [name for name in self._feed.buses if name not in wanted.confirmed]
-            if not late or (not wanted.stop and clock.now() > wanted.since + ANSWER_S):
+            if not late or wanted.overruled or (not wanted.stop and clock.now() > wanted.since + ANSWER_S):
                 self._wanted = None  # a robot that comes later learns from the others that a stop was taken back
                 return
             for name in late:
@@ -182,6 +194,8 @@ class Control:
         if settings and (silent := [robot for robot in robots if robot not in near]):
             raise LocalError(f"start: {' '.join(silent)} cannot be given parameters: no bus is reached there")
         values = on_top(AppConfig(), settings, robots)
+        for robot in robots:  # what an earlier run has not answered is not for this one
+            self._asked.pop((robot, str(asked["app"])), None)
         done = self._actions.acts["start"](asked)
         for robot in near if settings else ():
             self._let(robot, str(asked["app"]), values.of(robot), START_S)
@@ -225,7 +239,7 @@ class Control:
             if not answered and not late:
                 self._ask(robot, app, request)
             elif self._asked.get((robot, app), (None,))[0] is request:  # none newer came meanwhile
-                del self._asked[robot, app]
+                self._asked.pop((robot, app), None)
 
 
 def _except(silent: list[str]) -> str:

@@ -251,6 +251,21 @@ def test_an_app_starts_with_its_parameters_and_is_asked_for_them_in_case_it_goes
     assert given[1:] == [(feed.directory, "start", "goto", ["r0", "r1"], [])]
 
 
+def test_parameters_that_an_earlier_start_left_unanswered_are_not_asked_of_a_later_start(
+    feed: SimulationFeed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("laptop.view.actions.simulated_actions.app_requests.give", lambda *_: "started")
+    control, start = Control(feed, SimulatedActions(feed)), {"act": "start", "app": "goto"}
+    control.do(start | {"settings": {"wrong": 1}})
+    control.do(start | {"settings": {"speed": 0.1}})
+    control.do({"act": "set", "app": "goto", "name": "gain", "value": 2, "robot": "r0"})
+    said = [[message.parameters for _, message in bus.published] for bus in feed.buses.values()]
+    assert said == [[{"wrong": 1}, {"speed": 0.1}, {"speed": 0.1, "gain": 2}], [{"wrong": 1}, {"speed": 0.1}]]
+    control.do(start | {"robot": "r0"})
+    control.repeat()
+    assert [len(bus.published) for bus in feed.buses.values()] == [3, 3]
+
+
 def test_of_robots_that_are_not_reached_it_is_said_that_they_keep_their_parameters(feed: SimulationFeed) -> None:
     control, asked = Control(feed, SimulatedActions(feed)), {"act": "set", "app": "x", "name": "gain", "value": 0.5}
     feed.config = SimpleNamespace(names=("r0", "r1", "r2"))
