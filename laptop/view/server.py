@@ -283,11 +283,13 @@ def _look(feed: LiveFeed, t: float) -> Answer:
         return {"look": {"t": t, "live": True, "robots": robots, "trails": trails, "events": events}}
 
 
-async def _repeat(control: Control) -> None:
+async def _repeat(control: Control, thread: concurrent.futures.Executor) -> None:
+    """Repeat what robots have not confirmed. `thread` does nothing else: acts that hang do not keep a stop from that,
+    and a new stop does not wait for the picture, at which this looks."""
     while True:
         await asyncio.sleep(REPEAT_S)
         try:
-            await asyncio.to_thread(control.repeat)
+            await asyncio.get_running_loop().run_in_executor(thread, control.repeat)
         except Exception:  # noqa: BLE001 - whatever it is, the next stop has to be repeated, too
             _log.exception("what robots have not confirmed could not be repeated")
 
@@ -314,10 +316,11 @@ async def serve(
         except OSError as error:
             raise LocalError(f"port {port} of {HOST}: {error.strerror}; --port names another one, 0 any") from None
         _, taken, *_ = runner.addresses[0]
-        repeating = None if control is None else asyncio.create_task(_repeat(control))
-        await ready(f"http://{HOST}:{taken}/?token={token}")
-        await ended.wait()
-        if repeating is not None:
-            repeating.cancel()
+        with concurrent.futures.ThreadPoolExecutor(1, "repeats") as thread:
+            repeating = None if control is None else asyncio.create_task(_repeat(control, thread))
+            await ready(f"http://{HOST}:{taken}/?token={token}")
+            await ended.wait()
+            if repeating is not None:
+                repeating.cancel()
     finally:
         await runner.cleanup()

@@ -318,6 +318,85 @@ def test_a_stop_is_repeated_to_those_alone_that_have_not_confirmed_it(feed: Simu
     assert stops(feed) == [1, 3]
 
 
+def say(feed: SimulationFeed, robot: str, *stopped: bool) -> None:
+    """Let a robot say so, while the page looks five times a second."""
+    control: Any = feed.control  # type: ignore[attr-defined]
+    for each in stopped:
+        feed.picture.put(robot, "mesh/stopped", {"stopped": each}, 0.0)
+        for _ in range(5):
+            control.repeat()
+
+
+def late_r1(feed: SimulationFeed) -> Any:
+    """Give a stop while r1 is switched off; returns r1's bus."""
+    feed.control = Control(feed, SimulatedActions(feed))  # type: ignore[attr-defined]
+    away: Any = feed.buses["r1"]
+    away.connected = False
+    feed.control.do({"act": "stop"})  # type: ignore[attr-defined]
+    return away
+
+
+def comes_on(feed: SimulationFeed, bus: Any) -> int:
+    """How many stops a robot is given that is switched on now."""
+    bus.connected = True
+    before = len(bus.published)
+    feed.control.repeat()  # type: ignore[attr-defined]
+    return len(bus.published) - before
+
+
+def test_a_stop_that_somebody_else_has_taken_back_is_not_given_to_a_robot_that_comes_later(
+    feed: SimulationFeed,
+) -> None:
+    """On one robot's bus it would stop all of them again."""
+    r1 = late_r1(feed)
+    say(feed, "r0", True, True, False, False)
+    assert comes_on(feed, r1) == 0
+
+
+def test_a_stop_is_not_given_up_for_what_a_robot_said_before_the_stop_reached_it(feed: SimulationFeed) -> None:
+    """Somebody else's re-arm was under way."""
+    r1 = late_r1(feed)
+    say(feed, "r0", False, False, True, False, True, True)
+    assert comes_on(feed, r1) == 1
+
+
+def test_a_stop_is_not_given_up_when_a_robot_that_has_confirmed_it_was_switched_off(feed: SimulationFeed) -> None:
+    """It comes back without the stop until a neighbour tells it."""
+    r1 = late_r1(feed)
+    say(feed, "r0", True)
+    feed.buses["r0"].connected = False  # type: ignore[misc]
+    say(feed, "r0", True)
+    feed.buses["r0"].connected = True  # type: ignore[misc]
+    say(feed, "r0", False, False, False)
+    assert comes_on(feed, r1) == 1
+
+
+def test_a_repeated_stop_does_not_wait_for_acts_that_hang(
+    feed: SimulationFeed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go_on = threading.Event()
+
+    async def main() -> None:
+        ended = asyncio.Event()
+
+        async def ready(_: str) -> None:
+            for _ in range(40):  # more than there are threads for acts
+                hanging.append(asyncio.get_running_loop().run_in_executor(None, go_on.wait, 60.0))
+            control.do({"act": "stop"})
+
+        hanging: list[asyncio.Future[bool]] = []
+        control = Control(feed, SimulatedActions(feed))
+        serving = asyncio.create_task(server.serve(feed, control, 0, ready, ended))
+        try:
+            await until(lambda: min(stops(feed)) >= 3)
+        finally:
+            go_on.set()
+        ended.set()
+        await serving
+
+    asyncio.run(main())
+
+
 def test_what_a_robot_has_said_before_a_stop_confirms_it_only_after_repetitions(feed: SimulationFeed) -> None:
     """It may have been armed since, and its tunnel may have lost both that news and the stop."""
     for name in feed.buses:
