@@ -292,6 +292,7 @@ class Connections:
                     self._on_failed(session, clash, frames.CLASH, None, now)
                     session.close(frames.CLASH, clash)
                     session.events()
+                    self.clock.lost(name)  # its claim may have come with its handshake
                     return
                 if (old := self.links.get(name)) is not None and old.session is not None:
                     # It was started anew, perhaps: no need to wait for silence.

@@ -12,6 +12,7 @@ from mesh_world import World
 from raw_hello import hello
 
 from services.mesh.core.link.calls import Caller
+from services.mesh.core.link.clock import ClockClaim, encode_claim
 from services.mesh.core.wire import frames
 from swarm.messages import FloodRequest, Stop
 
@@ -135,6 +136,24 @@ def test_of_two_robots_that_are_switched_on_together_one_keeps_its_links(delay: 
     world.run(120.0)
     assert [world.link(name, "r0").connection for name in ("r1", "r2")] == made, "nothing changes any more"
     assert all(set(clashes(world, name)) == {"r0"} for name in world.bots)
+
+
+def test_the_clock_of_a_second_robot_that_is_refused_after_its_handshake_is_not_followed() -> None:
+    """It began its handshake before the first one had its link, and its claim comes with the end of the handshake."""
+    world = World((("r0", "r1"),))
+    world.cut("r0", "r1", 0.5)
+    raw = world.connect_raw("r1", hello(incarnation=7))
+    world.run(5.0)
+    assert world.link("r1", "r0").state == "up"
+    claim = ClockClaim("r0", 7, 1, 0, False, True, world.now, 1000.0, 0.0, 0.0)
+    raw.write(frames.encode_confirm() + encode_claim(claim))
+    apart = []
+    for _ in range(50):
+        world.run(0.05)
+        apart.append(abs(world.bots["r1"].node.connections.clock.state(world.now).offset))
+    assert world.bots["r1"].counters["refused_clash"] == 1
+    assert world.link("r1", "r0").connection == 1
+    assert max(apart) < 0.01
 
 
 @pytest.mark.parametrize("silent", [False, True])
