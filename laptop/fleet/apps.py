@@ -32,7 +32,8 @@ _START = """set -e; umask 022
 systemctl show --property=InvocationID --value {unit}
 if [ -n "{folder}" ]; then
     rm -rf {apps}/{name}-????????????.new; mkdir -p {folder}.new
-    head -c {size} >{folder}.new/tar; tar -x --no-same-owner -f {folder}.new/tar -C {folder}.new; rm {folder}.new/tar
+    head -c {size} >{folder}.new/tar; [ "$(wc -c <{folder}.new/tar)" -eq {size} ]
+    tar -x --no-same-owner -f {folder}.new/tar -C {folder}.new; rm {folder}.new/tar
     find {folder}.new -exec sync {{}} +
     [ -d {folder} ] || mv -T {folder}.new {folder}; rm -rf {folder}.new; sync {apps}
 fi

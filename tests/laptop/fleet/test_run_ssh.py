@@ -98,6 +98,19 @@ def test_a_start_that_breaks_changes_nothing(robots: FakeRobots, run: Run, capsy
     assert (homes[0] / "systemctl.log").read_text().count("restart") == 1
 
 
+def test_an_app_whose_files_came_in_part_is_sent_again(robots: FakeRobots, run: Run) -> None:
+    """The connection breaks exactly behind the first file: that is a tar, too."""
+    home = add_robot(robots, "r0")
+    app = robots.folder / "mine.py"
+    app.write_text("import other\nclass Mine: ...\n")
+    (robots.folder / "other.py").write_text("x = 1\n")
+    robots.script("r0", "head", "[ $2 -gt 2000 ] || exec /usr/bin/head $@; /usr/bin/head -c 1024; cat >/dev/null")
+    assert run("run", str(app)) == 1
+    (home / "bin/head").unlink()
+    assert run("run", str(app)) == 0
+    assert sorted(name.rpartition("/")[2] for name in files(home / "lib")) == ["mine.py", "other.py"]
+
+
 @pytest.mark.parametrize(
     ("odd", "said"),
     [
