@@ -84,15 +84,17 @@ class Provisioning:
         for step, verdict in verdicts.items():
             self._tell(f"{step}: {'would change' if verdict.state == 'change' else verdict.state}: {verdict.text}")
         _refuse(verdicts)
-        return f"{sum(verdict.state == 'change' for verdict in verdicts.values())} of {len(verdicts)} would be changed"
+        changes = [verdict for verdict in verdicts.values() if verdict.state == "change"]
+        if reboot := _owes_reboot(facts) or any(verdict.reboot for verdict in changes):
+            self._tell("reboot: would be needed: some of it is in force only then")
+        return f"{len(changes)} of {len(verdicts)} would be changed{', and it would reboot' if reboot else ''}"
 
     async def carry_out(self, *, reboot: bool) -> bool:
         """Do all steps; whether all of it is in force (not before a `reboot`). Raises `HostError` where one fails."""
         facts = await self.look()
         facts, wait = await self._packages(facts)
         facts, wait_too = await self._stage(facts, steps.THEN)
-        # Or an earlier run was broken off before the reboot.
-        if wait or wait_too or (facts["files"].get(steps.REBOOT) or "").strip() == facts["boot_id"].strip():
+        if wait or wait_too or _owes_reboot(facts):
             if not reboot:
                 self._tell("reboot: needed: some of it is in force only then")
                 return False
@@ -239,3 +241,8 @@ def _refuse(verdicts: Mapping[str, Verdict]) -> None:
     wrong = [f"{name}: {verdict.text}" for name, verdict in verdicts.items() if verdict.state == "failed"]
     if wrong:
         raise HostError("; ".join(wrong))
+
+
+def _owes_reboot(facts: Mapping[str, Any]) -> bool:
+    """Return whether the robot waits for a reboot, as an earlier run leaves it that was broken off before."""
+    return bool((facts["files"].get(steps.REBOOT) or "").strip() == facts["boot_id"].strip())

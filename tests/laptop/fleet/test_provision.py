@@ -143,7 +143,7 @@ def test_a_dry_run_says_it_all_and_touches_nothing(robots: FakeRobots, run: Prov
     code, lines, text = run("--check", "--bundle", str(bundle))
     assert code == 0
     assert states(lines["r0"])["name"] == "would change"
-    assert text["r0"] == "9 of 16 would be changed"
+    assert text["r0"] == "9 of 16 would be changed, and it would reboot"
     after = tree(home)
     assert {name for name in after if after[name] != before.get(name)} == {"log"}
 
@@ -279,6 +279,9 @@ def test_a_reboot_that_was_left_out_is_made_up_for(robots: FakeRobots, run: Prov
     home = add_pi(robots, "r0", packages="bluez python3 python3-bluez python3-venv rfkill")
     assert run("--no-reboot")[0] == 0
     assert (home / "log").read_text().count("systemctl reboot") == 0
+    assert run("--check")[2]["r0"].startswith("0 of ")
+    assert run("--check")[2]["r0"].endswith(" would be changed, and it would reboot")
     for _ in range(2):
         run()
         assert (home / "log").read_text().count("systemctl reboot") == 1
+    assert run("--check")[2]["r0"].endswith(" would be changed")
