@@ -82,15 +82,20 @@ def run(args: argparse.Namespace) -> int:
             ended = "ended by Ctrl-C"
         finally:
             session.command(SetMode("rest"))
-    if ended == STOPPED:  # until all have confirmed it
-        stop = argparse.Namespace(act="stop", reason=REASON, timeout=5.0)
-        lines = halt.table(halt.give(stop, {robot: directory}), stop=True)
-        write_lines([json.dumps({"say": line}) for line in lines] if args.json else lines)
-    report = procedure.report() | ({"ended": ended} if ended else {})
-    if args.json:
-        write_lines([json.dumps({"report": report})])
-    else:
-        finish(report, args.out)
+    try:
+        if ended == STOPPED:
+            ended = f"{STOPPED}; not all robots have confirmed the stop: swarm estop gives it again"
+            rows = halt.give(argparse.Namespace(act="stop", reason=REASON, timeout=5.0), {robot: directory})
+            missing = " ".join(row.robot for row in rows if not row.confirmed)
+            ended = f"{STOPPED}; not confirmed by {missing}: swarm estop gives it again" if missing else STOPPED
+            lines = halt.table(rows, stop=True)
+            write_lines([json.dumps({"say": line}) for line in lines] if args.json else lines)
+    finally:
+        report = procedure.report() | ({"ended": ended} if ended else {})
+        if args.json:
+            write_lines([json.dumps({"report": report})])
+        else:
+            finish(report, args.out)
     return 0 if report["verdict"] == "passed" else 1
 
 

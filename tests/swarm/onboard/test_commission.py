@@ -1,9 +1,11 @@
 """Commissioning of simulated robots under virtual time: one that is well, and each fault is named in time."""
 
+import argparse
 import json
 import math
 import re
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import pytest
 from commission_world import ANCHORS, OFFSET, World
@@ -12,6 +14,8 @@ from conftest import thinned
 from services.dwm.calibrate import making
 from sim.core.actions import MISWIRINGS
 from sim.scenario import commission_report
+from swarm.onboard.commission import command
+from swarm.onboard.halt import Row
 
 LOW_POWER = 0.2
 """Duty that no motor may exceed before the robot stands."""
@@ -158,3 +162,36 @@ def test_button_a_confirms_and_button_c_declines() -> None:
         for _ in range(30):
             world._run_tick()
         assert bool(world.procedure.results) == ended
+
+
+def stopped_by_space(folder: Path, monkeypatch: pytest.MonkeyPatch, give: MagicMock) -> str:
+    """Run `swarm commission`, in which a person presses Space; what the report's `ended` says."""
+    for what in ("Bus", "_Session", "load", "subject_of"):
+        monkeypatch.setattr(command, what, MagicMock())
+    command._Session.return_value.run.return_value = command.STOPPED  # type: ignore[attr-defined]
+    monkeypatch.setattr(command, "one", lambda _: ("r0", folder / "r0"))
+    monkeypatch.setattr(command, "Procedure", lambda *_: World().procedure)
+    monkeypatch.setattr(command.halt, "give", give)
+    try:
+        assert command.run(argparse.Namespace(json=False, out=folder / "report.json")) == 1
+    finally:
+        ended = json.loads((folder / "report.json").read_text())["ended"]
+    assert isinstance(ended, str)
+    return ended
+
+
+def test_the_report_names_the_robots_that_have_not_confirmed_the_persons_stop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = [Row("r0", "here", True, "idle", True), Row("r1", "silent", None, None, False)]
+    ended = stopped_by_space(tmp_path, monkeypatch, MagicMock(return_value=rows))
+    assert ended.startswith(f"{command.STOPPED}; not confirmed by r1: ")
+    assert stopped_by_space(tmp_path, monkeypatch, MagicMock(return_value=rows[:1])) == command.STOPPED
+
+
+def test_the_report_is_written_also_when_the_person_does_not_wait_until_the_stop_is_confirmed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        stopped_by_space(tmp_path, monkeypatch, MagicMock(side_effect=KeyboardInterrupt))
+    assert "not all robots have confirmed" in json.loads((tmp_path / "report.json").read_text())["ended"]
