@@ -271,6 +271,13 @@ def test_a_release_of_which_one_service_is_dead_does_not_run_already(robot: Robo
     assert "systemd-sysusers" in names
 
 
+def test_only_root_can_lock_out_installations(robot: Robot) -> None:
+    release = robot.release("1")
+    robot.run(release / "install", *files(robot, "1"))
+    assert (robot.root / "run/swarm-install.lock").stat().st_mode & 0o777 == 0o600
+    assert (robot.root / "opt/swarm/releases/1/complete").stat().st_mode & 0o777 == 0o644
+
+
 def test_two_installations_at_once_do_not_meet(robot: Robot) -> None:
     release = robot.release("1")
     with (robot.root / "run/swarm-install.lock").open("w") as lock:
