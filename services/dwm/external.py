@@ -39,13 +39,14 @@ def serve(service: Service, source: str) -> None:
     localizer = Localizer(service, clock.now(), external=True)
     service.ready()
     service.degraded(f"nothing is reported on {source} yet")
-    heard, sequence = clock.now(), 0
+    heard: float | None = None
+    sequence = 0
     while not service.stopping.is_set():
         service.watchdog()
         try:
             report = arrived.get(timeout=_POLL)
         except queue.Empty:
-            if clock.now() > heard + SILENT_S:
+            if heard is not None and clock.now() > heard + SILENT_S:
                 service.degraded(f"nothing is reported on {source} any more")
             continue
         heard = clock.now()

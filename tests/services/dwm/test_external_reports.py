@@ -2,7 +2,9 @@
 
 import struct
 import sys
+import threading
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import pytest
 from conftest import CONFIG, wait_until
@@ -10,6 +12,7 @@ from dwm_rig import ANCHORS
 from hypothesis import given
 from hypothesis import strategies as st
 
+from services.dwm import external
 from services.dwm.__main__ import BUS, source_of
 from services.dwm.external import MAX_AGE_S, checked, location_of, pose_of
 from swarm.bus.zenoh_bus import Bus
@@ -126,6 +129,29 @@ def test_the_natnet_example_refuses_what_is_no_packet(data: bytes, cut: int, siz
             rigid_bodies(each, sizes)
         except ValueError:
             continue
+
+
+def test_the_service_tells_reports_that_have_ended_from_those_that_never_came(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(external, "Localizer", MagicMock())
+    monkeypatch.setattr(external, "SILENT_S", 0.0)
+    monkeypatch.setattr(external, "_POLL", 0.01)
+    service = MagicMock(stopping=threading.Event(), robot="r0")
+    serving = threading.Thread(target=external.serve, args=(service, "a/key"))
+    serving.start()
+    try:
+        wait_until(lambda: service.watchdog.call_count > 3)
+        assert said_of(service) == {"nothing is reported on a/key yet"}
+        (_, take), _ = service.bus.subscribe.call_args
+        take("a/key", encode(ExternalReport(x=1.25, y=0.5)))
+        wait_until(lambda: "nothing is reported on a/key any more" in said_of(service))
+    finally:
+        service.stopping.set()
+        serving.join()
+
+
+def said_of(service: MagicMock) -> set[str]:
+    """Why a service has said that it is degraded."""
+    return {call.args[0] for call in service.degraded.call_args_list}
 
 
 def test_the_service_passes_on_what_is_reported_on_its_key(processes, router, runtime) -> None:
