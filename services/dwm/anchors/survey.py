@@ -58,8 +58,9 @@ def take_turns(
 ) -> dict[Pair, float]:
     """Measure all distances where every anchor is connected here: each one is the tag for `seconds`.
 
-    Another one keeps the network while the initiator has its turn. Every module ends as it was found. Raises
-    `NoAnswerError`, `LocalError`.
+    Another one keeps the network while the initiator has its turn. Every module ends as it was found, but for the
+    update rate of an anchor: that holds for tags alone, and stays at that of its turn. Raises `NoAnswerError`,
+    `LocalError`.
     """
     modules = {line: inspect(line) for line in lines}
     addresses = [info.address for info in modules.values()]

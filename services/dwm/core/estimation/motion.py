@@ -74,10 +74,10 @@ class Increments:
         """Time, way (m), turn by the gyro (rad) and tilt, for `Tracker.odometry`.
 
         None for the first message, and for the first of a balancer that began anew and its sums with it: how the robot
-        has moved before is unknown.
+        has moved before is unknown. A message that comes twice tells of no motion.
         """
         last, self._last = self._last, new
-        if last is None or new.sequence <= last.sequence:
+        if last is None or (new.sequence <= last.sequence and new != last):
             return None
         way = 0.5 * (new.left + new.right - last.left - last.right)
         return new.t, way, new.gyro_heading - last.gyro_heading, new.tilt

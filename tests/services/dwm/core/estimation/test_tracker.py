@@ -169,10 +169,11 @@ def odometry(t, sequence, rolled, heading):
     return Odometry(t, sequence, rolled - 0.01, rolled + 0.01, 0.0, 0.0, 0.0, heading, 0.0, 0.1)
 
 
-def test_increments_follow_from_sums_of_odometry():
+def test_increments_follow_from_sums_of_odometry() -> None:
     increments = Increments()
     assert increments.take(odometry(1.0, 10, 5.0, 2.0)) is None
     assert increments.take(odometry(1.1, 13, 5.2, 2.1)) == pytest.approx((1.1, 0.2, 0.1, 0.1))  # two were lost
+    assert increments.take(odometry(1.1, 13, 5.2, 2.1)) == (1.1, 0.0, 0.0, 0.1)  # it has come twice
     assert increments.take(odometry(1.2, 1, 0.0, 0.0)) is None  # the balancer began anew
     assert increments.take(odometry(1.3, 2, -0.1, 0.3)) == pytest.approx((1.3, -0.1, 0.3, 0.1))
 
