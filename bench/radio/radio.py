@@ -42,7 +42,7 @@ TROUBLED = 220.0
 EIGHT = 0.11
 """s an iteration at most of eight robots on the full graph."""
 
-FAIL_OVER, ABSENT, BESIDE = 10.0, 1.05, 2.0
+FAIL_OVER, ABSENT, BESIDE = 12.0, 1.05, 2.0
 """s without an iteration at most when the hub is lost; the ratios of an iteration with an absent robot, and beside a
 large message."""
 
