@@ -7,12 +7,14 @@ ETIMEDOUT, 5 EIO for one that ended too early), on every kind of bus.
 
 import contextlib
 import fcntl
+import logging
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
 from swarm.errors import LocalError, MissingPackageError
+from swarm.process.locks import take_lock
 
 NOBODY = 0x7F
 """An address that no device has (reserved by the I2C specification, UM10204 table 4). Read, it is a byte of ones: nine
@@ -29,9 +31,15 @@ RETRY_S = 0.2
 
 _I2C_TIMEOUT = 0x0702  # linux/i2c-dev.h, in units of 10 ms
 
+_log = logging.getLogger("balancer")
+
 
 class NoDeviceError(LocalError):
     """There is no such adapter, or it is not ours to use."""
+
+
+class BusInUseError(LocalError):
+    """Another process has the adapter."""
 
 
 class I2CBus(Protocol):
@@ -68,10 +76,14 @@ class KernelBus:
     without a look at the lines. So a byte read from nobody clocks out whatever a slave still wants to say, and its
     NACK and STOP end it. The ATmega lets go by itself (30 ms, firmware/twi.cpp). Opening the device again does nothing
     to the lines; binding the driver anew needs root and a closed device, and moves no line either.
+
+    One process at a time has the adapter, by a lock of its device: a second master would move the ATmega's index
+    between the first one's write and read. The kernel frees the lock of a process that has crashed.
     """
 
     def __init__(self, number: int = 1) -> None:
-        """Raises `MissingPackageError` where smbus2 is missing, `NoDeviceError` where the device is."""
+        """Raises `MissingPackageError` where smbus2 is missing, `NoDeviceError` where the device is, and
+        `BusInUseError` while another process has it."""
         device = Path(f"/dev/i2c-{number}")
         try:
             import smbus2
@@ -85,7 +97,16 @@ class KernelBus:
             raise NoDeviceError(
                 f"{device} cannot be opened: {error.strerror}; is this user in the group i2c?"
             ) from None
-        fcntl.ioctl(self._bus.fd, _I2C_TIMEOUT, TIMEOUT_10MS)  # type: ignore[arg-type]
+        device_fd: Any = self._bus.fd
+        try:
+            take_lock(device_fd)
+        except BlockingIOError:
+            self._bus.close()
+            raise BusInUseError(
+                f"{device} is in use by another process (the balancer, swarm flash or swarm measure i2c): "
+                "wait for its end"
+            ) from None
+        fcntl.ioctl(device_fd, _I2C_TIMEOUT, TIMEOUT_10MS)
         self._message = smbus2.i2c_msg
 
     def write(self, address: int, data: bytes) -> None:
@@ -119,11 +140,19 @@ def open_patiently(wait: Callable[[float], None], number: int = 1) -> KernelBus:
     """The adapter, as soon as it is there and ours; `NoDeviceError` where it is not within `PATIENCE_S`.
 
     Services start while udev still works through the devices of the boot, and a wrong configuration (exit code 2),
-    which a missing bus is, is left for a person.
+    which a missing bus is, is left for a person. A process that has the adapter gives it back, so that is waited for
+    without a limit.
     """
-    for _ in range(round(PATIENCE_S / RETRY_S)):
+    missing = in_use = 0
+    while True:
         try:
             return KernelBus(number)
         except NoDeviceError:
-            wait(RETRY_S)
-    return KernelBus(number)
+            missing += 1
+            if missing > round(PATIENCE_S / RETRY_S):
+                raise
+        except BusInUseError as error:
+            in_use += 1
+            if in_use == 1:
+                _log.warning("the balancer waits for the bus: %s", error)
+        wait(RETRY_S)

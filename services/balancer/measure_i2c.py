@@ -1,11 +1,12 @@
 """`swarm measure i2c [ROBOT ...]`: how fast the I2C bus of each robot is, as in section 2.2.5 of the thesis.
 
 Reads from and writes to the ATmega are timed one by one, with the pauses that it needs. The balancer owns the bus, so
-it does that in the slack of its ticks; where it does not run on this robot, the bus is taken directly. In a simulation
-the time on the wire is counted by its bytes.
+it does that in the slack of its ticks; where it does not run on this robot, the bus is taken directly, for one size at
+a time. In a simulation the time on the wire is counted by its bytes.
 """
 
 import argparse
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -13,7 +14,7 @@ from pathlib import Path
 
 from services.balancer.core.devices.rates import RateMeter, longest
 from services.balancer.drivers import Balboa
-from services.balancer.i2c import I2CBus, KernelBus
+from services.balancer.i2c import RETRY_S, BusInUseError, I2CBus, KernelBus
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError, SwarmError
@@ -62,8 +63,13 @@ def _rates(args: argparse.Namespace, robot: str, directory: Path) -> list[I2CRat
         if bus.wait_connected(PATIENCE) and _answers(bus, robot):
             return _measured(args, robot, _through(bus, robot))
     if directory == DEFAULT_RUNTIME:
-        with opened() as (bus, driver):
-            return _measured(args, robot, lambda request: measure(bus, driver, request))
+        try:
+            return _measured(args, robot, directly)
+        except BusInUseError as error:
+            raise LocalError(
+                f"the balancer of {robot} does not answer, and {error}. A running balancer measures by itself as soon "
+                "as it answers: swarm services restart bus"
+            ) from None
     raise LocalError(f"the balancer of {robot} does not answer ({directory})")
 
 
@@ -128,9 +134,19 @@ def measure(bus: I2CBus, driver: Balboa, request: MeasureI2C) -> I2CRates:
     return meter.news
 
 
+def directly(request: MeasureI2C) -> I2CRates:
+    """Measure on this robot's own bus. Afterwards the bus is left alone for longer than a balancer that waits for it
+    takes to look again: so it has the bus after one request."""
+    with opened() as (bus, driver):
+        found = measure(bus, driver, request)
+    time.sleep(2 * RETRY_S)
+    return found
+
+
 @contextmanager
 def opened() -> Iterator[tuple[I2CBus, Balboa]]:
-    """Open this robot's I2C bus and stop the motors. Raises `LocalError` where the ATmega does not answer."""
+    """Open this robot's I2C bus and stop the motors. Raises `LocalError` where the ATmega does not answer, and
+    `BusInUseError` while the balancer has the bus."""
     bus = KernelBus()
     try:
         driver = Balboa(bus, clock.now, bus.pause)

@@ -6,6 +6,7 @@ import math
 import os
 import random
 import struct
+import subprocess
 import sys
 
 import pytest
@@ -16,7 +17,7 @@ from hypothesis import strategies as st
 
 from services.balancer.core.devices import balboa, imu
 from services.balancer.drivers import Balboa, Imu
-from services.balancer.i2c import PATIENCE_S, RETRY_S, KernelBus, open_patiently
+from services.balancer.i2c import PATIENCE_S, RETRY_S, BusInUseError, KernelBus, open_patiently
 from sim.core.devices import SimulatedRobot, draw_errors
 from swarm.errors import LocalError, RemoteError
 
@@ -215,9 +216,10 @@ class FakeSmbus2:
     def __init__(self, robot: SimulatedRobot) -> None:
         self.robot = robot
         self.transactions: list[int] = []
-        self.fd = 77
+        self.fd = -1
 
     def SMBus(self, number: int) -> "FakeSmbus2":
+        self.fd = os.open("/dev/null", os.O_RDWR)
         return self
 
     def i2c_rdwr(self, *messages) -> None:
@@ -230,6 +232,7 @@ class FakeSmbus2:
 
     def close(self) -> None:
         self.transactions.append(0)
+        os.close(self.fd)
 
 
 def test_the_real_bus_through_smbus2(monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:
@@ -269,7 +272,7 @@ class Reluctant(FakeSmbus2):
         if self.refusals:
             self.refusals -= 1
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-        return self
+        return super().SMBus(number)
 
 
 def test_at_a_boot_the_device_is_waited_for(monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:
@@ -284,6 +287,63 @@ def test_at_a_boot_the_device_is_waited_for(monkeypatch: pytest.MonkeyPatch, tmp
     with pytest.raises(LocalError, match="is this user in the group i2c"):
         open_patiently(waited.append)
     assert sum(waited[3:]) == pytest.approx(PATIENCE_S)
+
+
+HOLD = """
+import fcntl, sys, time
+device = open(sys.argv[1])
+fcntl.flock(device, fcntl.LOCK_EX)
+print(flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.fixture
+def device(monkeypatch: pytest.MonkeyPatch, tmp_path):
+    """A file in the place of /dev/i2c-1."""
+    made = tmp_path / "i2c-1"
+    made.touch()
+
+    class OfFile(FakeSmbus2):
+        def SMBus(self, number: int) -> FakeSmbus2:
+            bus = FakeSmbus2(self.robot)
+            bus.fd = os.open(made, os.O_RDWR)
+            return bus
+
+    monkeypatch.setitem(sys.modules, "smbus2", OfFile(Bench().robot))
+    monkeypatch.setattr("services.balancer.i2c.Path", lambda _: made)
+    monkeypatch.setattr("services.balancer.i2c.fcntl.ioctl", lambda *_: None)
+    return made
+
+
+def test_one_process_at_a_time_has_the_bus(device) -> None:
+    """A second master would move the ATmega's index between the first one's write and read."""
+    first = KernelBus()
+    with pytest.raises(BusInUseError, match="in use by another process"):
+        KernelBus()
+    first.close()
+    KernelBus().close()
+
+
+def test_the_balancer_waits_for_a_process_that_has_the_bus_and_begins_when_that_has_crashed(device, caplog) -> None:
+    """It waits for longer than for a missing device, and does not end: a person is needed for nothing."""
+    holder = subprocess.Popen([sys.executable, "-c", HOLD, device], stdout=subprocess.PIPE)
+    with contextlib.closing(holder.stdout):
+        holder.stdout.readline()
+        waited = []
+
+        def wait(seconds: float) -> None:
+            waited.append(seconds)
+            if sum(waited) > 2 * PATIENCE_S:
+                holder.kill()
+                holder.wait()
+
+        open_patiently(wait).close()
+    assert sum(waited) > 2 * PATIENCE_S
+    assert [record.message for record in caplog.records] == [
+        f"the balancer waits for the bus: {device} is in use by another process (the balancer, swarm flash or swarm "
+        "measure i2c): wait for its end"
+    ]
 
 
 def test_a_library_that_is_missing_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,6 +10,7 @@ from slack_rig import AT_100_KHZ, Ticking
 
 from services.balancer import measure_i2c as i2c
 from services.balancer.core.devices.rates import FAILURES, RateMeter, check_measurement, longest
+from services.balancer.i2c import RETRY_S, BusInUseError
 from sim.devices.i2c import SimulatedBus
 from swarm.errors import LocalError
 from swarm.messages import I2CRates, MeasureI2C, ModuleRequest
@@ -160,8 +161,14 @@ class Real(Bench):
     def __init__(self) -> None:
         super().__init__()
         self.closed = False
+        self.balancer_after = 1000
+        """Openings after which a balancer has the bus."""
 
     def open(self) -> SimulatedBus:
+        if self.balancer_after == 0:
+            raise BusInUseError("/dev/i2c-1 is in use")
+        self.balancer_after -= 1
+        self.closed = False
         self.bus.close = self.close
         return self.bus
 
@@ -169,14 +176,18 @@ class Real(Bench):
         self.closed = True
 
 
-def test_without_a_balancer_the_bus_is_taken_directly(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    real = Real()
-    monkeypatch.setattr(i2c, "KernelBus", real.open)
+@pytest.fixture
+def real(monkeypatch: pytest.MonkeyPatch) -> Real:
+    """A robot whose balancer does not answer over the bus of its services."""
+    made = Real()
+    monkeypatch.setattr(i2c, "KernelBus", made.open)
     monkeypatch.setattr(i2c.buses, "find", lambda _: {"r4": i2c.DEFAULT_RUNTIME})
     monkeypatch.setattr(i2c, "_answers", lambda *_: False)
     monkeypatch.setattr(i2c, "PATIENCE", 0.0)
+    return made
+
+
+def test_without_a_balancer_the_bus_is_taken_directly(real: Real, capsys: pytest.CaptureFixture[str]) -> None:
     assert i2c.run(arguments("--sizes", "4", "--count", "3")) == 0
     assert capsys.readouterr().out.startswith("r4: I2C with the ATmega")
     assert real.closed
@@ -184,6 +195,24 @@ def test_without_a_balancer_the_bus_is_taken_directly(
     del real.robot.devices[20]
     with pytest.raises(LocalError, match="the ATmega does not answer"):
         i2c.run(arguments())
+
+
+def test_a_bus_that_a_balancer_has_is_left_alone_while_the_router_is_away(real: Real) -> None:
+    real.balancer_after = 0
+    with pytest.raises(LocalError, match=r"balancer of r4 does not answer, and .* in use.*swarm services restart bus"):
+        i2c.run(arguments())
+    assert real.robot.bits == 0
+
+
+def test_a_balancer_that_is_started_has_the_bus_after_the_size_under_way(
+    real: Real, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real.balancer_after = 1
+    pauses: list[float] = []
+    monkeypatch.setattr(i2c.time, "sleep", lambda seconds: pauses.append(seconds) if real.closed else None)
+    with pytest.raises(LocalError, match="in use"):
+        i2c.run(arguments("--sizes", "4,8"))
+    assert sum(pauses) > RETRY_S, "the balancer has looked meanwhile"
 
 
 def test_a_balancer_of_a_simulation_that_is_silent_is_no_reason_to_touch_a_bus(
