@@ -72,8 +72,10 @@ int main()
         module::run(now);
         if (now != last) {
             last = now;
-            wdt_reset();
-            ticks::loop_alive();
+            // A loop that comes back after its motors were locked is reset like one that does not: only a reset unlocks
+            // them, and tells why.
+            if (ticks::loop_alive())
+                wdt_reset();
             boot::obey();
             panel::show_leds();
             buzzer::tick();

@@ -43,9 +43,15 @@ uint32_t now_in_interrupt()
     return milliseconds;
 }
 
-void loop_alive()
+bool loop_alive()
 {
-    loop_left = LOOP_PATIENCE_MS;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        if (loop_left == 0)
+            return false;
+        loop_left = LOOP_PATIENCE_MS;
+    }
+    return true;
 }
 
 }  // namespace ticks
@@ -59,6 +65,6 @@ ISR(TIMER0_COMPA_vect, __attribute__((flatten)))
     if (ticks::loop_left != 0) {
         ticks::loop_left = static_cast<uint8_t>(ticks::loop_left - 1);
         if (ticks::loop_left == 0)
-            boot::hung();  // motors off now; the watchdog, which nobody feeds any more, resets the chip
+            boot::hung();  // motors off now; the watchdog, which nobody feeds from here on, resets the chip
     }
 }

@@ -8,6 +8,6 @@ namespace ticks {
 void start();
 uint32_t now();               // ms, main loop
 uint32_t now_in_interrupt();  // ms, with interrupts off
-void loop_alive();            // main loop: it still goes round
+bool loop_alive();            // main loop: it still goes round; false for good after it stood still for too long
 
 }  // namespace ticks

@@ -128,6 +128,21 @@ def test_a_main_loop_that_stands_still_stops_the_motors_and_is_reset(bench):
     assert bench.call("resets") == 1
 
 
+def test_a_main_loop_that_goes_on_after_its_motors_were_locked_is_reset_too(bench):
+    """Its watchdog alone would be content, and the motors locked for as long as the power is on."""
+    bench.run(0.05)
+    mended = hang(bench, RJMP_SELF)
+    bench.run(0.15)
+    mend(bench, *mended)
+    bench.run_until(lambda: bench.call("resets") == 1, 0.15)
+    bench.run(0.02)
+    assert bench.number("RESET_CAUSE") == RESET_CAUSE["WATCHDOG"] | RESET_CAUSE["WARM"] | RESET_CAUSE["HUNG"]
+    bench.drive(200, 200)
+    assert bench.motors() == (0.5, 0.5)
+    bench.run(1.0)
+    assert bench.call("resets") == 1
+
+
 def test_while_the_main_loop_hangs_no_command_brings_the_motors_back(bench):
     bench.run(0.05)
     hang(bench, RJMP_SELF)
