@@ -67,6 +67,7 @@ class Provisioning:
         self._wish = replace(self._wish, now=time.time())
         request = {
             **steps.LOOK,
+            "there": [*steps.LOOK["there"], *filter(None, [self._wish.key_file])],
             "packages": [*self._wish.packages, FIRMWARE_PACKAGE, KERNEL_PACKAGE],
             "root": self._rig.root,
             "places": dict(self._rig.places),

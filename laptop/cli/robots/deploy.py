@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Install the release that fits each robot. Return 0 where it runs on every one."""
     config, robots, ssh = everyone.chosen(args)
-    files = read_files(config.path, args.key)
+    files = read_files(config, args.key)
     whole = {host.robot: with_calibration(files, config, host.robot) for host in robots}
     releases = [read_release(path) for path in args.releases] or _made(config, robots, ssh, args.timeout)
     for release in releases:

@@ -129,7 +129,7 @@ async def _ask(ssh: Ssh, host: Host, robot: ExaminedRobot, rig: Rig) -> Examined
     """Examine one robot. Raises `HostError` where it cannot be reached."""
     request = {
         **steps.LOOK,
-        "files": [*steps.LOOK["files"], "/etc/swarm/key"],
+        "key": None if robot.config.mesh.key_file is None else str(robot.config.mesh.key_file),
         "packages": [*PACKAGES, FIRMWARE_PACKAGE, KERNEL_PACKAGE],
         "bluetooth": robot.config.robot(robot.name).link is None,
         "root": rig.root,
@@ -137,7 +137,6 @@ async def _ask(ssh: Ssh, host: Host, robot: ExaminedRobot, rig: Rig) -> Examined
     }
     now = time.time()
     system = await remote.call(ssh, host, "examine", request)
-    system["files"].pop("/etc/swarm/key", None)
     bus = None
     if system["current"]:
         python = rig.root.rstrip("/") + ROBOT_PYTHON

@@ -14,7 +14,6 @@ from laptop.fleet.release.install import install, read_files, read_release
 from laptop.fleet.ssh import everyone
 from laptop.fleet.ssh.ssh import Host, Ssh
 from swarm.config import Config, load
-from swarm.config.keyfile import read_keys
 from swarm.errors import ConfigError, LocalError
 
 HELP = "turn fresh Raspberry Pis into robots, over ssh"
@@ -45,9 +44,7 @@ def run(args: argparse.Namespace, rig: Rig | None = None, architecture: str = "a
     packages = {} if args.bundle is None else bundle.repositories(args.bundle)
     paths = [] if args.bundle is None else sorted(args.bundle.glob("balboa-swarm-*.tar.gz"))
     releases = [read_release(path) for path in paths]
-    if args.key is not None:
-        read_keys(args.key)  # a wrong one is better known now than on eight robots
-    files = read_files(config.path, args.key)
+    files = read_files(config, args.key)
     whole = {host.robot: with_calibration(files, config, host.robot) for host in robots}
     unaddressed = _unaddressed(config)
     wifi = _wifi(args)

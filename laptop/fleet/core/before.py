@@ -1,6 +1,7 @@
 """Steps that look whether a machine can be a robot at all, before anything on it is changed."""
 
 from laptop.fleet.core.wish import BOARDS, MIN_FREE, SUITES, DesiredRobot, Facts, Verdict, change, failed, ok
+from swarm.config.types import DEFAULT_KEY_FILE
 
 
 def board(facts: Facts, wish: DesiredRobot) -> Verdict:
@@ -43,10 +44,12 @@ def disk(facts: Facts, wish: DesiredRobot) -> Verdict:
 
 def key(facts: Facts, wish: DesiredRobot) -> Verdict:
     """The swarm's key: there, or brought."""
-    if not wish.secure:
+    if wish.key_file is None:
         return ok("none: swarm.toml says insecure")
-    if "/etc/swarm/key" in facts["there"] or wish.key:
+    if wish.key_file in facts["there"] or wish.key:
         return ok("comes with the release" if wish.key else "there")
+    if wish.key_file != DEFAULT_KEY_FILE:
+        return failed(f"it has no {wish.key_file}, which [mesh] key names: copy the key there, or remove that line")
     return failed("it has no key of the swarm, and none was given: --key FILE (swarm key new makes one)")
 
 

@@ -1,10 +1,12 @@
 """Checks of a robot's computer: its set-up, disk, memory, heat, services, release, config and key."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 from laptop.fleet.core import steps
 from laptop.fleet.core.checkup import SIMULATED, Check, ExaminedRobot, Finding, bad, ok, skipped, warning
 from laptop.fleet.core.wish import DesiredRobot, ProvisioningStep, wish
+from swarm.config.types import DEFAULT_KEY_FILE
 
 LOW_DISK = 200_000_000
 LOW_MEMORY = 40_000_000
@@ -127,20 +129,23 @@ def config(robot: ExaminedRobot) -> Finding:
 
 def key(robot: ExaminedRobot) -> Finding:
     """The key is the mesh's alone."""
-    if robot.config.mesh.key_file is None:
+    path = robot.config.mesh.key_file
+    if path is None:
         return skipped("swarm.toml says insecure: links need none")
+    by_deploy = path == Path(DEFAULT_KEY_FILE)
+    bring = "swarm deploy --key FILE (swarm key new makes one)" if by_deploy else f"copy the key to {path} there"
     if robot.key is None:
-        return bad("it has no key", "swarm deploy --key FILE (swarm key new makes one)")
+        return bad("it has no key", bring)
     mode = int(str(robot.key["mode"]), 8)
     if mode & 0o077:
         return bad(
             f"others may read it (mode {mode:04o})",
-            f"chmod 600 {robot.config.mesh.key_file} there; if others had access: a new key, swarm key rotate",
+            f"chmod 600 {path} there; if others had access: a new key, swarm key rotate",
         )
     if robot.system is not None and robot.key["owner"] != "swarm-mesh":
-        return bad(f"it belongs to {robot.key['owner']}", f"chown swarm-mesh {robot.config.mesh.key_file} there")
+        return bad(f"it belongs to {robot.key['owner']}", f"chown swarm-mesh {path} there")
     if not robot.key["ids"]:
-        return bad("there is no key in the file", "swarm deploy --key FILE")
+        return bad("there is no key in the file", bring)
     return ok(f"mode {mode:04o}, id {' '.join(robot.key['ids'])}")
 
 

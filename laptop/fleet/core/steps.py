@@ -16,7 +16,6 @@ LOOK = {
     "links": [*packages.FIRMWARE],
     "there": [
         "/etc/cloud",
-        "/etc/swarm/key",
         *(f"{packages.SYNAPTICS}/{name}" for name in packages.FIRMWARE.values()),
     ],
     "disks": [*MIN_FREE],

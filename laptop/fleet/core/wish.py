@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import field
 from typing import Any
 
-from swarm.config.types import Config
+from swarm.config.types import DEFAULT_KEY_FILE, Config
 from swarm.frozen import frozen
 
 SUITES = {"bookworm": "3.11", "trixie": "3.13"}
@@ -60,8 +60,8 @@ class DesiredRobot:
     """Whether this run brings a key to the robot."""
     i2c_clock: int = 100
     """The clock of the I2C bus, kHz."""
-    secure: bool = True
-    """Whether the robot needs a key."""
+    key_file: str | None = DEFAULT_KEY_FILE
+    """Where the robot's mesh looks for its key; None: it needs none."""
     wifi: tuple[str, str] | None = None
     """Name and password of a wireless network to join."""
     architecture: str = "arm64"
@@ -86,7 +86,7 @@ def wish(
         bluetooth=entry.link is None,
         key=key,
         i2c_clock=entry.i2c_clock,
-        secure=config.mesh.key_file is not None,
+        key_file=None if config.mesh.key_file is None else str(config.mesh.key_file),
         wifi=wifi,
     )
 

@@ -15,7 +15,9 @@ from pathlib import Path
 from laptop.fleet.release.versions import OWN_NAME
 from laptop.fleet.ssh.everyone import ReportProgress
 from laptop.fleet.ssh.ssh import Host, HostError, Ssh, last_words
+from swarm.config import Config
 from swarm.config.keyfile import read_keys
+from swarm.config.types import DEFAULT_KEY_FILE
 from swarm.errors import LocalError
 from swarm.frozen import frozen
 
@@ -134,13 +136,18 @@ _INSTALL = (
 """A command for the robot. Configuration and key arrive as a tar archive, so no copy of them stays in a home folder."""
 
 
-def read_files(config: Path, key: Path | None) -> dict[str, bytes]:
+def read_files(config: Config, key: Path | None) -> dict[str, bytes]:
     """Return the files that go with a release, by the option of `install`. Raises `LocalError` where one cannot be
-    read, or where the key is readable by others."""
+    read, where the key is readable by others, or where the robots would not look for it in its place."""
     if key is not None:
+        if config.mesh.key_file not in (None, Path(DEFAULT_KEY_FILE)):
+            raise LocalError(
+                f"{key} would become {DEFAULT_KEY_FILE} on the robots, and [mesh] key of {config.path} has them look "
+                f"for {config.mesh.key_file}: remove that line, or copy the key to that place and leave --key out"
+            )
         read_keys(key)
     files = {}
-    for name, path in {"config": config, "key": key}.items():
+    for name, path in {"config": config.path, "key": key}.items():
         if path is not None:
             try:
                 files[name] = path.read_bytes()

@@ -22,18 +22,16 @@ SERVICES = ("swarm-bus", "swarm-mesh", "swarm-balancer", "swarm-dwm")
 
 
 def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, Any]:
-    """The facts, and: memory, temperature, throttled, services, devices, key, config, robot, pairing."""
+    """The facts, and: memory, temperature, throttled, services, devices, key, config, robot, pairing. The request also
+    names the file of the key."""
     root = request.get("root", "/")
     found = facts.main(request, tell)
     services = {name: unit(f"{name}.service", _ASKED) for name in SERVICES}
-    idle = services["swarm-balancer"].get("ActiveState") != "active"
     with contextlib.suppress(OSError):
-        key = below(root, "/etc/swarm/key")
-        found["key"] = {
-            "mode": found["modes"].get("/etc/swarm/key"),
-            "owner": _name(key.stat().st_uid),
-            "ids": _ids(key),
-        }
+        if request.get("key"):
+            key = below(root, request["key"])
+            state = key.stat()
+            found["key"] = {"mode": f"{state.st_mode & 0o7777:04o}", "owner": _name(state.st_uid), "ids": _ids(key)}
     config = text(below(root, "/etc/swarm/swarm.toml"))
     settings = (text(below(root, "/etc/swarm/robot.env")) or "").splitlines()
     names = [row.partition("=")[2] for row in settings if row.startswith("SWARM_ROBOT=")]
@@ -43,8 +41,7 @@ def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, A
         "temperature": int(line(below(root, "/sys/class/thermal/thermal_zone0/temp")) or 0) / 1000 or None,
         "throttled": _throttled(root),
         "services": services,
-        # While the balancer runs it owns the bus, and it tells by itself what does not answer.
-        "devices": _devices(root) if idle else None,
+        "devices": _devices(root),
         "config": None if config is None else hashlib.sha256(config.encode()).hexdigest(),
         "robot": names[-1] if names else None,
         "pairing": pairing.main({"do": "look"}, tell) if request.get("bluetooth") else None,
@@ -71,13 +68,15 @@ def _throttled(root: str) -> int | None:
         return None
 
 
-def _devices(root: str) -> dict[str, Any]:
-    """Read from the I2C bus: WHO_AM_I of the IMU, layout and revision of the ATmega's firmware, the display."""
+def _devices(root: str) -> dict[str, Any] | None:
+    """Read from the I2C bus: WHO_AM_I of the IMU, layout and revision of the ATmega's firmware, the display. None where
+    a process has the bus: the balancer tells by itself what does not answer."""
     try:
         bus = os.open(below(root, "/dev/i2c-1"), os.O_RDWR)
     except OSError as error:
         return {"problem": os.strerror(error.errno or 0)}
     try:
+        fcntl.flock(bus, fcntl.LOCK_EX | fcntl.LOCK_NB)
         atmega = _read(bus, 0x14, 0, 18)
         imu = _read(bus, 0x6B, 0x0F, 1)
         return {
@@ -86,6 +85,8 @@ def _devices(root: str) -> dict[str, Any]:
             "atmega": [atmega[0], atmega[17]] if atmega else None,
             "display": _read(bus, 0x3C, 0, 1) is not None,
         }
+    except BlockingIOError:
+        return None
     finally:
         os.close(bus)
 

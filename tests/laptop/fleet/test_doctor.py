@@ -1,5 +1,6 @@
 """`swarm doctor` on a simulated swarm of real services, with faults put in one after the other, each to be named."""
 
+import fcntl
 import json
 import os
 import pty
@@ -19,6 +20,7 @@ from laptop.cli.robots import doctor
 from laptop.fleet.core import doctor as core
 from laptop.fleet.provision import Rig
 from swarm.config.keyfile import new_key_file
+from swarm.onboard.bootstrap import examine
 from swarm.process.simulations import claim
 
 Report = dict[str, dict[str, dict[str, str]]]
@@ -165,6 +167,29 @@ def test_a_key_that_others_may_read(robots: FakeRobots, capsys: pytest.CaptureFi
     assert said["robots"]["r0"]["key"]["remedy"].startswith("chmod 600 /etc/swarm/key there")
     secret = key.read_text().split()[-1]
     assert secret not in json.dumps(said)
+
+
+def test_the_doctor_leaves_an_i2c_bus_alone_that_a_process_has(tmp_path: Path) -> None:
+    """A balancer that starts has it too: the doctor's transfers would go between its own."""
+    (tmp_path / "dev").mkdir()
+    device = tmp_path / "dev/i2c-1"
+    device.touch()
+    with device.open("r+b") as balancer:
+        fcntl.flock(balancer, fcntl.LOCK_EX)
+        assert examine._devices(str(tmp_path)) is None
+    assert examine._devices(str(tmp_path)) == {"problem": "", "imu": None, "atmega": None, "display": False}
+
+
+@needs_ssh
+def test_a_key_at_a_place_of_its_own_is_examined_there(robots: FakeRobots, capsys: pytest.CaptureFixture[str]) -> None:
+    home = add_pi(robots, "r0")
+    robots.config.write_text(robots.config.read_text().replace("insecure = true", 'key = "/srv/swarm.key"'))
+    found = real(robots, capsys)[1]["robots"]["r0"]["key"]
+    assert (found["text"], found["remedy"]) == ("it has no key", "copy the key to /srv/swarm.key there")
+    key = home / "root/srv/swarm.key"
+    key.parent.mkdir()
+    new_key_file(key, 5.0)
+    assert "belongs to" in real(robots, capsys)[1]["robots"]["r0"]["key"]["text"]
 
 
 @needs_ssh

@@ -190,6 +190,20 @@ def test_a_key_is_needed_where_links_are_authenticated(robots: FakeRobots, run: 
     assert (home / "root/etc/hostname").read_text() == "r0\n"
 
 
+def test_a_key_at_a_place_of_its_own_is_looked_for_there(robots: FakeRobots, run: Provision) -> None:
+    home = add_pi(robots, "r0", packages="bluez python3 python3-bluez python3-venv rfkill")
+    robots.config.write_text(robots.config.read_text().replace("insecure = true", 'key = "/srv/swarm.key"'))
+    key = home / "root/srv/swarm.key"
+    _, _, text = run()
+    assert text["r0"] == (
+        "key: it has no /srv/swarm.key, which [mesh] key names: copy the key there, or remove that line"
+    )
+    key.parent.mkdir()
+    new_key_file(key, 1.0)
+    code, lines, _ = run()
+    assert (code, states(lines["r0"])["key"]) == (0, "ok")
+
+
 def test_an_address_that_its_new_name_would_change(robots: FakeRobots, run: Provision) -> None:
     home = add_pi(robots, "r0")
     with robots.ssh_config.open("r+") as file:

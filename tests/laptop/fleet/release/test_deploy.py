@@ -144,6 +144,22 @@ def test_a_key_that_others_may_read_reaches_no_robot(
     assert not (home / ".cache").exists()
 
 
+def test_a_key_that_the_robots_would_look_for_elsewhere_reaches_no_robot(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It would be installed, and no link come up."""
+    home = robots.add("r0")
+    key = robots.folder / "key"
+    new_key_file(key, 1)
+    robots.config.write_text(robots.config.read_text().replace("insecure = true", 'key = "/srv/swarm.key"'))
+    release = make_release(robots.folder / "a.tar.gz", "1-a", {})
+    assert run("deploy", str(release), "--key", str(key)) == 2
+    said = capsys.readouterr().err
+    assert "would become /etc/swarm/key on the robots" in said
+    assert "look for /srv/swarm.key: remove that line" in said
+    assert not (home / ".cache").exists()
+
+
 def test_a_host_that_is_another_robot_is_named(
     robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
 ) -> None:
