@@ -11,14 +11,15 @@ from pathlib import Path
 def atomic_write(
     path: Path, data: bytes, *, mode: int | None = None, owner: tuple[int, int] | None = None, unsynced: str = ""
 ) -> None:
-    """Replace the file's content. Whenever the process is killed or the power fails, a reader finds the whole old
-    content or the whole new one; once this function has returned, it finds the new one. One process at a time may
-    write a file.
+    """Replace the file's content; of a symbolic link, that of the file to which it leads. Whenever the process is
+    killed or the power fails, a reader finds the whole old content or the whole new one; once this function has
+    returned, it finds the new one. One process at a time may write a file.
 
     `mode`: permissions; without it, those of the file that is there, or what the umask leaves of 0644. `owner`: user
     and group. `unsynced`: the reason why a power cut may take the content away; with a reason nothing waits for the
     disk. Raises `OSError`; the folder must be there.
     """
+    path = Path(os.path.realpath(path))
     new = path.with_name(path.name + ".new")
     if mode is None:
         with contextlib.suppress(FileNotFoundError):

@@ -111,7 +111,6 @@ def _text(keys: dict[int, bytes]) -> bytes:
 
 def _replace(path: Path, keys: dict[int, bytes]) -> None:
     """Write the file anew, whole or not at all, for the same owner; others cannot read it."""
-    path = path.resolve()
     try:
         there = path.stat()
         atomic_write(path, _text(keys), mode=0o600, owner=(there.st_uid, there.st_gid))

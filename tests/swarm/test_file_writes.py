@@ -36,6 +36,23 @@ def test_after_a_cut_at_any_call_a_file_is_whole_and_after_the_last_call_new(
             assert seen == new, state
 
 
+def test_a_write_to_a_symbolic_link_changes_the_file_that_it_leads_to(tmp_path: Path) -> None:
+    """People keep their swarm.toml elsewhere, and a robot's /etc/swarm leads to the settings of its release."""
+    (tmp_path / "kept").mkdir()
+    target, link = tmp_path / "kept/swarm.toml", tmp_path / "swarm.toml"
+    target.write_bytes(b"old")
+    target.chmod(0o640)
+    link.symlink_to("kept/swarm.toml")
+    atomic_write(link, b"new")
+    assert link.is_symlink()
+    assert target.read_bytes() == b"new"
+    assert target.stat().st_mode & 0o777 == 0o640
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["kept", "swarm.toml", "swarm.toml"]
+    target.unlink()
+    atomic_write(link, b"again")
+    assert (link.is_symlink(), target.read_bytes()) == (True, b"again")
+
+
 def test_the_double_finds_a_missing_sync_of_the_file_and_of_the_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
