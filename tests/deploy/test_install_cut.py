@@ -311,6 +311,20 @@ def test_a_release_that_does_not_run_is_taken_back_with_its_config_and_key(robot
     assert not (robot.root / "usr/local/lib/systemd/system/swarm-new.service").exists()
 
 
+def test_releases_that_do_not_run_or_are_refused_do_not_fill_the_disk(robot: Robot) -> None:
+    for number in ("1", "2"):
+        robot.run(robot.release(number) / "install", *files(robot, number))
+    for number in ("3", "4", "5"):
+        robot.run(robot.release(number, runs=False) / "install", *files(robot, number), code=1)
+    for number in ("6", "7"):
+        release = robot.release(number)
+        (release / "swarm").write_text("#!/bin/sh\nexit 1\n")
+        steps = robot.run(release / "install", *files(robot, number), code=2)
+    assert robot.boot(steps[-1][1]) == whole("2")
+    assert sorted(path.name for path in (robot.root / "opt/swarm/releases").iterdir()) == ["2", "7"]
+    assert len(list((robot.root / "opt/swarm/settings").iterdir())) <= 2
+
+
 @pytest.mark.slow
 def test_a_config_that_does_not_run_is_taken_back_within_one_release(robot: Robot) -> None:
     release = robot.release("1")
@@ -394,7 +408,7 @@ def test_a_calibration_goes_with_the_settings_stays_without_the_option_and_is_ta
     for _, tree in cuts(robot.run(release / "install", *files(robot, "2"))):
         assert robot.read(tree, "etc/swarm/calibration/r0.toml") == "calibration 1"
     place.unlink()
-    place.write_text("made here")  # as swarm calibrate does it on a robot
+    place.write_text("made here")  # by a program that replaces the link
     robot.run(robot.release("3") / "install", *files(robot, "3"))
     assert place.is_symlink()
     assert place.read_text() == "made here"

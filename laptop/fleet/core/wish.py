@@ -26,8 +26,8 @@ MIN_KERNEL = (6, 12)
 KERNEL_PACKAGE = "linux-image-rpi-v8"
 
 MIN_FREE = {"/": 400_000_000, "/boot/firmware": 20_000_000}
-"""Free bytes that a robot needs: a release has 60 MB, two are kept, a third is being unpacked, and packages need room
-too."""
+"""Free bytes that a robot needs: a release has 60 MB, one is in force while another is unpacked, and packages need
+room too."""
 
 
 @frozen
