@@ -45,6 +45,7 @@ exec "$@"
 SYSTEMCTL = """#!/bin/sh
 case "$*" in
 *--property=ActiveState*) cat $HOME/state 2>/dev/null || echo active; exit ;;
+*--property=StatusText*) cat $HOME/status 2>/dev/null; exit ;;
 *--property=InvocationID*) cat $HOME/systemctl.log 2>/dev/null | wc -l; exit ;;
 esac
 echo "$@" >> $HOME/systemctl.log

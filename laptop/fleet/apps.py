@@ -14,7 +14,7 @@ from urllib.parse import quote
 from laptop.fleet.release import versions
 from laptop.fleet.release.install import pack
 from laptop.fleet.ssh.ssh import Host, HostError, Ssh
-from laptop.fleet.units import SERVICES, unit
+from laptop.fleet.units import SERVICES, is_app, unit
 from services.apps import sources
 from swarm.app.settings import on_top, parse
 from swarm.config import Config
@@ -47,16 +47,29 @@ one renamed file says both where it is and how it is run. Whatever breaks before
 that loses its power after it still has both when it comes back: it could not join this run again with the settings of
 another."""
 
-_FIRST = """i=0; state=; while [ $i -lt {tries} ]; do
+_AGAIN = """before=$(systemctl show --property=InvocationID --value {unit})
+case {action}-$(systemctl show --property=ActiveState --value {unit}) in
+    start-active | start-activating) ;;
+    *) echo "$before" ;;
+esac
+sudo -n systemctl {action} --no-block {unit}"""
+"""For the robot's shell: starts a unit; prints the invocation before, where there will be another one."""
+
+_FIRST = """i=0; state=; status=; while [ $i -lt {tries} ]; do
     state=$(systemctl show --property=ActiveState --value {unit})
     if [ "$(systemctl show --property=InvocationID --value {unit})" != "{before}" ]; then
-        case $state in active | failed) break ;; esac
+        status=$(systemctl show --property=StatusText --value {unit})
+        case $state-$status in active-* | failed-* | {enough}) break ;; esac
     fi
     i=$((i + 1)); sleep 0.5
 done
-echo $state; [ "$state" = active ] || sudo -n journalctl --unit={unit} --no-pager --lines=5 --output=cat"""
-"""For the robot's shell: waits until another invocation than `before` is ready or has failed; prints the unit's state,
-and where it is not ready its last words."""
+echo "$state"; echo "$status"
+[ "$state" = active ] || sudo -n journalctl --unit={unit} --no-pager --lines=5 --output=cat"""
+"""For the robot's shell: waits until another invocation than `before` is ready or has failed, or `enough` matches;
+prints the unit's state and what it says of itself, and where it is not ready its last words."""
+
+_WAITING = "starting "
+"""The beginning of what an app says of itself while it waits before its first state (`Service.waits`)."""
 
 WAIT_S = 20.0
 """Seconds that an app has for its first state: imports, and a measurement where it needs one."""
@@ -121,14 +134,8 @@ class AppStart:
 
     async def until_first_state(self, ssh: Ssh, host: Host) -> str:
         """Begin on a robot, and wait until its app has a first state. Raises `HostError` with its last words."""
-        before = await self._begin(ssh, host)
-        script = _FIRST.format(unit=self.unit, before=before, tries=round(WAIT_S / 0.5))
-        state, *said = (await ssh.check(host, script)).splitlines() or [""]
-        if state == "active":
-            return f"{self.unit} runs: {self.run}"
-        words = " | ".join(printable(line) for line in said if line.strip()) or "it has said nothing"
-        how = "has failed" if state == "failed" else f"has no first state after {WAIT_S:g} s ({state or 'unknown'})"
-        raise HostError(f"{self.unit} {how}: {words}")
+        await _first(ssh, host, self.unit, await self._begin(ssh, host))
+        return f"{self.unit} runs: {self.run}"
 
     async def _begin(self, ssh: Ssh, host: Host) -> str:
         """Start it; returns which invocation of the unit there was before."""
@@ -137,10 +144,39 @@ class AppStart:
 
 
 async def systemctl(ssh: Ssh, host: Host, action: str, names: Iterable[str]) -> str:
-    """Have units started, stopped or restarted; `HostError` where that fails."""
-    words = " ".join(names)
-    await ssh.check(host, f"sudo -n systemctl {action} {words}")
-    return f"{action} {words}"
+    """Have units started, stopped or restarted; `HostError` where that fails.
+
+    An app that is started or restarted is waited for until it is ready, or says what it waits for: for the first
+    measurement or the links of the others, which may take minutes.
+    """
+    units = list(names)
+    waited = [each for each in units if is_app(each)] if action in ("start", "restart") else []
+    said = []
+    if others := " ".join(each for each in units if each not in waited):
+        await ssh.check(host, f"sudo -n systemctl {action} {others}")
+        said.append(f"{action} {others}")
+    for each in waited:
+        before = await ssh.check(host, _AGAIN.format(unit=each, action=action))
+        waits = await _first(ssh, host, each, before.strip(), may_wait=True)
+        said.append(f"{action} {each}" + (f", which runs and waits: {waits}" if waits else ""))
+    return ", ".join(said)
+
+
+async def _first(ssh: Ssh, host: Host, name: str, before: str, *, may_wait: bool = False) -> str:
+    """Wait until another invocation of the unit `name` than `before` is ready; `may_wait`: or until it says what it
+    waits for, which is returned. Raises `HostError` with its last words."""
+    enough = f'"activating-{_WAITING}"*' if may_wait else "-"
+    script = _FIRST.format(unit=name, before=before, tries=round(WAIT_S / 0.5), enough=enough)
+    state, status, *said = [*(await ssh.check(host, script)).splitlines(), "", ""]
+    if state == "active":
+        return ""
+    waits = printable(status.removeprefix(_WAITING)) if status.startswith(_WAITING) else ""
+    if waits and may_wait and state == "activating":
+        return waits
+    words = " | ".join(printable(line) for line in said if line.strip()) or "it has said nothing"
+    why = waits or state or "unknown"
+    how = "has failed" if state == "failed" else f"has no first state after {WAIT_S:g} s ({why})"
+    raise HostError(f"{name} {how}: {words}")
 
 
 def check_name(name: str, told: str) -> None:

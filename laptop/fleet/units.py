@@ -18,6 +18,11 @@ def unit(name: str) -> str:
     raise LocalError(f"{name!r}: expected {', '.join(SERVICES)} or the name of an app")
 
 
+def is_app(unit: str) -> bool:
+    """Return whether this is the unit of an app."""
+    return unit.startswith("swarm-app@")
+
+
 def units(names: Sequence[str]) -> list[str]:
     """The units of these, or the target that holds all services."""
     return [unit(name) for name in names] or [TARGET]

@@ -54,6 +54,9 @@ class VirtualRuntime:
     def worker(name: str) -> "InlineWorker":
         return _WORKER
 
+    def waits(self, reason: str) -> None:
+        """See `Runtime`."""
+
     def ready(self) -> None:
         """See `Runtime`."""
 

@@ -67,6 +67,9 @@ class Process(Outlets, Protocol):
     def robot(self) -> str:
         """The name of the robot."""
 
+    def waits(self, reason: str) -> None:
+        """Tell what the service waits for until it is ready for the first time."""
+
     def ready(self) -> None:
         """Tell that the service does its work."""
 

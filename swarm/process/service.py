@@ -67,6 +67,11 @@ class Service:
         if on_bus is not None:
             self.bus.on_change(on_bus)
 
+    def waits(self, reason: str) -> None:
+        """Say what the service waits for until it is ready for the first time."""
+        if self._state == "starting":
+            self._change("starting", reason)
+
     def ready(self) -> None:
         """Say that the service does its work."""
         self._change("ready", "")

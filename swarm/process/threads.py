@@ -61,6 +61,9 @@ class ThreadedRuntime(LockedRuntime):
         self._workers.append(worker)
         return worker
 
+    def waits(self, reason: str) -> None:
+        self._service.waits(reason)
+
     def ready(self) -> None:
         self._service.ready()
 

@@ -174,6 +174,8 @@ class LockstepDriver:
             self._fail(self.runner.hangs(self._worker.thread, HANG))
         repeated, _ = self._status.look()
         if repeated:
+            if not run.begun:
+                self._runtime.waits(self.progress.reason)
             for name, count in run.counters.items():
                 self._runtime.counters[f"{self._counted}_{name.replace(' ', '_')}"] = count
 

@@ -115,6 +115,7 @@ def of_run(service: Service, app: str, run: int) -> RunLinks | None:
             return of_edges(config, answers[-1].edges)
         if clock.now() >= told_at + TELL_EVERY:
             told_at = clock.now()
+            service.waits(reason)
             progress = AppProgress(told_at, "starting", 0, (), reason)
             service.bus.publish(key(service.robot, f"app/{app}", "progress"), progress)
         if service.stopping.wait(ASK_EVERY):

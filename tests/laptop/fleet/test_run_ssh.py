@@ -1,6 +1,7 @@
 """`swarm run` over real ssh servers: an app is started on all robots, or on none."""
 
 import re
+import time
 
 import pytest
 from fake_releases import add_robot, files
@@ -77,6 +78,29 @@ def test_run_names_the_robot_whose_app_has_no_first_state_with_its_last_words(
     assert found["r1"]["text"] == (
         "swarm-app@consensus.service has failed: first | ModuleNotFoundError: No module named numpy"
     )
+
+
+@pytest.mark.parametrize("words", [("services", "start"), ("services", "restart"), ("app", "start")])
+def test_an_app_that_waits_when_it_is_started_is_reported_at_once(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], words: tuple[str, ...]
+) -> None:
+    """systemctl itself would return when the app has its first measurement, which may take hours."""
+    homes = [add_robot(robots, name) for name in ("r0", "r1", "r2")]
+    (homes[0] / "state").write_text("activating\n")
+    (homes[0] / "status").write_text("starting the dwm service gives no measurement\n")
+    (homes[2] / "state").write_text("failed\n")
+    for home in homes:
+        blocks = 'case "$*" in *--no-block*|show*|stop*|"start swarm-mesh"*) ;; *) sleep 60 ;; esac\n'
+        path = home / "bin/systemctl"
+        path.write_text(path.read_text().replace("#!/bin/sh\n", f"#!/bin/sh\n{blocks}"))
+    began = time.monotonic()
+    assert run(words[0], *words[1:], "localization", "--robots", "r0,r1,r2", "--json", "--timeout", "30") == 1
+    assert time.monotonic() - began < 15
+    found, unit = outcomes(capsys), "swarm-app@localization.service"
+    assert found["r0"]["text"] == (f"{words[1]} {unit}, which runs and waits: the dwm service gives no measurement")
+    assert found["r1"]["text"] == f"{words[1]} {unit}"
+    assert str(found["r2"]["text"]).startswith(f"{unit} has failed: ")
+    assert [outcome["ok"] for outcome in found.values()] == [True, True, False]
 
 
 def test_a_start_that_breaks_changes_nothing(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:

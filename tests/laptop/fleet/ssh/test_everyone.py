@@ -53,7 +53,8 @@ def test_services_are_started_by_their_names(robots: FakeRobots, run: Run, capsy
     assert run("services", "start") == 0
     assert run("services", "stop", "dwm") == 0
     assert (home / "systemctl.log").read_text().splitlines() == [
-        "restart swarm-mesh.service swarm-app@consensus.service",
+        "restart swarm-mesh.service",
+        "restart --no-block swarm-app@consensus.service",
         "start swarm.target",
         "stop swarm-dwm.service",
     ]

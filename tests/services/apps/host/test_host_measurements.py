@@ -4,10 +4,10 @@ import math
 import random
 
 from apps_rig import NAMES, Rig
-from host_rig import MakeRig, make_rig, undisturbed
+from host_rig import MakeRig, ask, make_rig, undisturbed
 from memory_swarm import PLACES, TARGET
 
-from swarm.messages import Measurement, Pose, Range, Ranges
+from swarm.messages import Measurement, Pose, Range, Ranges, Status
 from swarm.messages.codec import encode
 
 __all__ = ["make_rig"]
@@ -52,6 +52,12 @@ def test_a_replay_waits_for_the_dwm_service_and_says_so(make_rig: MakeRig) -> No
     rig.until_phase("waiting")
     assert rig.progress["r0"].reason == "the dwm service gives no measurement"
     assert rig.progress["r0"].k == 0
+
+    def told() -> tuple[str, str]:
+        status = ask(rig, "r0", "localization/status", Status)
+        return status.state, status.reason
+
+    rig.until(lambda: told() == ("starting", rig.progress["r0"].reason), "its status, as systemd has it, says it too")
     serve(rig)
     rig.until_phase("done")
 

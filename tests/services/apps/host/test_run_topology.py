@@ -151,7 +151,10 @@ def test_a_run_that_waits_for_a_topology_keeps_only_the_newest_answer(tmp_path: 
 
     rounds = iter([False, False, True])
     stopping = SimpleNamespace(wait=lambda _: next(rounds))
-    service: Any = SimpleNamespace(runtime=tmp_path, config=config, robot="r0", bus=Answers, stopping=stopping)
+    waits: list[str] = []
+    service: Any = SimpleNamespace(
+        runtime=tmp_path, config=config, robot="r0", bus=Answers, stopping=stopping, waits=waits.append
+    )
     kept: list[int] = []
 
     def look(*_: object) -> str:
@@ -161,9 +164,11 @@ def test_a_run_that_waits_for_a_topology_keeps_only_the_newest_answer(tmp_path: 
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(topology, "lacking", look)
+        patch.setattr(topology, "TELL_EVERY", 0.0)
         assert topology.of_run(service, "x", 7) is None
     assert len(kept) == 3
     assert kept[-1] <= kept[0]
+    assert set(waits) == {"not yet"}, "systemd knows why the app is not ready"
 
 
 def test_after_a_change_of_members_the_run_needs_the_links_of_the_new_ones() -> None:
