@@ -1,7 +1,8 @@
 """A guided session between a person, a robot on its bus, and a file of samples.
 
 The person presses the robot's buttons (A: start and stop, B: next place, C: this place anew) or keys. Every sample is
-written at once: whatever happens to the session, what was measured is there.
+written at once, and what is to be measured anew leaves the file at once: whatever happens to the session, what was
+measured is there and nothing else.
 """
 
 import os
@@ -121,8 +122,15 @@ def hold(
 ) -> None:
     """Run the session until it is done; samples are appended to `path`. Raises `BusError` where nothing is heard."""
     reports, presses, keys = Reports(), Presses(), KeyPresses(sys.stdin)
-    with _new(path) as file, keyboard.Keyboard(sys.stdin).raw():
-        file.write(HEADER + "\n")
+
+    def press(button: GuideButton) -> None:
+        there = len(guide.samples)
+        guide.press(button)
+        if len(guide.samples) < there:
+            _write(path, guide)
+
+    _new(path)
+    with keyboard.Keyboard(sys.stdin).raw():
         say(HELP)
         heard_at, shown = now(), ""
         while not guide.done:
@@ -131,11 +139,11 @@ def hold(
                 shown = prompt
             pressed = keys.pressed(0.0 if guide.measuring else _POLL, waiting=not guide.measuring)
             if pressed is not None:
-                guide.press(pressed)
+                press(pressed)
             for message in _drained(hearing.messages, _POLL if guide.measuring else 0.0):
                 if isinstance(message, Buttons):
-                    for press in presses.take(message):
-                        guide.press(press)
+                    for button in presses.take(message):
+                        press(button)
                     continue
                 report = reports.take(message)
                 if report is None:
@@ -143,19 +151,21 @@ def hold(
                 heard_at = now()
                 place = guide.stop.place if not guide.done else -1
                 made = guide.report(*report)
-                file.writelines(write(sample) + "\n" for sample in made)
                 if made:
+                    with path.open("a", encoding="utf-8") as file:
+                        file.writelines(write(sample) + "\n" for sample in made)
                     say("  " + (guide.progress(module) if not guide.done and guide.measuring else f"place {place + 1}"))
             if now() - heard_at > SILENT and guide.measuring:
                 raise BusError(
                     f"no report of the robot's module for {SILENT:g} s: does its dwm service run? See swarm dwm check"
                 )
-    _rewrite(path, guide)
+    _write(path, guide)
 
 
-def _new(path: Path) -> TextIO:
+def _new(path: Path) -> None:
     try:
-        return path.open("x", encoding="utf-8", buffering=1)
+        with path.open("x", encoding="utf-8") as file:
+            file.write(HEADER + "\n")
     except FileExistsError:
         raise LocalError(f"{path}: is there already; name another file with --samples") from None
 
@@ -170,7 +180,7 @@ def _drained(messages: "queue.SimpleQueue[Message]", wait: float) -> Iterator[Me
         return
 
 
-def _rewrite(path: Path, guide: Guide) -> None:
-    """Without the samples of places that were measured anew."""
+def _write(path: Path, guide: Guide) -> None:
+    """Bring all samples of the session to the disk, without those of places that are measured anew."""
     lines = [HEADER, *map(write, guide.samples)]
     atomic_write(path, ("\n".join(lines) + "\n").encode())

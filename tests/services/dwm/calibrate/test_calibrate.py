@@ -5,6 +5,8 @@ import math
 import os
 import re
 import threading
+from queue import SimpleQueue
+from types import SimpleNamespace
 
 import pytest
 from conftest import CONFIG
@@ -18,7 +20,7 @@ from services.dwm.core.calibration.samples import HEADER, RangeSample, read, wri
 from swarm import config as configuration
 from swarm.bus.zenoh_bus import Bus
 from swarm.errors import BusError
-from swarm.messages import Buttons
+from swarm.messages import Buttons, Pose, Range, Ranges
 
 SWARM = (
     ANCHORS
@@ -167,6 +169,29 @@ def test_a_silent_module_is_named(router, runtime, monkeypatch):
             hold(guide, Hearing(bus, "r0"), "C933", runtime / "s.csv", said.append, lambda: float(next(seconds)))
     assert guide.measuring
     assert said[-1].endswith("measuring")
+
+
+def test_samples_that_are_to_be_measured_anew_are_in_no_file_of_a_session_that_fails(tmp_path, monkeypatch):
+    """The robot has been moved by then: they would be fitted to another place."""
+    answers, person = os.pipe()
+    os.write(person, b"start\nredo\nstart\n")
+    os.close(person)
+    heard, seconds, path = SimpleQueue(), itertools.count(step=0.5), tmp_path / "s.csv"
+    for n in range(3):  # two of them while the robot settles
+        heard.put(Ranges(float(n), n, (Range("D001", 1.0 + n, 1.0 + n, 100, 0.0, n),)))
+        heard.put(Pose(float(n), n, 1.0, 1.0, None, 90, "module"))
+    kept = []
+
+    def say(text):
+        kept.append(path.read_text().splitlines()[1:])
+
+    with os.fdopen(answers) as stdin:
+        monkeypatch.setattr("sys.stdin", stdin)
+        guide = Guide([(1.0, 1.0)], QUARTERS[:2], 1)
+        with pytest.raises(BusError):
+            hold(guide, SimpleNamespace(messages=heard), "D001", path, say, lambda: next(seconds))
+    assert max(map(len, kept)) == 1, "what is measured is written at once"
+    assert path.read_text() == HEADER + "\n"
 
 
 def test_the_end_of_the_answers_ends_the_session(processes, router, swarm, runtime):
