@@ -105,7 +105,13 @@ def offset(options: argparse.Namespace, config: Config, robot: str) -> int:
         file = making.with_offset(before, learned, made, robot, config)
         make_folder(path.parent)
         atomic_write(path, calibration_file.text_of(file).encode())
-        print(f"added to {path}; swarm deploy brings it to the robot")
+        assert file.distance is not None
+        was = before.distance[0].robot if before is not None and before.distance is not None else 0.0
+        now = file.distance[0].robot
+        print(
+            f"added to {path}: the robot's own offset was {100 * was:+.2f} cm and is {100 * now:+.2f} cm; swarm deploy "
+            "brings it to the robot, before the next offset is learned there"
+        )
     return 0
 
 

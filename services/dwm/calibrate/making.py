@@ -131,11 +131,16 @@ def with_offset(
         evidence = Evidence(
             "[dwm.distance]", made, learned.places, learned.samples, learned.sha256, {}, learned.left, ()
         )
-        return replace(file, distance=(replace(RangeModel.of(config.dwm.distance), robot=learned.offset), evidence))
-    model, evidence = file.distance
-    if evidence.sha256 == learned.sha256:
-        raise ConfigError("the calibration has this offset already: it was made of the same samples")
+        model = RangeModel.of(config.dwm.distance)
+    else:
+        model, evidence = file.distance
+    if learned.sha256 in evidence.offsets:
+        raise ConfigError(
+            "the calibration has this offset already: it was made of the same samples. Measure anew under the "
+            "calibration in use, or fit a new model (swarm calibrate distance)"
+        )
     limits.check_offset(model.robot + learned.offset)
+    evidence = replace(evidence, offsets=(*evidence.offsets, learned.sha256))
     return replace(file, distance=(replace(model, robot=model.robot + learned.offset), evidence))
 
 

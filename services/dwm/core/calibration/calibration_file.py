@@ -43,6 +43,8 @@ class Evidence:
     left_out: Mapping[str, float]
     nested: float
     residuals: tuple[tuple[float, ...], ...]
+    offsets: tuple[str, ...] = ()
+    """SHA-256 of the samples or reports whose offsets were added to the robot's own, in a model of ranges."""
 
 
 @frozen
@@ -116,6 +118,7 @@ def text_of(file: CalibrationFile) -> str:
     if file.distance is not None:
         model, evidence = file.distance
         entries = {name: getattr(model, name) for name in ("gain", "offset", "log", "low", "robot", "antenna")}
+        entries["offsets"] = evidence.offsets
         lines += ["", "[distance]", *_lines(entries), *_evidence_lines(evidence)]
     if file.position is not None:
         place, evidence = file.position
@@ -128,7 +131,7 @@ _EVIDENCE = ("model", "made", "places", "samples", "sha256", "left_out", "nested
 
 
 def _distance(top: Table) -> tuple[RangeModel, Evidence]:
-    table = top.table("distance", ("gain", "offset", "log", "low", "robot", "antenna", *_EVIDENCE))
+    table = top.table("distance", ("gain", "offset", "log", "low", "robot", "antenna", "offsets", *_EVIDENCE))
     log = table.number("log", 0.0)
     model = RangeModel(
         gain=table.number("gain", above=0, expected="a number above 0"),
@@ -138,7 +141,10 @@ def _distance(top: Table) -> tuple[RangeModel, Evidence]:
         robot=table.number("robot", 0.0),
         antenna=table.numbers("antenna", (0.0, 0.0), expected="two numbers", length=2),
     )
-    return model, _evidence(table, 2)
+    offsets = table.data.get("offsets", [])
+    if not isinstance(offsets, list) or not all(isinstance(item, str) for item in offsets):
+        raise table.wrong("offsets", "a list of texts")
+    return model, replace(_evidence(table, 2), offsets=tuple(offsets))
 
 
 def _position(top: Table) -> tuple[Affine, Evidence]:

@@ -1,6 +1,7 @@
 """A robot's own UWB offset goes from its commissioning report into its calibration."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,9 @@ from hypothesis import strategies as st
 from services.dwm.calibrate import __main__ as calibrate
 from services.dwm.calibrate import making
 from services.dwm.core.calibration import calibration_file
+from services.dwm.core.calibration.calibration_file import CalibrationFile, Evidence
+from services.dwm.core.calibration.models import RangeModel
+from swarm import config as configuration
 from swarm.errors import ConfigError, LocalError, RecordingError
 
 SWARM = """network = "lab"
@@ -57,6 +61,33 @@ def test_a_report_is_taken_over_once(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert calibrate.main(words) == 0
     with pytest.raises(ConfigError, match="the calibration has this offset already"):
         calibrate.main(words)
+
+
+def test_a_report_is_added_once_to_a_model_that_was_fitted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its evidence is the fit's. So the file itself tells which offsets it has, whatever came after them."""
+    (tmp_path / "swarm.toml").write_text(SWARM)
+    monkeypatch.setenv("SWARM_CONFIG", str(tmp_path / "swarm.toml"))
+    anchors = configuration.load(tmp_path / "swarm.toml").anchors
+    fitted = Evidence("linear", "2026-11-21T06:00:00+00:00", 5, 50, "00", {}, 0.02, ())
+    part = CalibrationFile("", "", (), distance=(RangeModel(0.9, -0.01), fitted))
+    making.save(part, tmp_path / "of" / "r0.toml", "r0", anchors)
+    for number in 1, 2:
+        (tmp_path / f"{number}").mkdir()
+        figures = {**FIGURES, "places": 2 + number, "range_offset_m": 0.01 * number}
+        words = ["offset", str(report(tmp_path / f"{number}", figures)), "--robots", "r0", "--write"]
+        assert calibrate.main(words) == 0
+        with pytest.raises(ConfigError, match="the calibration has this offset already"):
+            calibrate.main(words)
+    assert "the robot's own offset was +1.00 cm and is +3.00 cm" in capsys.readouterr().out
+    with pytest.raises(ConfigError, match="the calibration has this offset already"):
+        calibrate.main(["offset", str(tmp_path / "1/report.json"), "--robots", "r0", "--write"])
+    model, evidence = calibration_file.parse((tmp_path / "of/r0.toml").read_text(), "f").distance or (None, None)
+    assert model == RangeModel(0.9, -0.01, robot=pytest.approx(0.03))
+    assert (evidence and replace(evidence, offsets=())) == fitted
+    making.save(part, tmp_path / "of" / "r0.toml", "r0", anchors)
+    assert calibrate.main(words) == 0, "a new fit has no offset yet"
 
 
 def test_a_report_without_an_offset_or_of_another_robot_is_refused(tmp_path: Path) -> None:
