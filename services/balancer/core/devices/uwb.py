@@ -177,6 +177,7 @@ class UwbReader:
         """The ATmega was reset or was away."""
         self._span, self._seen, self._last_bad, self._bad, self._torn = None, 0, 0, 0, 0
         self._look = b""
+        self._missed.clear()
 
     def _begin(self) -> None:
         self._spans = self._report()
@@ -204,6 +205,8 @@ class UwbReader:
 
     def _looked(self, progress: balboa.UwbProgress, now: float) -> None:
         self._look_at = now + TELL_S
+        if self._newest == self._seen & 15 and now >= self._block_at + RECENT * PERIOD_S:
+            self._missed.clear()  # no report has come since: what was missed before tells nothing of the bus now
         self._bad += (progress.uwb_bad - self._last_bad) % 256
         self._last_bad = progress.uwb_bad
         self.progress = progress

@@ -58,6 +58,29 @@ def location(first: int, count: int, away: float, places: float) -> Location:
     return Location(Position(away, 2.0, 0.1, 90), tuple(anchors))
 
 
+def test_a_reader_of_reports_is_not_behind_when_no_more_come_or_the_atmega_was_reset() -> None:
+    """What it has missed long ago says nothing of the bus now."""
+    pieces = Pieces([4, *[-1] * 4])
+    pieces.answers[LOC_GET.request] = encode_location(location(0x1000, 4, 0.1, 1.0))
+    reader = UwbReader(pieces.now)
+
+    def run(seconds: float) -> bool:
+        for _ in range(round(seconds / TICK)):
+            pieces.tick(reader)
+        return reader.behind
+
+    assert run(30.0)
+    pieces.answers.clear()
+    assert not run(10.0), "the module is silent"
+    pieces.answers[LOC_GET.request] = encode_location(location(0x1000, 4, 0.1, 1.0))
+    assert run(30.0)
+    reader.restart()
+    assert not reader.behind
+    assert run(30.0)
+    pieces.sizes = [32]
+    assert not run(10.0), "it has caught up"
+
+
 @given(rooms, st.integers(0, 6), st.randoms(use_true_random=False))
 def test_reports_are_whole_and_each_anchor_has_its_own_place(
     sizes: list[int], count: int, chance: random.Random
