@@ -6,17 +6,20 @@ and no queue:
     ["bus", there]               whether there is a bus, at first and when that changes
     ["key", key, payload]        a message
     ["alive", key, there]        a service's token
+    ["clock", t]                 this robot's clock as this was written
     ["passed", robot, count]     messages of that robot's synchronous or asynchronous apps that the mesh brought here,
                                  as long as they are few (`swarm.onboard.traffic`)
 
-In come arrays `[key, payload]`, to be published. The program ends when its input does, so nothing stays behind on a
-robot.
+In come arrays `[key, payload]`, to be published. The end of a stop has a third entry: the time by this robot's clock at
+which the laptop wrote it. The time for which a network held it up counts for its age: so it takes back no stop that was
+given meanwhile. The program ends when its input does, so nothing stays behind on a robot.
 
 Commands never wait for telemetry: the main thread only reads and publishes commands; a second thread writes the
 telemetry and may wait for a slow reader as long as it takes. What is new meanwhile replaces what was not yet written.
 """
 
 import contextlib
+import math
 import os
 import select
 import sys
@@ -28,7 +31,8 @@ import msgpack
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError, PayloadError
-from swarm.messages.codec import MAX_PAYLOAD
+from swarm.messages import Arm
+from swarm.messages.codec import MAX_PAYLOAD, decode
 from swarm.messages.keys import STOP, key, parse
 from swarm.onboard.traffic import Traffic
 from swarm.process.paths import runtime_dir
@@ -139,6 +143,11 @@ def publish(bus: Bus, command: object) -> None:
         case [str(name), bytes(payload)] if name == STOP or _is_key(name):
             with contextlib.suppress(LocalError):
                 bus.publish(name, payload, urgent=True)
+        case [str(name), bytes(payload), float(written)] if math.isfinite(written) and _is_key(name):
+            with contextlib.suppress(LocalError, PayloadError):
+                arm = decode(Arm, payload, name)
+                late = max(0.0, clock.now() - written)
+                bus.publish(name, Arm(arm.t, arm.origin, arm.age + late), urgent=True)
 
 
 def _is_key(name: str) -> bool:
@@ -165,7 +174,7 @@ def main() -> None:
                 with contextlib.suppress(BrokenPipeError):
                     while not closing.wait(1.0 / RATE):
                         traffic.look(clock.now())
-                        _write(lookout.news())
+                        _write(lookout.news() + msgpack.packb(["clock", clock.now()]))
             finally:  # nobody hears us, or this is a defect: nothing stays behind that answers nobody
                 os.eventfd_write(ended, 1)
 

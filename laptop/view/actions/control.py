@@ -137,11 +137,18 @@ class Control:
             if self._wanted is not wanted:
                 return  # a later one has gone out meanwhile
             late = [name for name in self._feed.buses if name not in wanted.confirmed]
-            if not late or wanted.overruled or (not wanted.stop and clock.now() > wanted.since + ANSWER_S):
+            given_up = not wanted.stop and clock.now() > wanted.since + ANSWER_S
+            if not late or wanted.overruled or given_up:
                 self._wanted = None  # a robot that comes later learns from the others that a stop was taken back
-                return
-            for name in late:
-                wanted.give(name, self._feed.buses[name])
+            else:
+                for name in late:
+                    wanted.give(name, self._feed.buses[name])
+        if given_up:
+            with self._feed.lock:
+                for name in late:
+                    if self._feed.buses[name].connected:
+                        text = f"has not confirmed within {ANSWER_S:g} s that the stop was taken back: arm again"
+                        self._feed.picture.note(self._feed.now(), name, "warning", text)
 
     def _halt(self, *, stop: bool) -> str:
         self._feed.check_control()

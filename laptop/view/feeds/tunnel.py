@@ -15,7 +15,9 @@ from typing import IO
 import msgpack
 
 from laptop.fleet.ssh.ssh import Host, Ssh, explain, last_words
+from swarm import clock
 from swarm.errors import LocalError
+from swarm.messages import Arm
 from swarm.messages.codec import encode
 from swarm.onboard.lookout import MAX_COMMAND
 
@@ -51,13 +53,25 @@ class Tunnel:
         self._lock = threading.Lock()
         """The lock that protects the process and its input."""
         self._process: subprocess.Popen[bytes] | None = None
+        self._clock: float | None = None
+        """How far the robot's clock is ahead of ours, s, by its newest message: less by what that was under way. None
+        before the first one."""
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"tunnel {host.robot}", daemon=True)
         self._thread.start()
 
     def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
-        """Say something on the robot's bus; lost where it cannot be reached or the network is full, as on a bus."""
-        data: bytes = msgpack.packb([key, message if isinstance(message, bytes) else encode(message)])
+        """Say something on the robot's bus; lost where it cannot be reached or the network is full, as on a bus.
+
+        The end of a stop goes with the robot's time, by which the robot sees how long it was under way; without that it
+        is lost, too.
+        """
+        command: list[object] = [key, message if isinstance(message, bytes) else encode(message)]
+        if isinstance(message, Arm):
+            if self._clock is None:
+                return
+            command.append(clock.now() + self._clock)
+        data: bytes = msgpack.packb(command)
         if len(data) > MAX_COMMAND:
             raise LocalError(f"{key}: {len(data)} bytes, a command has at most {MAX_COMMAND}")
         with self._lock:
@@ -105,6 +119,7 @@ class Tunnel:
             assert process.stdin is not None
             assert process.stdout is not None
             os.set_blocking(process.stdin.fileno(), False)
+            self._clock = None
             with self._lock:
                 self._process = process
                 if self._closing.is_set():
@@ -142,6 +157,9 @@ class Tunnel:
                 if not heard:
                     heard = True
                     self._tell(True, "")
+                if said[0] == "clock" and isinstance(said[-1], float):
+                    self._clock = said[-1] - clock.now()
+                    continue
                 try:
                     self._take(said)
                 except Exception:  # noqa: BLE001 - a defect here; the way to this robot may be needed for a stop

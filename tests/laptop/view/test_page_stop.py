@@ -139,6 +139,9 @@ def test_the_end_of_a_stop_is_repeated_with_its_age_and_not_for_ever(
     now += 100.0
     control.repeat()
     assert arms(feed) == given
+    told = [str(event) for event in feed.picture.events_since(0) if "taken back: arm again" in str(event)]
+    assert len(told) == 1, "the page says once who has not answered"
+    assert "r1" in told[0]
 
 
 class Narrow(Bus):

@@ -1,5 +1,6 @@
 """The connection to a robot: whatever messages come through it, it stays, and a stop goes through it."""
 
+import io
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,8 +16,9 @@ from laptop.view.actions.control import Control
 from laptop.view.feeds.picture import REACH
 from laptop.view.feeds.robots import Robots
 from laptop.view.feeds.tunnel import Tunnel
+from swarm import clock
 from swarm.config import parse
-from swarm.messages import View
+from swarm.messages import Arm, View
 from swarm.messages.codec import encode
 
 LOOKOUT = """
@@ -134,3 +136,31 @@ def test_a_defect_in_taking_a_message_leaves_the_connection(tmp_path: Path, capl
     assert tunnel.connected
     tunnel.close()
     assert caplog.text.count("a message that came through r0 could not be taken") == 2
+
+
+def test_the_end_of_a_stop_goes_with_the_robots_time_or_not_at_all(
+    watch: Callable[[bytes], tuple[Robots, Ssh]],
+) -> None:
+    """A network may hold it up for as long as it likes: the robot must see how old it is."""
+    view, ssh = watch(messages(["bus", True]))
+    tunnel: Any = view.buses["r0"]
+    wait_until(lambda: tunnel.connected)
+    tunnel.publish("swarm/r0/mesh/set/arm", Arm(1.0, "r0", 0.5), urgent=True)
+    tunnel.publish("swarm/stop", b"first")
+    tunnel._clock = 5000.0 - clock.now()
+    tunnel.publish("swarm/r0/mesh/set/arm", Arm(1.0, "r0", 0.5), urgent=True)
+
+    def told() -> list[Any]:
+        said = msgpack.Unpacker(io.BytesIO(ssh.told.read_bytes())) if ssh.told.exists() else ()
+        return [each for each in said if each[0] in ("swarm/r0/mesh/set/arm", "swarm/stop")]
+
+    wait_until(lambda: len(told()) == 2, what="the two that were sent")
+    assert told()[0] == ["swarm/stop", b"first"]
+    assert told()[1] == ["swarm/r0/mesh/set/arm", encode(Arm(1.0, "r0", 0.5)), pytest.approx(5000.0, abs=5.0)]
+
+
+def test_a_tunnel_knows_the_clock_of_its_robot(watch: Callable[[bytes], tuple[Robots, Ssh]]) -> None:
+    view, _ = watch(messages(["bus", True], ["clock", 100.0], ["clock", 5000.0], ["clock", None]))
+    tunnel: Any = view.buses["r0"]
+    wait_until(lambda: tunnel._clock is not None and tunnel._clock + clock.now() > 4000.0)
+    assert tunnel._clock + clock.now() < 5060.0

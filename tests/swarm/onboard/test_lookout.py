@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 
 from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError
-from swarm.messages import Stop, read
-from swarm.messages.codec import MAX_PAYLOAD
+from swarm.messages import Arm, Stop, read
+from swarm.messages.codec import MAX_PAYLOAD, encode
 from swarm.onboard.lookout import MAX_KEYS, MAX_WAITING, Lookout, publish
 
 FLOOD = bytes(60_000)
@@ -67,7 +67,7 @@ def test_a_single_command_waits_for_a_bus_that_is_found_late(processes: Processe
     assert lookout.stdout is not None
     os.write(lookout.stdin.fileno(), msgpack.packb(["swarm/r0/mesh/set/hold", b"now"]))
     lookout.stdin.close()
-    assert os.read(lookout.stdout.fileno(), 100) == msgpack.packb(["bus", False])
+    assert os.read(lookout.stdout.fileno(), 100).startswith(msgpack.packb(["bus", False]))
     lookout.send_signal(signal.SIGSTOP)
     processes.router()
     with Bus.of(runtime) as bus:
@@ -109,11 +109,14 @@ class Taker:
 
     def __init__(self) -> None:
         self.taken: list[str] = []
+        self.arms: list[Arm] = []
 
     def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
         if len(key) > 255:
             raise LocalError("too long")
         self.taken.append(key)
+        if isinstance(message, Arm):
+            self.arms.append(message)
 
 
 ANYTHING = st.recursive(
@@ -123,12 +126,27 @@ ANYTHING = st.recursive(
 )
 
 
-@given(ANYTHING | st.tuples(st.text().map("swarm/".__add__), st.binary()).map(list))
+@given(
+    ANYTHING
+    | st.tuples(st.text().map("swarm/".__add__), st.binary()).map(list)
+    | st.tuples(st.just("swarm/r0/mesh/set/arm"), st.binary(), st.floats()).map(list)
+)
 def test_lookout_publishes_commands_with_plain_keys_and_nothing_else(command: object) -> None:
     bus = Taker()
     publish(bus, command)  # type: ignore[arg-type]
     for key in bus.taken:
         assert key == "swarm/stop" or (key.isascii() and key.isprintable() and "*" not in key)
+
+
+@pytest.mark.parametrize(("under_way", "age"), [(0.0, 2.0), (40.0, 42.0), (-3.0, 2.0)])
+def test_the_end_of_a_stop_that_a_network_held_up_is_as_old_as_it_is(
+    monkeypatch: pytest.MonkeyPatch, under_way: float, age: float
+) -> None:
+    """Else it would take back a stop that was given meanwhile."""
+    monkeypatch.setattr("swarm.onboard.lookout.clock.now", lambda: 1000.0)
+    bus = Taker()
+    publish(bus, ["swarm/r0/mesh/set/arm", encode(Arm(5.0, "r0", 2.0)), 1000.0 - under_way])  # type: ignore[arg-type]
+    assert bus.arms == [Arm(5.0, "r0", age)]
 
 
 @given(st.lists(st.tuples(st.integers(0, 2 * MAX_KEYS), st.integers(0, 2 * MAX_PAYLOAD)), max_size=30), st.data())
