@@ -73,8 +73,8 @@ class Recordings:
     """What one process says of each app, as soon as it says it: problems, digests of all files and bytes of the
     recording."""
 
-    def __init__(self, folder: Path, salt: str, stack: ExitStack) -> None:
-        runs = json.dumps({name: [*APPS[name], *DISTURBED] for name in sorted(APPS)})
+    def __init__(self, apps: list[str], folder: Path, salt: str, stack: ExitStack) -> None:
+        runs = json.dumps({name: [*APPS[name], *DISTURBED] for name in apps})
         words = [sys.executable, "-c", RUN, runs, folder, salt]
         environment = {"PYTHONHASHSEED": salt, "PATH": "", "PYTHONPATH": ":".join(sys.path)}
         self.process = stack.enter_context(running(words, env=environment, stdout=subprocess.PIPE, text=True))
@@ -90,9 +90,11 @@ class Recordings:
 
 
 @pytest.fixture(scope="module")
-def recordings(tmp_path_factory):
+def recordings(request, tmp_path_factory):
+    """Of the apps that this run of the tests asks for."""
+    apps = [item.callspec.params["app"] for item in request.session.items if item.path == request.path]
     with ExitStack() as stack:
-        yield [Recordings(tmp_path_factory.mktemp(f"hash{salt}"), salt, stack) for salt in ("1", "2")]
+        yield [Recordings(apps, tmp_path_factory.mktemp(f"hash{salt}"), salt, stack) for salt in ("1", "2")]
 
 
 @pytest.mark.parametrize("app", thinned(sorted(APPS)))
