@@ -10,6 +10,7 @@ import os
 import re
 import shutil
 import subprocess
+import tarfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -57,9 +58,10 @@ systemctl)
     esac ;;
 *) $name "$@" ;;
 esac || code=$?
-count=$(cat @LOG@/count)
+[ -d @LOG@ ] || exit $code # nobody looks at the trees
+read -r count <@LOG@/count
 echo $((count + 1)) >@LOG@/count
-cp -a @ROOT@ @LOG@/$count
+tar --create --directory=@ROOT@ --file=@LOG@/$count.tar .
 echo $name >@LOG@/$count.name
 exit $code
 """
@@ -76,14 +78,20 @@ esac
 """
 
 
-def tree_of(root: Path) -> Tree:
+def tree_of(archive: Path) -> Tree:
     tree: Tree = {}
-    for place in sorted(root.rglob("*")):
-        path = str(place.relative_to(root))
-        if place.is_symlink():
-            tree[path] = ("link", str(place.readlink()))
-        else:
-            tree[path] = ("folder", "") if place.is_dir() else ("file", place.read_text())
+    with tarfile.open(archive) as members:
+        for each in members:
+            if each.issym():
+                it = ("link", each.linkname)
+            elif each.isdir():
+                it = ("folder", "")
+            else:
+                content = members.extractfile(each)
+                assert content is not None, each.name
+                it = ("file", content.read().decode())
+            tree[each.name.removeprefix("./")] = it
+    tree.pop(".")
     return tree
 
 
@@ -146,20 +154,28 @@ class Robot:
             (folder / script).chmod(0o755)
         return folder
 
-    def run(self, script: Path, *arguments: str | Path, code: int = 0) -> list[tuple[str, Tree]]:
-        """The trees after each command."""
-        shutil.rmtree(self.log, ignore_errors=True)
-        self.log.mkdir()
-        shutil.copytree(self.root, self.log / "0", symlinks=True)
-        (self.log / "0.name").write_text("begin")
-        (self.log / "count").write_text("1")
+    def do(self, script: Path, *arguments: str | Path, code: int = 0) -> None:
+        """Run the script, without the trees, which take most of the time."""
         environment = {**os.environ, "PATH": f"{self.shims}:{os.environ['PATH']}", "SHIMS": str(self.shims)}
         done = subprocess.run(
             ["sh", script, *arguments], env=environment, capture_output=True, text=True, timeout=100, check=False
         )
         assert done.returncode == code, done.stdout + done.stderr
+
+    def run(self, script: Path, *arguments: str | Path, code: int = 0) -> list[tuple[str, Tree]]:
+        """The trees after each command."""
+        self.log.mkdir()
+        with tarfile.open(self.log / "0.tar", "w") as archive:
+            archive.add(self.root, ".")
+        (self.log / "0.name").write_text("begin")
+        (self.log / "count").write_text("1\n")
+        self.do(script, *arguments, code=code)
         count = int((self.log / "count").read_text())
-        return [((self.log / f"{at}.name").read_text().strip(), tree_of(self.log / str(at))) for at in range(count)]
+        steps = [
+            ((self.log / f"{at}.name").read_text().strip(), tree_of(self.log / f"{at}.tar")) for at in range(count)
+        ]
+        shutil.rmtree(self.log)
+        return steps
 
     def read(self, tree: Tree, path: str) -> str | None:
         """The text of a file, through links, in a tree; None where it is not there."""
@@ -256,14 +272,14 @@ def test_a_first_installation_is_whole_or_not_there_after_a_cut_at_any_command(r
 
 
 def test_another_release_with_its_config_and_key_comes_whole_or_not_at_all(robot: Robot) -> None:
-    robot.run(robot.release("1") / "install", *files(robot, "1"))
+    robot.do(robot.release("1") / "install", *files(robot, "1"))
     steps = robot.run(robot.release("2") / "install", *files(robot, "2"))
     check(robot, steps, whole("1"), whole("2"))
 
 
 def test_a_release_of_which_one_service_is_dead_does_not_run_already(robot: Robot) -> None:
     release = robot.release("1")
-    robot.run(release / "install", *files(robot, "1"))
+    robot.do(release / "install", *files(robot, "1"))
     names = [name for name, _ in robot.run(release / "install", *files(robot, "1"))]
     assert "systemd-sysusers" not in names
     (robot.root / "dead-swarm-mesh").touch()
@@ -290,7 +306,7 @@ def test_two_installations_at_once_do_not_meet(robot: Robot) -> None:
 @pytest.mark.slow
 def test_another_config_and_key_for_the_same_release_come_together(robot: Robot) -> None:
     release = robot.release("1")
-    robot.run(release / "install", *files(robot, "1"))
+    robot.do(release / "install", *files(robot, "1"))
     steps = robot.run(release / "install", *files(robot, "2"))
     new = whole("1")._replace(config="config 2", key="key 2")
     check(robot, steps, whole("1"), new)
@@ -298,7 +314,7 @@ def test_another_config_and_key_for_the_same_release_come_together(robot: Robot)
 
 @pytest.mark.slow
 def test_a_release_that_does_not_run_is_taken_back_with_its_config_and_key(robot: Robot) -> None:
-    robot.run(robot.release("1") / "install", *files(robot, "1"))
+    robot.do(robot.release("1") / "install", *files(robot, "1"))
     steps = robot.run(
         robot.release("2", runs=False, units=("swarm-new.service",)) / "install", *files(robot, "2"), code=1
     )
@@ -328,7 +344,7 @@ def test_releases_that_do_not_run_or_are_refused_do_not_fill_the_disk(robot: Rob
 @pytest.mark.slow
 def test_a_config_that_does_not_run_is_taken_back_within_one_release(robot: Robot) -> None:
     release = robot.release("1")
-    robot.run(release / "install", *files(robot, "1"))
+    robot.do(release / "install", *files(robot, "1"))
     current = robot.root / "opt/swarm/current/bin/python"
     current.write_text("#!/bin/sh\n# broken\nexit 0\n")
     steps = robot.run(release / "install", *files(robot, "2"), code=1)
@@ -337,7 +353,7 @@ def test_a_config_that_does_not_run_is_taken_back_within_one_release(robot: Robo
 
 @pytest.mark.slow
 def test_files_that_somebody_has_replaced_are_kept_and_go_with_their_release(robot: Robot) -> None:
-    robot.run(robot.release("1") / "install", *files(robot, "1"))
+    robot.do(robot.release("1") / "install", *files(robot, "1"))
     config = robot.root / "etc/swarm/swarm.toml"
     config.unlink()
     config.write_text("by hand")
@@ -352,7 +368,7 @@ def test_files_that_somebody_has_replaced_are_kept_and_go_with_their_release(rob
 def test_a_robot_of_an_earlier_layout_is_taken_over_whole(robot: Robot) -> None:
     """Its units, config and key are files of their own."""
     release = robot.release("1")
-    robot.run(release / "install", *files(robot, "1"))
+    robot.do(release / "install", *files(robot, "1"))
     units, old = robot.root / "usr/local/lib/systemd/system", robot.root / "etc/systemd/system"
     shutil.copytree(units, old, dirs_exist_ok=True)
     units.unlink()
@@ -375,7 +391,7 @@ def test_a_robot_of_an_earlier_layout_is_taken_over_whole(robot: Robot) -> None:
 @pytest.mark.slow
 def test_an_installation_that_was_cut_off_is_done_again(robot: Robot) -> None:
     """From each tree that a kill of the script leaves, the same command ends with the new release."""
-    robot.run(robot.release("1") / "install", *files(robot, "1"))
+    robot.do(robot.release("1") / "install", *files(robot, "1"))
     release, options = robot.release("2"), files(robot, "2")
     steps = robot.run(release / "install", *options)
     for name, tree in steps[5 :: len(steps) // 4]:
@@ -401,7 +417,7 @@ def test_a_calibration_goes_with_the_settings_stays_without_the_option_and_is_ta
     first = robot.place / "calibration-1"
     first.write_text("calibration 1")
     place = robot.root / "etc/swarm/calibration/r0.toml"
-    robot.run(robot.release("1") / "install", *files(robot, "1"), "--calibration", first)
+    robot.do(robot.release("1") / "install", *files(robot, "1"), "--calibration", first)
     assert place.is_symlink()
     assert place.read_text() == "calibration 1"
     release = robot.release("2")
@@ -409,17 +425,17 @@ def test_a_calibration_goes_with_the_settings_stays_without_the_option_and_is_ta
         assert robot.read(tree, "etc/swarm/calibration/r0.toml") == "calibration 1"
     place.unlink()
     place.write_text("made here")  # by a program that replaces the link
-    robot.run(robot.release("3") / "install", *files(robot, "3"))
+    robot.do(robot.release("3") / "install", *files(robot, "3"))
     assert place.is_symlink()
     assert place.read_text() == "made here"
-    robot.run(robot.root / "../release/uninstall")
+    robot.do(robot.root / "../release/uninstall")
     assert not place.is_symlink()
     assert place.read_text() == "made here"
 
 
 def test_what_uninstall_leaves_are_files_and_not_links_to_what_is_gone(robot: Robot) -> None:
     release = robot.release("1")
-    robot.run(release / "install", *files(robot, "1"))
+    robot.do(release / "install", *files(robot, "1"))
     steps = robot.run(release / "uninstall")
     left = steps[-1][1]
     assert left["etc/swarm/swarm.toml"][0] == left["etc/swarm/key"][0] == "file"
@@ -433,7 +449,7 @@ def test_what_uninstall_leaves_are_files_and_not_links_to_what_is_gone(robot: Ro
 def test_an_old_release_that_a_cut_left_half_removed_does_not_count_as_whole(robot: Robot) -> None:
     """Else it could not be installed again."""
     for number in ("1", "2"):
-        robot.run(robot.release(number) / "install", *files(robot, number))
+        robot.do(robot.release(number) / "install", *files(robot, number))
     steps = robot.run(robot.release("3") / "install", *files(robot, "3"))
     folder = "opt/swarm/releases/1"
     parts = {path for path in steps[0][1] if path.startswith(folder + "/bin/")}
