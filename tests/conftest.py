@@ -29,7 +29,7 @@ with contextlib.suppress(ImportError):  # a machine of the lab has none
     from hypothesis import is_hypothesis_test, settings
 
     # A property is about values; how long an example takes is the machine's matter (a busy one made good tests fail).
-    settings.register_profile("suite", deadline=None, max_examples=50)
+    settings.register_profile("suite", deadline=None, max_examples=20)
     settings.register_profile("thorough", deadline=None)
     settings.load_profile("suite")
 

@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from conftest import examples
 from firmware_layout import CONSTANTS, FIELDS, MAILBOX_STATE
 from firmware_pure import LOCATION, Pure
 from hypothesis import HealthCheck, given, settings
@@ -21,7 +22,9 @@ from swarm.errors import FrameError
 
 pytest_plugins = ("firmware_fixtures",)
 
-ONE_COPY = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60, deadline=None)
+ONE_COPY = settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=examples(60), deadline=None
+)
 """The parts are used again and again in one test, as on the chip."""
 
 coordinates = st.integers(-(2**31), 2**31 - 1).map(lambda mm: mm / 1000)

@@ -3,6 +3,7 @@
 import itertools
 
 import pytest
+from conftest import examples
 from firmware_layout import CONSTANTS, FIELDS, MAILBOX_STATE, UWB_STATE
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -173,7 +174,7 @@ def test_the_modules_error_is_passed_on(bench, code):
 
 
 @given(noise=st.binary(min_size=1, max_size=300))
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=25, deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=examples(25), deadline=None)
 def test_after_any_noise_the_next_answer_is_read(new_bench, noise):
     bench = new_bench()
     bench.run(0.02)

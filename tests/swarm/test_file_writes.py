@@ -6,7 +6,7 @@ import stat
 from pathlib import Path
 
 import pytest
-from conftest import open_files
+from conftest import examples, open_files
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from power_cut import Disk, Killed
@@ -18,7 +18,7 @@ def content(path: Path) -> bytes | None:
     return path.read_bytes() if path.exists() else None
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=30, deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=examples(30), deadline=None)
 @given(old=st.none() | st.binary(max_size=40), new=st.binary(min_size=1, max_size=40))
 def test_after_a_cut_at_any_call_a_file_is_whole_and_after_the_last_call_new(
     tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch, old: bytes | None, new: bytes

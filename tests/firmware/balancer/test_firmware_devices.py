@@ -4,6 +4,7 @@ import itertools
 
 import pytest
 from both_robots import Real, Simulated
+from conftest import examples
 from firmware_layout import FIELDS
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -358,7 +359,7 @@ def test_the_simulated_atmega_has_the_same_room_at_every_offset(new_bench) -> No
 
 
 @given(done=st.lists(writes, max_size=6))
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40, deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=examples(40), deadline=None)
 def test_the_simulated_atmega_takes_and_refuses_what_the_firmware_does(new_bench, done) -> None:
     real, simulated = Driven(Real(new_bench())), Driven(Simulated())
     for offset, data in done:

@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import pytest
 from balancer_rig import CONFIGURED, OTHER
-from hypothesis import given, settings
+from conftest import costly
+from hypothesis import given
 from hypothesis import strategies as st
 
 from services.balancer.core.control.body import GRAVITY
@@ -112,7 +113,7 @@ def test_a_push_moves_body_and_wheels_forward() -> None:
     assert momentum == pytest.approx(0.05)
 
 
-@settings(max_examples=60, deadline=None)
+@costly(60)
 @given(
     st.sampled_from([CONFIGURED, OTHER]),
     st.floats(-2, 2),

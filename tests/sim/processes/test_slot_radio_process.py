@@ -9,7 +9,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from conftest import costly
+from hypothesis import given
 from hypothesis import strategies as st
 
 from services.mesh.core.link.calls import Caller
@@ -366,7 +367,7 @@ def test_a_second_mesh_of_a_robot_is_refused(swarm: Swarm) -> None:
         SlotsListener(swarm.address("r0"), swarm.run_dir / "r0", "r0")
 
 
-@settings(max_examples=25, deadline=None)
+@costly(25)
 @given(
     st.lists(st.tuples(st.booleans(), st.binary(min_size=1, max_size=4096), st.floats(0.0, 0.05)), max_size=12),
     st.floats(0.0, 1.5),

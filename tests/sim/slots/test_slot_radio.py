@@ -6,7 +6,8 @@ from dataclasses import replace
 from random import Random
 
 import pytest
-from hypothesis import given, settings
+from conftest import costly
+from hypothesis import given
 from hypothesis import strategies as st
 
 from sim.slots.calls import ABSENT, BUSY, FULL, Calls
@@ -87,7 +88,7 @@ def planned(swarm, graph, frames):
     return sent
 
 
-@settings(max_examples=60, deadline=None)
+@costly(60)
 @given(GRAPHS, FRAMES, st.sampled_from((0.05, 0.3)), st.sampled_from((0.0, 0.05, 0.5)), st.integers(0, 9))
 def test_every_frame_arrives_once_and_in_order_on_any_graph(graph, frames, stay, loss, seed):
     swarm = Swarm(graph, SlotParameters(stay=stay, loss=loss), seed)
@@ -104,7 +105,7 @@ def test_every_frame_arrives_once_and_in_order_on_any_graph(graph, frames, stay,
             assert came >= left + packets * SLOT
 
 
-@settings(max_examples=20, deadline=None)
+@costly(20)
 @given(GRAPHS, st.integers(0, 9))
 def test_the_same_seed_gives_the_same_times(graph, seed):
     def times():
@@ -141,7 +142,7 @@ def test_bridges_share_their_time_and_are_slower_than_one_piconet():
     assert bridge > 3 * hub
 
 
-@settings(max_examples=60, deadline=None)
+@costly(60)
 @given(GRAPHS, FRAMES, st.lists(st.tuples(st.floats(0.0, 5.0), st.integers(0, 9)), max_size=8), st.integers(0, 9))
 def test_switches_of_roles_lose_and_reorder_nothing(graph, frames, switches, seed):
     swarm = Swarm(graph, SlotParameters(), seed)

@@ -4,6 +4,7 @@ import dataclasses
 
 import pytest
 from config_texts import FILE, THREE
+from conftest import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -136,7 +137,7 @@ def swarms(draw):
     )
 
 
-@settings(max_examples=50, suppress_health_check=[HealthCheck.too_slow], deadline=None)
+@settings(max_examples=examples(50), suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(swarms())
 def test_a_configuration_is_read_as_it_was_written(config):
     assert parse(dump(config), config.path) == config

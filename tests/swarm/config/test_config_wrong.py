@@ -2,6 +2,7 @@
 
 import pytest
 from config_texts import FILE, ONE, THREE, radio, swap
+from conftest import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -288,7 +289,7 @@ def mutations(draw):
     return "\n".join(lines)
 
 
-@settings(max_examples=400, suppress_health_check=[HealthCheck.too_slow], deadline=None)
+@settings(max_examples=examples(400), suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(mutations())
 def test_mutations_of_the_example_are_read_or_refused(text):
     try:

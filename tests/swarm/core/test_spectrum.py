@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from conftest import costly
+from hypothesis import given
 from hypothesis import strategies as st
 
 from swarm.core import spectrum
@@ -24,7 +25,7 @@ def matrix(graph: Graph) -> np.ndarray:
     return w
 
 
-@settings(max_examples=60, deadline=None)
+@costly(60)
 @given(st.integers(2, 40), st.integers(0, 2**32))
 def test_the_bounds_are_those_of_the_matrix(count: int, seed: int) -> None:
     random = graph(count, f"random:{seed}")

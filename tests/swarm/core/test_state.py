@@ -5,7 +5,8 @@ import struct
 from typing import Annotated, Any
 
 import pytest
-from hypothesis import given, settings
+from conftest import costly
+from hypothesis import given
 from hypothesis import strategies as st
 
 from swarm import Matrix, Vector, float32
@@ -159,7 +160,7 @@ PRIVATE = st.recursive(
 )
 
 
-@settings(max_examples=40)
+@costly(40)
 @given(st.dictionaries(st.text(), PRIVATE, max_size=4))
 def test_private_fields_come_back_as_they_were(values: dict[str, Any]) -> None:
     assert repr(unpack_private(pack_private(values))) == repr(values)  # repr: tuples are not lists, 1 is not 1.0

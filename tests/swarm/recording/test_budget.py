@@ -7,7 +7,8 @@ import subprocess
 import sys
 from collections import Counter
 
-from hypothesis import given, settings
+from conftest import costly
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.rigs.running import running
@@ -103,7 +104,7 @@ def test_what_cannot_be_deleted_is_said_and_the_next_one_goes(tmp_path, caplog, 
     assert "x-1 cannot be deleted: Input/output error" in caplog.text
 
 
-@settings(max_examples=30, deadline=None)
+@costly(30)
 @given(st.lists(st.integers(0, 3), max_size=5), st.integers(0, 5))
 def test_what_is_left_is_the_newest_that_have_room(tmp_path_factory, ages, runs):
     root = tmp_path_factory.mktemp("runs")

@@ -4,7 +4,8 @@ import os
 from collections import Counter
 
 import pytest
-from hypothesis import given, settings
+from conftest import costly
+from hypothesis import given
 from hypothesis import strategies as st
 
 from swarm.recording.core import mcap, writer
@@ -207,7 +208,7 @@ def test_a_link_out_of_the_file_leads_nowhere(killed, tmp_path, link):
         assert (found.position, found.counts, found.chunks) == (whole.position, whole.counts, whole.chunks)
 
 
-@settings(max_examples=40)
+@costly(40)
 @given(st.data())
 def test_a_damaged_checkpoint_costs_no_message(killed, tmp_path_factory, data):
     linked, _ = killed

@@ -4,7 +4,8 @@ import dataclasses
 from collections import Counter
 
 import pytest
-from hypothesis import given, settings
+from conftest import costly
+from hypothesis import given
 from hypothesis import strategies as st
 from lockstep_core import THEIRS, at, step_of, wants
 from lockstep_world import EDGES, RUN, STATE, World, named
@@ -256,7 +257,7 @@ def test_a_second_process_that_nobody_hears_of_does_not_fork_anything():
     assert world.run(6.0, until=world.finished)
 
 
-@settings(deadline=None, max_examples=60)
+@costly(60)
 @given(
     shape=st.sampled_from(sorted(EDGES)),
     n=st.integers(3, 6),

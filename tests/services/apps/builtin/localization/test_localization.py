@@ -6,8 +6,8 @@ import statistics
 
 import numpy as np
 import pytest
-from conftest import thinned
-from hypothesis import example, given, settings
+from conftest import costly, thinned
+from hypothesis import example, given
 from hypothesis import strategies as st
 from localization_rig import Point, exact, measured, noisy, recorded, rounds_to_own_limit
 from memory_swarm import ANCHORS, PLACES, TARGET, MemorySwarm, config_of
@@ -32,7 +32,7 @@ def squared_range_cost(places: list[Point], distances: list[float], sigma: float
 # The closed form
 
 
-@settings(max_examples=150, deadline=None)
+@costly(150)
 @given(
     st.lists(st.tuples(st.floats(-2, 2), st.floats(-2, 2)), min_size=1, max_size=7),
     st.tuples(st.floats(-2, 2), st.floats(-2, 2)),

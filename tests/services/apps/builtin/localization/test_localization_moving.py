@@ -4,7 +4,8 @@ import math
 import random
 
 import pytest
-from hypothesis import given, settings
+from conftest import costly
+from hypothesis import given
 from hypothesis import strategies as st
 from localization_rig import place
 from memory_swarm import PLACES, MemorySwarm, config_of
@@ -107,7 +108,7 @@ def test_an_iteration_that_a_new_epoch_does_again_says_nothing_of_its_time() -> 
     assert app._last == (t, app.k)
 
 
-@settings(max_examples=60, deadline=None)
+@costly(60)
 @given(st.lists(st.tuples(COORDINATE, COORDINATE), min_size=5, max_size=6, unique=True), COORDINATE, COORDINATE,
        VELOCITY, VELOCITY)  # fmt: skip
 def test_information_of_exact_ranges_is_least_cost_at_the_truth(

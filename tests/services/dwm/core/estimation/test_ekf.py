@@ -3,7 +3,8 @@ import random
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from conftest import costly
+from hypothesis import given
 from hypothesis import strategies as st
 
 from services.dwm.core.estimation.ekf import BIAS, GATE, GYRO, HEADING, PATIENCE, SCALE, Ekf, EkfNoise
@@ -90,7 +91,7 @@ def test_an_update_is_that_of_the_textbook():
     assert np.allclose(ekf.covariance, before - np.outer(gain, gain) * variance, atol=1e-7)
 
 
-@settings(max_examples=50)
+@costly(50)
 @given(st.integers(0, 1000), st.lists(st.tuples(st.integers(0, 3), st.floats(0, 10)), max_size=60))
 def test_the_covariance_stays_one(seed, measured):
     ekf = warmed(seed)

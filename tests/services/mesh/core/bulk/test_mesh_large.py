@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import pytest
 from conftest import costly
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from large_world import GRAPHS, idle, inject, large
 from overlay_world import World, line
@@ -67,7 +67,7 @@ def test_whoever_asks_for_what_there_is_not_is_told_so() -> None:
     assert [(answer.kind, answer.id.flood) for answer in answers] == [(GONE, False), (GONE, True)]
 
 
-@settings(max_examples=60, deadline=None)
+@costly(60)
 @given(st.integers(OFFER, GONE), st.booleans(), st.integers(1, 3), st.binary(max_size=60))
 def test_any_body_of_a_member_is_taken_or_counted(kind: int, flood: bool, number: int, body: bytes) -> None:
     world = World(line(3))

@@ -8,7 +8,8 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from conftest import costly
+from hypothesis import given
 from hypothesis import strategies as st
 
 from services.mesh.core.link import LinkUp, Received, flow
@@ -265,7 +266,7 @@ def tamper(stream: bytes, other_way: bytes, what: str, at: int, how: int | bytes
             return stream[:at] + other_way[at : at + how] + stream[at:]
 
 
-@settings(max_examples=400, deadline=None)
+@costly(400)
 @given(
     st.lists(st.tuples(st.booleans(), st.binary(min_size=1, max_size=30)), max_size=20),
     st.lists(st.tuples(st.integers(0, 3), st.booleans(), tampering), max_size=3),

@@ -5,7 +5,8 @@ from collections import deque
 from collections.abc import Iterable
 
 import pytest
-from hypothesis import example, given, settings
+from conftest import costly
+from hypothesis import example, given
 from hypothesis import strategies as st
 from overlay_world import GRAPHS, World, line, ring
 
@@ -206,7 +207,7 @@ CIRCLE = [("r0", "r1"), ("r0", "r3"), ("r0", "r6"), ("r1", "r2"), ("r1", "r7"), 
 """Robots that wait until they know of all who have a shortest way over them wait for one another here."""
 
 
-@settings(max_examples=60, deadline=None)
+@costly(60)
 @given(graphs(), st.integers(0, 8), st.sampled_from((0.0, 0.02)), st.integers(0, 99))
 @example(CIRCLE, 0, 0.0, 0)
 def test_on_any_graph_all_know_without_a_second_try_by_at_most_4e_messages(
@@ -236,7 +237,7 @@ accidents = st.lists(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@costly(60)
 @given(graphs(), accidents, st.integers(0, 99))
 def test_whatever_happens_nobody_is_told_of_what_is_not_so_and_later_floods_are_known_again(
     edges: list[tuple[str, str]], steps: list[tuple[str, float]], seed: int

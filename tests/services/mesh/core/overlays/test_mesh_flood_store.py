@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 
 import pytest
-from hypothesis import example, given, settings
+from conftest import costly
+from hypothesis import example, given
 from hypothesis import strategies as st
 from overlay_world import FLOOD_KEY, GRAPHS, World, line, ring
 
@@ -123,7 +124,7 @@ def disturb(world: World, steps: Sequence[tuple[str, float, int]], sent: list[tu
                 world.disturb(what, value, option)
 
 
-@settings(max_examples=60, deadline=None)
+@costly(60)
 @given(accidents, st.sampled_from(sorted(GRAPHS)), st.floats(0.0, 0.02), st.integers(0, 99))
 def test_whatever_happens_once_to_each_and_all_agree_in_the_end(
     steps: list[tuple[str, float, int]], graph: str, jitter: float, seed: int
@@ -174,7 +175,7 @@ def test_whatever_happens_once_to_each_and_all_agree_in_the_end(
         assert answer.complete
 
 
-@settings(max_examples=60, deadline=None)
+@costly(60)
 @given(st.binary(max_size=60), st.sampled_from((FLOOD_KEY.format("r0"), "swarm/r1/mesh/digest", "swarm/r1/mesh/lsa",
                                                 "swarm/r2/mesh/lsa", "swarm/r1/mesh/halt", "swarm/r1/mesh/unicast")),
        st.integers(0, 5))  # fmt: skip

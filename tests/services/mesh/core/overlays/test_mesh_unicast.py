@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 
 import pytest
-from hypothesis import given, settings
+from conftest import costly
+from hypothesis import given
 from hypothesis import strategies as st
 from overlay_world import GRAPHS, SILENCE, World, line, ring
 
@@ -314,7 +315,7 @@ accidents = st.lists(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@costly(60)
 @given(accidents, st.sampled_from(sorted(GRAPHS)), st.floats(0.0, 0.02), st.integers(0, 99))
 def test_whatever_happens_delivered_at_most_once_and_said_truly(
     steps: Sequence[tuple[str, float, int]], graph: str, jitter: float, seed: int

@@ -40,7 +40,7 @@ def reaches(draw: st.DrawFn, n: int) -> Edges:
 # -- the plan ----------------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=150, deadline=None)
+@costly(150)
 @given(data=st.data(), n=st.integers(1, 12))
 def test_a_plan_connects_whom_ears_connect_and_changes_nothing_of_itself(data: st.DataObject, n: int) -> None:
     names = names_of(n)
