@@ -44,6 +44,7 @@ def undisturbed():
     return outcome.trajectories
 
 
+@pytest.mark.slow
 def test_a_run_through_a_cut_link_is_the_undisturbed_one_bit_for_bit():
     """Consensus ends on the mean and reports it; the cut holds the swarm up, and loses nothing."""
     with Simulation(*RUN, "--cut", "r0-r1@0.3s,1s", **FORKED) as simulation:

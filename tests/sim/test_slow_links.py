@@ -87,7 +87,7 @@ def test_way_of_a_value_is_a_tree_of_shortest_ways():
 
 SHAPES = [*GRAPHS, ("6", "full")]
 SLOTS = [
-    pytest.param(graph, links, stay, marks=() if graph == GRAPHS[0] else pytest.mark.slow)
+    pytest.param(graph, links, stay, marks=() if graph == GRAPHS[0] and stay in (0.05, 0.3) else pytest.mark.slow)
     for graph in SHAPES
     for links in ("graph", "star", "tree", "auto")
     for stay in (0.05, 0.1, 0.2, 0.3)
@@ -123,12 +123,12 @@ def test_more_robots_than_a_hub_serves_lose_no_link_and_send_little_more_than_ne
 HUBS = [("4", "full"), *(pytest.param(("6", shape), marks=pytest.mark.slow) for shape in ("thesis-d", "full"))]
 SLOW = [
     ("--latency", "0.2s", "--jitter", "0.2s", "--bandwidth", "20kB", "--loss", "5%"),
-    ("--latency", "3s", "--bandwidth", "2kB", "--loss", "5%"),
+    pytest.param(("--latency", "3s", "--bandwidth", "2kB", "--loss", "5%"), marks=pytest.mark.slow),
 ]
 
 
 @pytest.mark.parametrize("graph", HUBS)
-@pytest.mark.parametrize("links", SLOW, ids=lambda links: links[1])
+@pytest.mark.parametrize("links", SLOW, ids=["0.2s", "3s"])
 def test_no_plain_link_of_a_hub_that_carries_is_given_up(graph, links):
     robots, shape = graph
     names = [f"r{place}" for place in range(int(robots))]

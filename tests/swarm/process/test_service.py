@@ -304,12 +304,14 @@ def test_no_thread_is_left(processes: Processes, runtime: Path) -> None:
 
 
 @pytest.mark.parametrize("service", ["apps", "balancer", "bus", "dwm", "mesh"])
-def test_a_service_tells_what_it_is_by_help_and_refuses_unknown_arguments(service: str) -> None:
-    def run(argument: str) -> subprocess.CompletedProcess[str]:
-        words = [sys.executable, "-m", f"services.{service}", argument]
-        return subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+def test_a_service_tells_what_it_is_by_help_and_refuses_unknown_arguments(processes: Processes, service: str) -> None:
+    def run(argument: str) -> tuple[int | None, str, str]:
+        process = processes.start("-m", f"services.{service}", argument)
+        told, error = process.communicate(timeout=60)
+        return process.returncode, told, error
 
-    told, refused = run("--help"), run("--wrong")
-    assert told.returncode == 0
-    assert told.stdout.startswith(f"usage: python -m services.{service}")
-    assert (refused.returncode, "error:" in refused.stderr) == (2, True)
+    code, told, _ = run("--help")
+    assert code == 0
+    assert told.startswith(f"usage: python -m services.{service}")
+    code, _, error = run("--wrong")
+    assert (code, "error:" in error) == (2, True)

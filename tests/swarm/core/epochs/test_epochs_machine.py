@@ -129,7 +129,7 @@ class Swarm(RuleBasedStateMachine):
 
 
 EXAMPLES = settings(
-    max_examples=10,
+    max_examples=5,
     stateful_step_count=15,
     deadline=None,
     print_blob=True,

@@ -189,7 +189,7 @@ class Swarm(RuleBasedStateMachine):
 
 
 EXAMPLES = settings(
-    max_examples=25,
+    max_examples=10,
     stateful_step_count=30,
     deadline=None,
     print_blob=True,

@@ -211,7 +211,7 @@ class Siege(RuleBasedStateMachine):
 
 
 def test_a_mesh_withstands_random_strangers() -> None:
-    run_state_machine_as_test(Siege, settings=settings(max_examples=15, stateful_step_count=25, deadline=None))
+    run_state_machine_as_test(Siege, settings=settings(max_examples=6, stateful_step_count=25, deadline=None))
 
 
 @pytest.mark.slow
