@@ -61,14 +61,17 @@ def shares(file: str) -> bool:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> "LoadScopeScheduling":
-    """Each test goes to the process that is free, and the tests of a file that share something go together. Whole files
-    to each process would leave one of them alone with a long one in the end."""
+    """Each test goes to the process that is free, with all of its parameters, since telling a process what to do takes
+    as long as a short test; among the slow rigs without them. The tests of a file that share something go together.
+    Whole files to each process would leave one of them alone with a long one in the end."""
     from xdist.scheduler import LoadScopeScheduling
 
     class Scheduling(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
             file = nodeid.split("::", 1)[0]
-            return file if shares(str(config.rootpath / file)) else nodeid
+            if shares(str(config.rootpath / file)):
+                return file
+            return nodeid if _thorough else nodeid.partition("[")[0]
 
     return Scheduling(config, log)
 
