@@ -5,6 +5,7 @@ from pathlib import Path
 
 import fork_server
 import pytest
+from conftest import thinned
 
 from bench.rigs.simulation import Simulation
 from sim.disturbances import Cut, Off, cut, drawn, off
@@ -37,7 +38,7 @@ FAILURES = (
 )
 
 
-@pytest.mark.parametrize("kind", BODIES)
+@pytest.mark.parametrize("kind", thinned(BODIES))
 def test_every_kind_of_app_goes_through_failures(tmp_path: Path, kind: str) -> None:
     app = f"from swarm import {kind}\nclass Mine({kind}):\n    n: int = 0\n{BODIES[kind]}"
     (tmp_path / "mine.py").write_text(app)

@@ -139,8 +139,14 @@ def test_an_app_whose_files_came_in_part_is_sent_again(robots: FakeRobots, run: 
     ("odd", "said"),
     [
         ({"release": "1-b"}, "different releases (r0 1-a, r1 1-b): swarm deploy the same"),
-        ({"revision": 2}, "different firmware (r0 revision 1 (layout 1), r1 revision 2 (layout 1)): swarm flash"),
-        ({"own": "r4"}, "other names than in swarm.toml (r1 r4): mend `host` there"),
+        pytest.param(
+            {"revision": 2},
+            "different firmware (r0 revision 1 (layout 1), r1 revision 2 (layout 1)): swarm flash",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            {"own": "r4"}, "other names than in swarm.toml (r1 r4): mend `host` there", marks=pytest.mark.slow
+        ),
         ({"config": b"other"}, "another swarm.toml than here (r1): swarm deploy brings this one"),
     ],
 )

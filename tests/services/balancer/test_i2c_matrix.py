@@ -2,6 +2,7 @@
 they may take: what goes on, and what gives way and is named."""
 
 import pytest
+from conftest import thinned
 
 from bench.rigs.timed_robot import TimedResult, TimedRobot
 
@@ -45,7 +46,7 @@ def judge(found: TimedResult, clock: float, cpu: float) -> None:
         assert found.screen_s is not None or "display" in found.behind
 
 
-@pytest.mark.parametrize(("clock", "cpu"), sorted(DEFAULT))
+@pytest.mark.parametrize(("clock", "cpu"), thinned(sorted(DEFAULT)))
 def test_uwb_battery_buttons_and_display_go_on_or_are_named(clock: float, cpu: float) -> None:
     judge(measured(clock, cpu, 10.0), clock, cpu)
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+from conftest import thinned
 
 from sim.scenario.options import parse
 from sim.scenario.scenario import build
@@ -79,7 +80,7 @@ def test_a_run_of_so_many_iterations_ends_without_the_robot_that_was_dropped():
     assert report["seconds"] < 15
 
 
-@pytest.mark.parametrize("mesh", ["start", "settled", "delay"])
+@pytest.mark.parametrize("mesh", thinned(["start", "settled", "delay"]))
 def test_a_robot_that_reboots_is_taken_in_again_from_its_first_state(mesh):
     report, outcome = simulate(
         *LOOP, "--seconds", "20", *DROP, "--off", "r3@1s,6s", "--mesh", mesh, "--set", "r3.value=9", rows=True

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from conftest import thinned
 
 from sim.virtual.run import simulate
 from swarm.recording.run import Run
@@ -17,7 +18,8 @@ def recorded(place: Path, *arguments: str) -> Told:
 
 
 @pytest.mark.parametrize(
-    "arguments", ["formation --iterations 30", "led_sync --seconds 5", "stand_up --press r0.A@1s --iterations 6"]
+    "arguments",
+    thinned(["formation --iterations 30", "led_sync --seconds 5", "stand_up --press r0.A@1s --iterations 6"]),
 )
 def test_an_app_that_runs_is_not_recorded_as_waiting(tmp_path: Path, arguments: str) -> None:
     told = recorded(tmp_path, *arguments.split(), "--robots", "3")

@@ -21,9 +21,6 @@ LOW_POWER = 0.2
 """Duty that no motor may exceed before the robot stands."""
 
 
-TRIED = [*MISWIRINGS[:3], *(pytest.param(part, marks=pytest.mark.slow) for part in MISWIRINGS[3:])]
-
-
 def test_a_robot_that_is_well_passes_every_step_and_stands(tmp_path: Path) -> None:
     world = World().run()
     report = world.procedure.report()
@@ -59,7 +56,7 @@ NAMED = {
 }
 
 
-@pytest.mark.parametrize("part", TRIED)
+@pytest.mark.parametrize("part", thinned(MISWIRINGS))
 def test_a_part_that_is_mounted_wrong_is_named_and_no_motor_reaches_full_power(part: str) -> None:
     world = World()
     world.robot.miswire(part, back=False)

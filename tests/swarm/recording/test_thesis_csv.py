@@ -186,8 +186,13 @@ def test_one_file_for_all_robots(tmp_path):
     assert after.damage == []
 
 
-@pytest.mark.parametrize("folder", ["async", "calibration", "consensus", "flooding", "latency", "led_sync",
-                                    "localization", "standup", "unicast"])  # fmt: skip
+@pytest.mark.parametrize(
+    "folder",
+    [
+        *("async", "calibration", "consensus", "flooding", "latency", "led_sync", "standup", "unicast"),
+        pytest.param("localization", marks=pytest.mark.slow),
+    ],
+)
 def test_all_of_the_thesis_data_goes_in_and_out_to_the_byte(folder, tmp_path):
     source = DATA / folder
     if not source.is_dir():

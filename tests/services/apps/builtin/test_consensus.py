@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from conftest import costly
+from conftest import costly, thinned
 from hypothesis import given
 from hypothesis import strategies as st
 from memory_swarm import THESIS_X0, MemorySwarm, config_of
@@ -71,7 +71,7 @@ KNOWN = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("algorithm", "shape"), KNOWN)
+@pytest.mark.parametrize(("algorithm", "shape"), thinned(KNOWN))
 def test_no_algorithm_needs_more_rounds_than_known(algorithm: str, shape: str) -> None:
     swarm = run(6, shape, algorithm, 130)
     limit = 2.5625 if (algorithm, shape) in (("thesis", "line"), ("thesis", "thesis-d")) else 15.5 / 6

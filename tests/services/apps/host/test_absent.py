@@ -50,6 +50,7 @@ def test_a_robot_that_dies_is_dropped_and_one_that_comes_back_is_taken_in(make_r
     shutil.rmtree(f"{state}.r2")
 
 
+@pytest.mark.slow  # tests/sim/virtual/test_virtual_members.py does so under virtual time
 def test_an_operator_sends_a_robot_away_and_lets_it_come_back(make_rig: MakeRig) -> None:
     rig = make_rig(START)
     full(rig)

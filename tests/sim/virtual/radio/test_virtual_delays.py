@@ -11,7 +11,13 @@ ARGUMENTS = ("consensus", "--robots", "12", "--topology", "random:3", "--iterati
 
 
 @pytest.mark.parametrize(
-    "links", [(), ("--jitter", "10ms"), ("--bandwidth", "5kB"), ("--cut", "r1-r2@0.3s,1s", "--topology", "line")]
+    "links",
+    [
+        (),
+        pytest.param(("--jitter", "10ms"), marks=pytest.mark.slow),
+        pytest.param(("--bandwidth", "5kB"), marks=pytest.mark.slow),
+        ("--cut", "r1-r2@0.3s,1s", "--topology", "line"),
+    ],
 )
 def test_states_are_bit_equal_and_times_alike(links):
     with_mesh, first = simulate(*ARGUMENTS, *links, rows=True)

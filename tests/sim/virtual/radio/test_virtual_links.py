@@ -86,7 +86,7 @@ SILENT = [word for place in range(1, 6) for word in ("--cut", f"r0-r{place}@1s,1
     ("lost", "most"),
     [
         pytest.param(["--off", "r0@1s,14s", "--seconds", "26"], 10, id="off"),
-        pytest.param([*SILENT, "--seconds", "26"], 10, id="silent"),
+        pytest.param([*SILENT, "--seconds", "26"], 10, id="silent", marks=pytest.mark.slow),
         # The hub's robots lose it by the supervision time-out, which is 11 s while round trips of the start count.
         pytest.param(
             ["--radio", "slots", "--off", "r0@1s,30s", "--seconds", "55"], 20, id="slots", marks=pytest.mark.slow

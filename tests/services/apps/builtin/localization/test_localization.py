@@ -236,7 +236,7 @@ def test_info_errs_no_more_than_least_squares_of_all_ranges(count: int, shape: s
     assert math.sqrt(statistics.fmean(errors)) <= 1.02 * math.sqrt(statistics.fmean(central))
 
 
-@pytest.mark.parametrize(("test", "settled"), [("test_2", 50), ("test_3", 50), ("test_5", 50)])
+@pytest.mark.parametrize(("test", "settled"), thinned([("test_2", 50), ("test_3", 50), ("test_5", 50)]))
 def test_info_errs_no_more_than_least_squares_of_the_recorded_ranges(test: str, settled: int) -> None:
     """The same smoothing for both: root mean square over the run, all robots."""
     rows = recorded(test)

@@ -105,7 +105,7 @@ def test_diging_keeps_the_sum_of_the_gradients() -> None:
         assert math.fsum(app._y[i] for app in apps) == pytest.approx(gradients, abs=1e-11)
 
 
-@pytest.mark.parametrize(("count", "shape"), [(6, "line"), (6, "thesis-d")])
+@pytest.mark.parametrize(("count", "shape"), thinned([(6, "line"), (6, "thesis-d")]))
 def test_diging_ends_where_the_squared_ranges_say_whatever_the_graph(count: int, shape: str) -> None:
     """The thesis' row weights pull the answer to where links are many; symmetric ones do not."""
     swarm = run("diging", count, shape, 900, frozen(2))

@@ -5,6 +5,7 @@ import statistics
 
 import numpy as np
 import pytest
+from conftest import thinned
 from localization_rig import Point, exact, measured, recorded
 from memory_swarm import PLACES, TARGET, MemorySwarm, config_of
 
@@ -43,7 +44,7 @@ def replay(test: str, gamma_cm: float) -> tuple[MemorySwarm, dict[str, list[list
     return MemorySwarm("localization", config_of(3, "line", "localization", parameters), last, measure), rows
 
 
-@pytest.mark.parametrize(("test", "gamma_cm"), TESTS)
+@pytest.mark.parametrize(("test", "gamma_cm"), thinned(TESTS))
 def test_the_thesis_follows_its_recorded_trajectories(test: str, gamma_cm: float) -> None:
     """To the rounding of float64, since what is sent is rounded as its program rounded it; cm."""
     swarm, rows = replay(test, gamma_cm)
@@ -57,7 +58,13 @@ def test_the_thesis_follows_its_recorded_trajectories(test: str, gamma_cm: float
 
 @pytest.mark.parametrize(
     ("test", "gamma_cm", "x", "y", "cost"),
-    [("test_2", 4e-6, -4.4, 0.78, 979362), ("test_3", 4e-6, 2.44, -0.66, 94068), ("test_5", 5e-7, 1.71, 0.01, 85798)],
+    thinned(
+        [
+            ("test_2", 4e-6, -4.4, 0.78, 979362),
+            ("test_3", 4e-6, 2.44, -0.66, 94068),
+            ("test_5", 5e-7, 1.71, 0.01, 85798),
+        ]
+    ),
 )
 def test_localization_gives_the_figures_of_table_4_2(
     test: str, gamma_cm: float, x: float, y: float, cost: float

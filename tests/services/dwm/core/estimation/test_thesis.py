@@ -4,6 +4,7 @@ import math
 import random
 
 import pytest
+from conftest import thinned
 from thesis_data import DATA, calibration_samples, needs_calibration, needs_localization
 
 from services.dwm.core.calibration.fitting import (
@@ -134,7 +135,7 @@ def test_hardly_ever_worse_than_linear_with_half_of_the_places(samples):
 
 @needs_calibration
 @needs_localization
-@pytest.mark.parametrize("run", ["test_2", "test_3", "test_5"])
+@pytest.mark.parametrize("run", thinned(["test_2", "test_3", "test_5"]))
 def test_never_worse_than_linear_on_other_recordings(samples, run):
     fit = groups(samples, MODULES)
     errors = {"chosen": [], "linear": []}

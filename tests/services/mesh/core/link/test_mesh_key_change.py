@@ -34,7 +34,9 @@ def problems(world: World, name: str) -> list[str]:
     return [note.text for note in world.bots[name].notes if note.problem]
 
 
-@pytest.mark.parametrize("order", [("r0", "r1", "r2", "r3"), ("r2", "r0", "r3", "r1")])
+@pytest.mark.parametrize(
+    "order", [("r0", "r1", "r2", "r3"), pytest.param(("r2", "r0", "r3", "r1"), marks=pytest.mark.slow)]
+)
 def test_with_a_file_of_both_keys_a_stop_reaches_all_robots_after_each_step(order: tuple[str, ...]) -> None:
     """Steps of the guide: both keys to each robot, then the new one alone to each robot."""
     world = World(LINE, keys=OLD)

@@ -4,6 +4,7 @@ import math
 
 import pytest
 from balancer_rig import NO_ERRORS, Rig
+from conftest import thinned
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -98,7 +99,7 @@ def test_no_test_of_motors_exceeds_the_limits(left: float, right: float, seconds
     assert kind in KINDS
 
 
-@pytest.mark.parametrize("part", MISWIRINGS)
+@pytest.mark.parametrize("part", thinned(MISWIRINGS))
 def test_a_part_that_was_put_right_is_as_before(part: str) -> None:
     one, other = lifted(0.3), lifted(0.3)
     other.robot.miswire(part, back=False)
