@@ -61,13 +61,13 @@ def test_a_killed_app_goes_on_where_it_was(make_rig: MakeRig, victims: tuple[str
 def test_kills_at_any_moment_change_no_value_of_a_run(make_rig: MakeRig) -> None:
     """The middle robot is killed again and again while the swarm runs freely."""
     rig = make_rig()
-    rig.start_all("consensus", "--iterations", "1500")
-    for k in (5, 400, 800):
+    rig.start_all("consensus", "--iterations", "600")
+    for k in (5, 150, 300):
         rig.until_k(k, "r1")
         rig.kill("r1")
-        rig.start("r1", "apps", "consensus", "--iterations", "1500")
+        rig.start("r1", "apps", "consensus", "--iterations", "600")
     rig.until_phase("done")
-    for name, rows in consensus(1500).items():
+    for name, rows in consensus(600).items():
         assert rig.values(name) == rows
 
 

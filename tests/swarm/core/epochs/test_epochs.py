@@ -54,7 +54,7 @@ def test_where_robots_are_waited_for_one_that_reboots_waits_for_the_operator():
     world = running(loop(4), drop=False)
     world.reboot("r1")
     world.start("r1")
-    world.run(20.0)
+    world.run(10.0)
     assert set(counters(world).values()) == {0}
     assert world.processes["r1"].lockstep.obstacle == "r1 has lost its state and waits for the next epoch"
     world.processes["r3"].take(lambda p: p.lockstep.request(EpochRequest(), world.now))
@@ -75,7 +75,7 @@ def test_a_minority_never_goes_on():
     world = running(line(5))
     world.cut.add(("r1", "r2"))
     assert world.run(8.0, until=lambda: counters(world)["r3"] == 1)
-    world.run(20.0)
+    world.run(10.0)
     assert counters(world) == {"r0": 0, "r1": 0, "r2": 1, "r3": 1, "r4": 1}
     lockstep = world.processes["r0"].lockstep
     assert lockstep.obstacle == "the members change: 2 of 5 have answered, more than half are needed"
@@ -87,7 +87,7 @@ def test_a_minority_never_goes_on():
 def test_two_equal_halves_wait_for_each_other_or_for_the_operator():
     world = running(line(4))
     world.cut.add(("r1", "r2"))
-    world.run(20.0)
+    world.run(10.0)
     assert set(counters(world).values()) == {0}
     world.processes["r0"].take(lambda p: p.lockstep.request(EpochRequest(force=True), world.now))
     assert world.run(5.0, until=lambda: counters(world) == {"r0": 1, "r1": 1, "r2": 0, "r3": 0})
@@ -102,7 +102,7 @@ def test_two_equal_halves_wait_for_each_other_or_for_the_operator():
 def test_policy_wait_waits_until_the_operator_says_so():
     world = running(loop(4), drop=False)
     world.kill("r3")
-    world.run(20.0)
+    world.run(10.0)
     assert set(counters(world).values()) == {0}
     world.processes["r1"].take(lambda p: p.lockstep.request(EpochRequest(drop=("r3",)), world.now))
     assert world.run(3.0, until=lambda: set(counters(world).values()) == {1})
@@ -119,7 +119,7 @@ def test_the_operator_sends_a_robot_away_that_is_well():
     world = running(full(4))
     world.processes["r0"].take(lambda p: p.lockstep.request(EpochRequest(drop=("r2",)), world.now))
     assert world.run(3.0, until=lambda: set(counters(world).values()) == {1})
-    world.run(20.0)
+    world.run(10.0)
     assert set(counters(world).values()) == {1}
     assert world.processes["r0"].lockstep.epochs.epoch.members == ("r0", "r1", "r3")
 
@@ -129,7 +129,7 @@ def test_a_link_that_stays_cut_is_gone_around():
     world.cut.add(("r0", "r1"))
     for _ in range(5):
         assert world.moving()
-    world.run(20.0)
+    world.run(10.0)
     assert set(counters(world).values()) == {0}
 
 
@@ -252,7 +252,7 @@ def test_a_robot_without_its_votes_does_not_answer_a_ballot_that_it_may_have_ans
     world.cut.clear()
     world.cut |= {("r0", "r1"), ("r0", "r2")}
     world.processes["r2"].take(lambda p: p.lockstep.request(EpochRequest(drop=("r0",)), world.now))
-    world.run(20.0)
+    world.run(10.0)
     assert counters(world) == {"r1": 0, "r2": 0}
     world.cut.clear()
     world.start("r0")
@@ -267,7 +267,7 @@ def test_a_robot_without_its_votes_enters_no_epoch_that_it_may_have_been_in():
     assert world.run(5.0, until=lambda: counters(world) == {"r0": 1, "r1": 1, "r2": 1})
     world.run(2.0)
     damaged(world, "r1", reboots=True)
-    world.run(20.0)
+    world.run(10.0)
     lockstep = world.processes["r1"].lockstep
     assert counters(world)["r1"] == 1
     assert not lockstep.begun
@@ -280,7 +280,7 @@ def test_a_robot_without_its_votes_enters_no_epoch_that_it_may_have_been_in():
 def test_where_too_few_have_their_votes_the_operator_goes_on():
     world = running(line(2))
     damaged(world, "r1")
-    world.run(20.0)
+    world.run(10.0)
     assert set(counters(world).values()) == {0}
     assert world.moving()  # nobody stops for an election that cannot be won
     world.processes["r0"].take(lambda p: p.lockstep.request(EpochRequest(force=True), world.now))
