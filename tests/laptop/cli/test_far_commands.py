@@ -99,7 +99,7 @@ def test_an_app_of_real_robots_is_started_and_stopped_as_one_of_a_simulation(rob
     home = robots.add("r0")
     assert run("app", "start", "consensus") == 0
     assert run("app", "stop", "consensus", "r0") == 0
-    said = ["start swarm-app@consensus.service", "stop swarm-app@consensus.service"]
+    said = ["start --no-block swarm-app@consensus.service", "stop swarm-app@consensus.service"]
     assert (home / "systemctl.log").read_text().splitlines() == said
 
 
