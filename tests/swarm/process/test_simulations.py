@@ -204,6 +204,6 @@ def test_a_cut_reaches_both_ends_of_a_link(
     assert json.loads(capsys.readouterr().out)["act"] == "cut"
 
 
-def test_a_cut_of_a_robot_without_a_mesh_is_an_error(run: Path) -> None:
-    with pytest.raises(LocalError, match="not cut: the mesh of r0 is not running"):
+def test_a_cut_of_a_robot_that_is_not_there_is_an_error(run: Path) -> None:
+    with pytest.raises(LocalError, match="not cut: there is no robot r1"):
         hands(run, "cut", "r0", "r1")

@@ -4,6 +4,7 @@ import math
 import random
 
 from apps_rig import NAMES, Rig
+from conftest import wait_until
 from host_rig import MakeRig, ask, make_rig, undisturbed
 from memory_swarm import PLACES, TARGET
 
@@ -57,7 +58,8 @@ def test_a_replay_waits_for_the_dwm_service_and_says_so(make_rig: MakeRig) -> No
         status = ask(rig, "r0", "localization/status", Status)
         return status.state, status.reason
 
-    rig.until(lambda: told() == ("starting", rig.progress["r0"].reason), "its status, as systemd has it, says it too")
+    # Not by `rig.until`, whose lock the bus' thread takes before it can bring the answer.
+    wait_until(lambda: told() == ("starting", rig.progress["r0"].reason), what="its status says it to systemd, too")
     serve(rig)
     rig.until_phase("done")
 
