@@ -48,9 +48,9 @@ class Row:
 
     def json(self) -> str:
         """The row as one JSON object; what could not be measured is null."""
-        value = self.value if math.isfinite(self.value) else None
+        value, limit = (each if math.isfinite(each) else None for each in (self.value, self.limit))
         ratio = round(self.ratio, 4) if math.isfinite(self.ratio) else None
-        return json.dumps({"name": self.name, "value": value, "unit": self.unit, "limit": self.limit, "ratio": ratio,
+        return json.dumps({"name": self.name, "value": value, "unit": self.unit, "limit": limit, "ratio": ratio,
                            "goal": self.goal, "ok": self.ok})  # fmt: skip
 
     def text(self) -> str:

@@ -132,8 +132,10 @@ def _transfer(robots: RobotsOnALine) -> Iterator[None]:
         delivered = 0
         while not ended.is_set():
             with contextlib.suppress(LocalError, TimeoutError):
-                overlays.send("r0", bytes(TRANSFER.size), timeout=60.0).result(timeout=60.0)
-                delivered += 1
+                sent = overlays.send("r0", bytes(TRANSFER.size), timeout=60.0).result(timeout=60.0)
+                delivered += sent.delivered
+                if not sent.delivered:  # a refusal comes at once
+                    ended.wait(1.0)
         return delivered
 
     with ThreadPoolExecutor(1) as threads:

@@ -318,9 +318,11 @@ async def serve(
         _, taken, *_ = runner.addresses[0]
         with concurrent.futures.ThreadPoolExecutor(1, "repeats") as thread:
             repeating = None if control is None else asyncio.create_task(_repeat(control, thread))
-            await ready(f"http://{HOST}:{taken}/?token={token}")
-            await ended.wait()
-            if repeating is not None:
-                repeating.cancel()
+            try:
+                await ready(f"http://{HOST}:{taken}/?token={token}")
+                await ended.wait()
+            finally:
+                if repeating is not None:
+                    repeating.cancel()
     finally:
         await runner.cleanup()

@@ -127,7 +127,7 @@ class Loop:
             return
         try:
             self._keep_stopped(stopped)
-            self._stop_is_kept = stopped
+            self._stop_is_kept, self._keeping_failed = stopped, ""
         except OSError as error:
             if str(error) != self._keeping_failed:
                 self._keeping_failed = str(error)

@@ -16,6 +16,8 @@ from swarm.errors import LocalError
 def cut(run_dir: Path, robot: str, peer: str, seconds: float) -> None:
     """Cut the radio between two robots of a simulation for some seconds, or as long as an earlier cut lasts; 0 ends all
     cuts of the link. Raises `LocalError`."""
+    if robot == peer:
+        raise LocalError(f"not cut: {robot} has no link with itself")
     for name in (robot, peer):
         if not (run_dir / name).is_dir():
             raise LocalError(f"not cut: there is no robot {name} in {run_dir}")

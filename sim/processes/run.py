@@ -211,8 +211,9 @@ class ProcessRun:
         }
 
     def _has_started(self, seen: Mapping[str, Seen], missing: Mapping[str, Sequence[str]]) -> bool:
-        """Return whether all robots have begun that are not still to come."""
-        present = {name: robot for name, robot in seen.items() if name not in self._late}
+        """Return whether all robots have begun that do not come late, or all where all do."""
+        late = self._scenario.late
+        present = {name: robot for name, robot in seen.items() if name not in late} or dict(seen)
         ready = bool(present) and not any(missing[name] for name in present)
         if self._scenario.app is None:
             return ready

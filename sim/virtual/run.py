@@ -335,7 +335,10 @@ class VirtualRun:
 
     def _never(self, ended_at: float) -> tuple[str, ...]:
         started = ended_at if self._started is None else self._started
-        come = [each for each in self._scenario.disturbances if each.at is None and ended_at >= each.seconds]
+        # A robot that comes late is started a second time then.
+        come = [
+            each for each in self._scenario.disturbances if each.at is None and self.world.robots[each.robot].starts > 1
+        ]
         left = [each for each in self._scenario.disturbances if each not in (*come, *self._happened)]
         return (*self._impossible, *never(left, ended_at - started))
 

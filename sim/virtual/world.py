@@ -213,8 +213,9 @@ class VirtualWorld:
         """End a mesh. Where there are the delays of a mesh alone, messages stay away for `seconds`."""
         there = self.robots[robot]
         if isinstance(there.mesh, VirtualMesh):
-            there.sent_before += there.mesh.sent
-            there.mesh.kill()
+            if there.mesh.running:  # else it was killed just before
+                there.sent_before += there.mesh.sent
+                there.mesh.kill()
         else:
             for peer in self._common.near[robot]:
                 self.air.cut(robot, peer, seconds)

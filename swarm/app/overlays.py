@@ -247,7 +247,7 @@ class Overlays:
         remind = ask if small else partial(self._bus.publish, self._remind_key, Reminder(request.ticket), urgent=True)
         handle: Handle[A] = Handle(request.ticket, size, ask, remind, self._now)
         with self._lock:
-            waiting = sum(one.size for one in self._handles.values() if one.size > SMALL and not one.done)
+            waiting = 0 if small else sum(e.size for e in self._handles.values() if e.size > SMALL and not e.done)
             if len(self._handles) >= MAX_OPEN:
                 del self._handles[next(iter(self._handles))]
             self._handles[handle.ticket] = handle

@@ -2,7 +2,7 @@
 
 import sys
 import threading
-from types import MappingProxyType
+from types import MappingProxyType, SimpleNamespace
 
 import pytest
 
@@ -41,7 +41,9 @@ class Robots:
     buses = MappingProxyType({"r0": None, "r3": None})
 
 
-@pytest.mark.parametrize(("arrives", "error"), [(True, None), (False, "no megabyte"), (KeyError, "what")])
+@pytest.mark.parametrize(
+    ("arrives", "error"), [(True, None), (False, "no megabyte"), (TimeoutError, "no megabyte"), (KeyError, "what")]
+)
 def test_stops_beside_a_transfer_have_one_beside_them(
     monkeypatch: pytest.MonkeyPatch, arrives: object, error: str | None
 ) -> None:
@@ -57,10 +59,11 @@ def test_stops_beside_a_transfer_have_one_beside_them(
         def send(self, *_: object, **__: object) -> "Overlays":
             return self
 
-        def result(self, timeout: float) -> None:
+        def result(self, timeout: float) -> SimpleNamespace:
             sent.set()
-            if arrives is not True:
-                raise (LocalError if arrives is False else KeyError)("what")
+            if not isinstance(arrives, bool):
+                raise arrives("what")  # type: ignore[operator]
+            return SimpleNamespace(delivered=arrives)
 
     monkeypatch.setattr(stop, "Overlays", Overlays)
     monkeypatch.setattr(stop, "FLOOD_SETTLES_S", 0.0)

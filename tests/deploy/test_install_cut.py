@@ -341,6 +341,19 @@ def test_releases_that_do_not_run_or_are_refused_do_not_fill_the_disk(robot: Rob
     assert len(list((robot.root / "opt/swarm/settings").iterdir())) <= 2
 
 
+def test_a_release_that_was_never_seen_to_run_is_not_what_another_attempt_goes_back_to(robot: Robot) -> None:
+    robot.do(robot.release("1") / "install", *files(robot, "1"))
+    release = robot.release("2")
+    robot.do(release / "install", *files(robot, "2"))
+    good = robot.root / "opt/swarm/good"
+    assert good.readlink() == (robot.root / "opt/swarm/current").readlink()
+    good.unlink()  # as where the power fails before the services of release 2 have come up
+    good.symlink_to(robot.root / "opt/swarm/releases/1")
+    (robot.root / "opt/swarm/current/bin/python").write_text("#!/bin/sh\n# broken\nexit 0\n")
+    steps = robot.run(release / "install", *files(robot, "3"), code=1)
+    assert robot.boot(steps[-1][1]) == whole("1")
+
+
 @pytest.mark.slow
 def test_a_config_that_does_not_run_is_taken_back_within_one_release(robot: Robot) -> None:
     release = robot.release("1")

@@ -116,6 +116,24 @@ NEVER = {
 }
 
 
+def test_a_robot_may_be_switched_off_just_after_its_mesh_was_killed() -> None:
+    report, _ = simulate(
+        *("consensus", "--robots", "4", "--seconds", "9", "--absent", "drop", "--drop-after", "1s"),
+        *("--kill", "r2.mesh@1s", "--off", "r2@1.1s,5s"),
+    )
+    assert report["problems"] == []
+    assert report["never"] == []
+
+
+def test_a_robot_that_is_still_off_when_the_run_ends_has_not_come() -> None:
+    report, _ = simulate(
+        *("consensus", "--robots", "3", "--topology", "full", "--seconds", "12", "--absent", "drop"),
+        *("--drop-after", "1", "--off", "r1@start,10s", "--off", "r1@2s,40s"),
+    )
+    (never,) = report["never"]
+    assert never.startswith("--off r1@start,10s")
+
+
 def test_acts_on_a_robot_that_is_off_and_a_robot_that_never_came_are_named_under_virtual_time() -> None:
     report, outcome = simulate(*ABSENT)
     assert set(report["never"]) == NEVER

@@ -130,23 +130,24 @@ class Control:
         if wanted is None:
             return
         # Before the other lock: a stop does not wait for a picture that is being drawn.
+        buses = self._feed.buses  # the same ones below: a robot may leave the simulation meanwhile
         with self._feed.lock:
-            for name, bus in self._feed.buses.items():
+            for name, bus in buses.items():
                 wanted.look(name, bus, *self._feed.picture.versioned(name, "mesh/stopped"))
         with self._halting:
             if self._wanted is not wanted:
                 return  # a later one has gone out meanwhile
-            late = [name for name in self._feed.buses if name not in wanted.confirmed]
+            late = [name for name in buses if name not in wanted.confirmed]
             given_up = not wanted.stop and clock.now() > wanted.since + ANSWER_S
             if not late or wanted.overruled or given_up:
                 self._wanted = None  # a robot that comes later learns from the others that a stop was taken back
             else:
                 for name in late:
-                    wanted.give(name, self._feed.buses[name])
-        if given_up:
+                    wanted.give(name, buses[name])
+        if given_up and not wanted.overruled:
             with self._feed.lock:
                 for name in late:
-                    if self._feed.buses[name].connected:
+                    if buses[name].connected:
                         text = f"has not confirmed within {ANSWER_S:g} s that the stop was taken back: arm again"
                         self._feed.picture.note(self._feed.now(), name, "warning", text)
 
@@ -201,11 +202,16 @@ class Control:
         if settings and (silent := [robot for robot in robots if robot not in near]):
             raise LocalError(f"start: {' '.join(silent)} cannot be given parameters: no bus is reached there")
         values = on_top(AppConfig(), settings, robots)
-        for robot in robots:  # what an earlier run has not answered is not for this one
-            self._asked.pop((robot, str(asked["app"])), None)
-        done = self._actions.acts["start"](asked)
+        app = str(asked["app"])
+        # What an earlier run has not answered is not for this one.
+        earlier = {(robot, app): self._asked.pop((robot, app)) for robot in robots if (robot, app) in self._asked}
+        try:
+            done = self._actions.acts["start"](asked)
+        except BaseException:
+            self._asked |= earlier
+            raise
         for robot in near if settings else ():
-            self._let(robot, str(asked["app"]), values.of(robot), START_S)
+            self._let(robot, app, values.of(robot), START_S)
         return done
 
     def _set(self, asked: Mapping[str, Any]) -> str:
@@ -233,7 +239,8 @@ class Control:
         self._asked[robot, app] = request, max(until, clock.now() + seconds)
 
     def _ask(self, robot: str, app: str, request: SetAppParameters) -> None:
-        self._feed.buses[robot].publish(key(robot, f"app/{app}", "set", "parameters"), request, urgent=True)
+        if (bus := self._feed.buses.get(robot)) is not None:  # else it is no robot of the simulation any more
+            bus.publish(key(robot, f"app/{app}", "set", "parameters"), request, urgent=True)
 
     def _ask_again(self) -> None:
         for (robot, app), (request, until) in list(self._asked.items()):

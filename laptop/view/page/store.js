@@ -2,7 +2,8 @@
 
 import { theme } from "./theme.js";
 
-const TRAIL = 300; // places
+const TRAIL_S = 30; // of the swarm's time, as in picture.py
+const TRAIL = 1000; // places at most
 const TRAILS_S = 0.25; // of the swarm's time between two looks at trails
 const STEP_MS = [40, 500]; // the way between two samples takes nearly as long as they are apart as a rule, within this
 const NEARLY = 0.8; // else a late one would be waited for twice
@@ -33,7 +34,7 @@ export class Store {
     this.services = {};
     this.events = [];
     this.faults = new Map(); // name -> the newest event that is an error
-    this.trails = new Map(); // name -> [[x, y], ...]
+    this.trails = new Map(); // name -> [[x, y, the swarm's time], ...]
     this.trailed = (this.trailed ?? 0) + 1; // goes up as trails grow; their ends are below the robots, so not with each place
     this.trailedAt = -Infinity;
     this.hops = {};
@@ -51,7 +52,7 @@ export class Store {
     if (step.beside_places) this.besidePlaces = step.beside_places;
     this.t = step.t;
     this.live = step.live;
-    for (const [name, places] of Object.entries(step.trails ?? {})) this.trails.set(name, places);
+    for (const [name, places] of Object.entries(step.trails ?? {})) this.trails.set(name, places.map(([x, y]) => [x, y, this.t]));
     for (const [name, topics] of Object.entries(step.robots ?? {})) {
       if (!this.robots.has(name)) this.robots.set(name, new Map());
       const known = this.robots.get(name);
@@ -160,11 +161,14 @@ export class Store {
     const span = Math.min(STEP_MS[1], Math.max(STEP_MS[0], NEARLY * rule));
     this.places.set(name, { from: before ?? pose, to: pose, at: now, span, rule });
     const trail = this.trails.get(name) ?? [], newest = trail[trail.length - 1];
-    if (!newest || Math.hypot(newest[0] - pose.x, newest[1] - pose.y) > 0.01) {
-      trail.push([pose.x, pose.y]);
+    const grows = !newest || Math.hypot(newest[0] - pose.x, newest[1] - pose.y) > 0.01;
+    if (grows) trail.push([pose.x, pose.y, this.t]);
+    let old = Math.max(0, trail.length - TRAIL);
+    while (old < trail.length - 1 && trail[old][2] < this.t - TRAIL_S) old += 1;
+    trail.splice(0, old);
+    if (grows || old) {
       if (!(this.t > this.trailedAt && this.t < this.trailedAt + TRAILS_S)) [this.trailed, this.trailedAt] = [this.trailed + 1, this.t];
     }
-    if (trail.length > TRAIL) trail.shift();
     this.trails.set(name, trail);
   }
 

@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
         if ended == STOPPED:
             ended = f"{STOPPED}; not all robots have confirmed the stop: swarm estop gives it again"
             rows = halt.give(argparse.Namespace(act="stop", reason=REASON, timeout=5.0), {robot: directory})
-            missing = " ".join(row.robot for row in rows if not row.confirmed)
+            missing = " ".join(row.robot for row in halt.reached(rows) if not row.confirmed)
             ended = f"{STOPPED}; not confirmed by {missing}: swarm estop gives it again" if missing else STOPPED
             lines = halt.table(rows, stop=True)
             write_lines([json.dumps({"say": line}) for line in lines] if args.json else lines)

@@ -204,6 +204,11 @@ def test_a_cut_reaches_both_ends_of_a_link(
     assert json.loads(capsys.readouterr().out)["act"] == "cut"
 
 
+def test_a_robot_is_not_cut_from_itself(run: Path) -> None:
+    with pytest.raises(LocalError, match="not cut: r0 has no link with itself"):
+        hands(run, "cut", "r0", "r0")
+
+
 def test_a_cut_of_a_robot_that_is_not_there_is_an_error(run: Path) -> None:
     with pytest.raises(LocalError, match="not cut: there is no robot r1"):
         hands(run, "cut", "r0", "r1")
