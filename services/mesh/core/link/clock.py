@@ -66,6 +66,10 @@ FRESH = 2.5
 ROOT_LOST = 5.0
 """Seconds without a new epoch after which a root is given up, and the smallest name left takes over."""
 
+IN_COMPANY = 16
+"""Epochs from which a root is in company. A robot counts them only while it shares the time of neighbours, so that it
+is in company 6.4 to 8 s after it met the first: also with the first sample some heartbeats late, within 10 s."""
+
 LISTEN = 10.0
 """Seconds in which a robot that was started anew follows a settled root, rather than be root itself: the swarm's time
 survives a restart of the smallest name."""
@@ -93,7 +97,8 @@ class ClockClaim(NamedTuple):
     incarnation: int
     """u32 of the root's process: a root started anew counts its epochs from the beginning."""
     epoch: int
-    """u32, counted up by the root: who hears it has a way to the root that worked a moment ago."""
+    """u32, counted up by a root that has neighbours: who hears it has a way to the root that worked a moment ago, and
+    knows whether the root is in company."""
     hop: int
     """Links between the sender and the root."""
     child: bool
@@ -240,9 +245,6 @@ class _Root(NamedTuple):
     at: float
     """When that came."""
     settled: bool
-    early: bool
-    """Whether this robot first heard of it before it was settled itself. A root of which it first hears later was
-    started later: it has no time of its own yet, and takes over ours before it is followed."""
 
 
 class ClockSync:
@@ -267,7 +269,7 @@ class ClockSync:
         self._hop = 0
         self._epoch = 0
         self._settled = False
-        self._own_epoch = 0
+        self._own_epoch = 1
         self._own_epoch_at = -math.inf
         self._at = 0.0
         self._offset = 0.0
@@ -294,6 +296,9 @@ class ClockSync:
                 self._settles_at = now + COMPANY
         neighbour = self._neighbour(peer)
         before, neighbour.claim = neighbour.claim, claim
+        if claim.epoch < IN_COMPANY:
+            # New robots that meet are in company for as long as the first of them.
+            self._own_epoch = max(self._own_epoch, claim.epoch)
         if claim.child:
             return
         root = (claim.root, claim.incarnation)
@@ -301,8 +306,7 @@ class ClockSync:
             neighbour.advanced = now
         known = self._roots.get(root)
         if known is None or claim.epoch > known.epoch:
-            early = known.early if known is not None else now < self._settles_at
-            self._roots[root] = _Root(claim.epoch, now, claim.settled, early)
+            self._roots[root] = _Root(claim.epoch, now, claim.settled)
             if len(self._roots) > _MAX_ROOTS:
                 del self._roots[min(self._roots, key=lambda each: self._roots[each].at)]
 
@@ -354,11 +358,14 @@ class ClockSync:
         if self._root[0] == self._robot:
             self._parent, self._hop, self._rate, self._error = None, 0, 0.0, 0.0
             self._followed = self._robot
-            if now >= self._own_epoch_at + EPOCH_PERIOD:
-                self._own_epoch, self._own_epoch_at = self._own_epoch + 1, now
+            self._count_epoch(now)
             self._epoch = self._own_epoch
             self._settled = now >= self._settles_at
             return
+        root = self._roots[self._root]
+        if not root.settled:
+            # The root is settled first, lest all robots of a swarm that was started together become roots at once.
+            self._settles_at = max(self._settles_at, now + LISTEN)
         self._parent = self._choose_parent(now)
         if self._parent is None:
             self._rate = 0.0
@@ -368,6 +375,8 @@ class ClockSync:
         parent = self._neighbours[self._parent]
         assert parent.claim is not None
         assert parent.link.fit is not None
+        if root.epoch >= IN_COMPANY:
+            self._count_epoch(now)
         self._hop = parent.claim.hop + 1
         self._epoch = parent.claim.epoch
         self._settled = parent.claim.settled
@@ -375,6 +384,11 @@ class ClockSync:
             self._settles_at = min(self._settles_at, now + LISTEN)
         self._follow(parent.claim, parent.link.fit, now)
         self._followed = self._root[0]
+
+    def _count_epoch(self, now: float) -> None:
+        in_company = any(neighbour.claim is not None for neighbour in self._neighbours.values())
+        if in_company and now >= self._own_epoch_at + EPOCH_PERIOD:
+            self._own_epoch, self._own_epoch_at = self._own_epoch + 1, now
 
     def _follow(self, claim: ClockClaim, fit: ClockFit, now: float) -> None:
         between = fit.offset_at(now)
@@ -389,15 +403,17 @@ class ClockSync:
         self._error = math.hypot(claim.error, fit.error_at(now), error)
 
     def _choose_root(self, now: float) -> tuple[str, int]:
-        """The smallest name heard of lately, or the own one; of two incarnations the one heard of last."""
-        lately = [(root, each) for root, each in self._roots.items() if now < each.at + ROOT_LOST]
-        listens = now < self._settles_at and any(each.settled for _, each in lately)
+        """The smallest name heard of lately, or the own one; of two incarnations the last one heard. Those in company
+        go before others, and then settled ones: a time that robots share is not given up for that of new ones.
+        """
         candidates = [
-            (root[0], -each.at, root) for root, each in lately if each.settled or (each.early and not listens)
+            (each.epoch < IN_COMPANY, not each.settled, root[0], -each.at, root)
+            for root, each in self._roots.items()
+            if now < each.at + ROOT_LOST
         ]
-        if not listens:
-            candidates.append((self._robot, -now, (self._robot, self._incarnation)))
-        return min(candidates)[2]
+        own = (self._robot, self._incarnation)
+        candidates.append((self._own_epoch < IN_COMPANY, now < self._settles_at, self._robot, -now, own))
+        return min(candidates)[-1]
 
     def _choose_parent(self, now: float) -> str | None:
         """The neighbour with the fewest hops to the root, the present one where several have."""

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import pytest
 from conftest import costly, thinned
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from services.mesh.core.link import clock
@@ -322,8 +322,48 @@ def test_robots_that_are_all_new_agree_as_soon_as_they_are_linked(late: list[flo
         world.at(time, lambda edge=edge: world.down.discard(edge))  # type: ignore[misc]
     assert world.roots() == {"r0", "r1", "r2", "r3"}
     world.run(max(late) + 5.0)
+    assert world.spread() < 0.02
+    world.run(clock.LISTEN)
     assert world.roots() == {"r0"}
     assert world.spread() < 0.02
+
+
+@costly(30)
+@given(
+    st.permutations(["r0", "r1", "r2", "r3"]),
+    st.lists(st.floats(0.0, 120.0), min_size=3, max_size=3),
+    st.sampled_from(["line", "full"]),
+)
+@example(["r3", "r2", "r1", "r0"], [40.0, 40.0, 40.0], "line")
+@example(["r1", "r2", "r3", "r0"], [0.0, 0.0, 40.0], "line")
+@example(["r3", "r2", "r1", "r0"], [6.0, 6.0, 6.0], "line")
+def test_robots_in_company_are_not_moved_by_those_that_are_switched_on_later(
+    order: list[str], gaps: list[float], shape: str
+) -> None:
+    world = Clocks(shaped(shape, 4), jitter=0.0)
+    world.dead.update(order)
+    starts = dict(zip(order, itertools.accumulate(gaps, initial=0.0), strict=True))
+    for name, start in starts.items():
+        world.since[name] = 10.0 - world.rate[name] * start
+        world.at(start, lambda name=name: (world.dead.discard(name), world.times()))  # type: ignore[misc]
+    before: dict[str, float] = {}
+    company: dict[str, float] = {}
+
+    def look() -> None:
+        times = world.times()
+        for name, time in times.items():
+            if any(name in edge and {*edge} <= {*times} for edge in world.graph.edges):
+                company.setdefault(name, world.now)
+            if world.now > company.get(name, world.now) + 10.0:
+                assert abs(time - world.now - before[name]) < 0.02
+            before[name] = time - world.now
+
+    world.run(starts[order[-1]], 0.5, look)
+    world.run(5.0, 0.5, look)
+    assert world.spread() < clock.STEP + 0.02, "less is slewed"
+    world.run(90.0, 0.5, look)
+    assert world.roots() == {"r0"}
+    assert all(world.clocks[name].claim("", world.monotonic(name)).settled for name in order)
 
 
 def test_after_a_link_was_down_its_neighbours_clock_is_compared_before_it_is_followed() -> None:
