@@ -85,10 +85,17 @@ class Process(links_world.Process):
         )
         self.lockstep.epochs.take_links(world.in_force)
         self.deadline = None
+        self.renewed = []
+        """The numbers of the epochs that it has gone over to."""
         self.finished = None
         self.computing = False
         saved = self.lockstep.saved(list(world.pages[robot].values()))
-        self.lockstep.begin(saved, self.lockstep.start(saved, None), world.now)
+        answer = self.lockstep.start(saved, None)
+        if world.starting:
+            begins = world.now + world.starting
+            world.at(begins, lambda: self.take(lambda _: self.lockstep.begin(saved, answer, world.now)))
+        else:
+            self.lockstep.begin(saved, answer, world.now)
         self.pump()
 
     def pump(self):
@@ -146,6 +153,8 @@ class Process(links_world.Process):
         self.lockstep.computed(todo, answer, self.world.now)
 
     def _renew(self, epoch):
+        assert epoch.number not in self.renewed, f"{self.robot} goes over to epoch {epoch.counter} twice"
+        self.renewed.append(epoch.number)
         self.lockstep.renewed(epoch, self.lockstep.renew(epoch, None), self.world.now)
 
     def take(self, action):
@@ -166,6 +175,8 @@ class World(LinksWorld):
         self.terms = Terms(RUN, SCHEMA, last, rule, drop, after)
         self.content = content
         self.compute = 0.01
+        self.starting = 0.0
+        """Seconds that the app's code takes before a process begins."""
         self.goes_around = True
         """Whether the mesh finds ways around links that are cut."""
         self.births = Counter()
@@ -277,6 +288,8 @@ class World(LinksWorld):
     def model(self, number, robot, k):
         """The state of a robot at iteration k of an epoch, were it a plain synchronous run from its start."""
         epoch = self.epochs[number]
+        if k == number == 0:  # a robot that still starts may have told of it, and never enter the first epoch
+            return first_state(robot)
         if k == epoch.k:
             return self.entered[number, robot]
         if (number, robot, k) not in self.truth:

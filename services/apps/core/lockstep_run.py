@@ -87,8 +87,6 @@ class LockstepRun:
         self._me = me
         self.terms = terms
         self._program = program
-        self._new = not vote_lost and (kept is None or (kept.run, kept.schema) != (terms.run, terms.schema))
-        """Whether this robot has not been in the run yet, so that it begins with the app\'s first state."""
         self._stopping: Stopping | None = None
         self._lockstep: Lockstep | None = None
         self.channel = self._channel_of(self.epochs.epoch)
@@ -136,7 +134,7 @@ class LockstepRun:
         """Let the app be where the newest snapshot was taken, or set its first state where this robot is new; what it
         gives goes to `begin`. None: it goes on with the next epoch."""
         if not saved:
-            return self._answer(*self._program.start(measurement)) if self._new else None
+            return self._answer(*self._program.start(measurement)) if self.epochs.new else None
         if not self._resumes(saved[-1]):
             return None
         own, private = saved[-1].value[: self._program.size], saved[-1].private[_STAMP.size :]
@@ -147,7 +145,6 @@ class LockstepRun:
         """Go on from snapshots, the newest last, or begin with the app's first state; `first` is what `start` gave."""
         self.phase = "running"
         self.progress_at = self._began_at = now
-        epoch = self.epochs.epoch
         if saved:
             self._history = deque(maxlen=len(saved))
             for snapshot in saved:
@@ -155,18 +152,20 @@ class LockstepRun:
                     computed_at, self._began_at = _STAMP.unpack_from(snapshot.private)
                     private = snapshot.private[_STAMP.size :]
                     self._history.append(RunState(snapshot.k, snapshot.value, private, computed_at))
-            if first is not None and self._resumes(saved[-1]):
-                self._resume(saved[-1], first.told, epoch, now)
-            else:
-                self.channel = Channel(self.terms.run, saved[-1].epoch, self.epochs.birth, self.terms.schema)
-                if self.epochs.lost:
-                    self.epochs.lose()
-                else:
-                    self.epochs.resettle()
+            self.channel = Channel(self.terms.run, saved[-1].epoch, self.epochs.birth, self.terms.schema)
         elif first is not None:
-            self._enter(epoch, first, now)
+            self._history.append(RunState(0, first.own, first.private, now))
         else:
             self.lost = True
+        if first is not None and not self._changing:
+            if saved:
+                self._resume(saved[-1], first.told, self.epochs.epoch, now)
+            else:
+                self._enter(self.epochs.epoch, first, now)
+            self.epochs.settle()
+        elif self._changing and not self.epochs.lost:
+            self.epochs.resettle()  # to an epoch that has come after this state, perhaps while `start` ran
+        else:
             self.epochs.lose()
 
     def compute(self, todo: Compute, measurement: Measurement | None) -> Answer:
@@ -297,9 +296,10 @@ class LockstepRun:
                 self._first_save = False
                 found.append(SaveEpochs(self.epochs.kept))
         for news in self.epochs.actions():
-            found.append(news)
-            if isinstance(news, SwitchEpoch):
-                found.append(Renew(news.epoch))
+            if not isinstance(news, SwitchEpoch):
+                found.append(news)
+            elif self.phase != "starting":  # else there is no state yet to go over with: `begin` asks for it again
+                found += (news, Renew(news.epoch))
         return found
 
     def fail(self, reason: str, now: float) -> bool:

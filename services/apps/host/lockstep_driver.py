@@ -111,16 +111,16 @@ class LockstepDriver:
         return AppProgress(self._runtime.now, *self._report())
 
     def start(self) -> None:
-        """Go on from a snapshot of this run, or let the app begin, as soon as there is a measurement where it wants
-        one."""
+        """Go on from a snapshot of this run, or let the app begin, of a new run as soon as there is a measurement where
+        it wants one."""
         pages = self._snapshots.read()
         saved = self.run.saved(pages)
         if pages and not saved:
             self._runtime.log.info("the snapshot is of another run, this one begins anew")
-        if saved:
-            self._start(saved, None)
-        else:
+        if self.run.epochs.new and not saved:
             self._measure(0, partial(self._start, saved))
+        else:  # without a first state to set, so that the others need not wait for what it has to say
+            self._start(saved, None)
         self._runtime.every(LOOK_EVERY, self.look, self._status.keys)
 
     def close(self) -> bool:

@@ -76,7 +76,10 @@ class Epochs:
         self.stalled = False
         self._names = frozenset(names)
         self._of = of
-        if kept is not None and (kept.run, kept.schema) == of:
+        known = kept is not None and (kept.run, kept.schema) == of
+        self.new = not known and not lost
+        """Whether this robot has not been in the run yet, so that it begins with the app's first state."""
+        if kept is not None and known:
             mine = replace(kept.note, birth=max(birth, kept.note.birth + 1), version=0, offer=None, well=True)
         else:
             mine = EpochNote(me, birth, 0, begin, -1, True, (), NONE, None, None, lost)
@@ -87,7 +90,7 @@ class Epochs:
         self._edges = begin.edges
         self._bound: tuple[object, ...] = ()
         self._relink = False
-        self._settled = True
+        self._settled = self.new  # the host of another one has to say first where that is, or that it has no state
         self.deaf: tuple[str, ...] = ()
         """The neighbours that it was told cannot be heard."""
         self._request: EpochRequest | None = None
@@ -160,7 +163,7 @@ class Epochs:
             self._relink = here != {frozenset(edge) for edge in self.epoch.edges}
 
     def settle(self) -> None:
-        """The host has done what the last `SwitchEpoch` asked for: only now is there a state to make promises with."""
+        """The host is in the newest epoch, at `k`: only now is there a state to make promises with."""
         self._settled = True
 
     def resettle(self) -> None:
@@ -170,7 +173,7 @@ class Epochs:
 
     def lose(self) -> None:
         """The state of this epoch is gone, whatever was told of it."""
-        self.k = -1
+        self.k, self._settled = -1, True
         self._become(k=-1)
 
     def suspect(self, names: tuple[str, ...], now: float) -> None:

@@ -172,6 +172,56 @@ def test_robots_that_come_late_to_a_run_that_has_begun_without_them():
     assert world.moving()
 
 
+def test_a_robot_that_still_restores_its_state_answers_no_ballot_before_it_knows_where_it_is():
+    world = running(line(2), drop=False)
+    world.kill("r1")
+    k = world.processes["r0"].lockstep.k
+    world.starting = 3.0
+    world.start("r1")
+    world.processes["r0"].take(lambda p: p.lockstep.request(EpochRequest(), world.now))
+    world.run(2.5)
+    assert counters(world) == {"r0": 0, "r1": 0}
+    assert world.run(6.0, until=lambda: world.together() and set(counters(world).values()) == {1})
+    assert world.processes["r0"].lockstep.epochs.epoch.k >= k - 1
+    assert world.moving()
+
+
+def test_a_robot_without_a_state_answers_no_ballot_as_if_it_had_one():
+    world = running(line(2), drop=False)
+    world.reboot("r1")
+    k = world.processes["r0"].lockstep.k
+    world.starting = 3.0
+    world.start("r1")
+    world.processes["r0"].take(lambda p: p.lockstep.request(EpochRequest(), world.now))
+    assert world.run(9.0, until=lambda: world.together() and set(counters(world).values()) == {1})
+    epoch = world.processes["r0"].lockstep.epochs.epoch
+    assert (epoch.carried, epoch.k) == (("r0",), k)
+    assert world.moving()
+
+
+@pytest.mark.parametrize("comes", ["resumes", "reboots", "is new", "has lost its vote"])
+def test_an_epoch_that_is_decided_while_a_robot_starts_begins_once(comes):
+    world = running(full(3)) if comes != "is new" else World(full(3))
+    if comes == "is new":
+        world.start("r0")
+        world.start("r1")
+        world.run(1.0)
+    elif comes == "reboots":
+        world.reboot("r2")
+    elif comes == "has lost its vote":
+        world.damage("r2")
+    else:
+        world.kill("r2")
+    world.starting = 3.0
+    world.start("r2")
+    world.processes["r0"].take(lambda p: p.lockstep.request(EpochRequest(), world.now))
+    assert world.run(2.9, until=lambda: all(counter >= 1 for counter in counters(world).values()))
+    assert not world.processes["r2"].lockstep.begun
+    assert world.run(9.0, until=world.together)
+    assert world.moving()
+    assert world.processes["r2"].renewed  # each of them once: the world sees to that
+
+
 # -- stop rules --------------------------------------------------------------------------------------------------------
 
 

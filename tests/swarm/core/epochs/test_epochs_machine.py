@@ -32,10 +32,16 @@ class Swarm(RuleBasedStateMachine):
         super().__init__()
         self.world = None
 
-    @initialize(edges=connected_graphs(), seed=st.integers(0, 2**16), compute=st.sampled_from((0.0, 0.02, 0.3)))
-    def begin(self, edges, seed, compute):
+    @initialize(
+        edges=connected_graphs(),
+        seed=st.integers(0, 2**16),
+        compute=st.sampled_from((0.0, 0.02, 0.3)),
+        starting=st.sampled_from((0.0, 0.3, 2.0)),
+    )
+    def begin(self, edges, seed, compute, starting):
         self.world = World(edges, seed=seed, last=2000)
         self.world.compute, self.world.latency, self.world.jitter = compute, 0.1, 0.03
+        self.world.starting = starting
         for name in self.world.names:
             self.world.at(self.world.random.random(), lambda name=name: self.world.start(name))
         self.world.run(1.2)
