@@ -68,6 +68,18 @@ def test_live_measurements_are_the_newest_range_to_the_target_and_the_own_place(
     rig = make_rig(LIVE, ("r0", "r1"))
     rig.start_all("localization", "--iterations", "30")
     rig.until_phase("waiting")
+    serve_live(rig)
+    rig.until_phase("done")
+    rig.until_k(30)
+    for name in rig.names:
+        result = rig.state[name].result
+        assert result["ambiguous"] is True
+        candidates = ((result["x"], result["y"]), (result["other_x"], result["other_y"]))
+        assert min(math.dist(candidate, TARGET) for candidate in candidates) < 1e-6
+
+
+def serve_live(rig: Rig) -> None:
+    """Publish the reports of the dwm service of each robot, once."""
 
     def ranges(name: str, distance: float, quality: int) -> Ranges:
         other = Range("D001", 9.0, 9.0, 100, 0.0, 1)
@@ -81,13 +93,22 @@ def test_live_measurements_are_the_newest_range_to_the_target_and_the_own_place(
         publish(f"swarm/{name}/dwm/ranges", b"\xc1 no message")
         publish(f"swarm/{name}/dwm/pose", Pose(0.0, 2, x, y, None, 90, "average"))
         publish(f"swarm/{name}/dwm/ranges", ranges(name, math.dist((x, y), TARGET), 80))
-    rig.until_phase("done")
-    rig.until_k(30)
+
+
+def test_a_robot_that_has_lost_its_state_says_so_without_waiting_for_a_measurement(make_rig: MakeRig) -> None:
+    rig = make_rig(LIVE, ("r0", "r1"))
+    states = {name: str(rig.directory / f"state.{name}") for name in rig.names}
     for name in rig.names:
-        result = rig.state[name].result
-        assert result["ambiguous"] is True
-        candidates = ((result["x"], result["y"]), (result["other_x"], result["other_y"]))
-        assert min(math.dist(candidate, TARGET) for candidate in candidates) < 1e-6
+        rig.start(name, "apps", "localization", SWARM_STATE=states[name])
+    rig.until_phase("waiting")
+    serve_live(rig)
+    rig.until_k(5)
+    rig.kill("r1")
+    for file in (rig.directory / "r1").glob("app.*"):
+        file.unlink()
+    rig.start("r1", "apps", "localization", SWARM_STATE=states["r1"])
+    reason = "r1 has lost its state and waits for the next epoch"
+    rig.until(lambda: rig.progress["r1"].reason == reason, "a word of the lost state")
 
 
 def test_sigterm_ends_an_app_that_waits_for_its_first_measurement(make_rig: MakeRig) -> None:
