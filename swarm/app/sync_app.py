@@ -96,7 +96,8 @@ class BaseApp:
     def result(self) -> Mapping[str, Value]:
         """Return what the run reports: numbers, texts or lists by name, always with the same names.
 
-        By default it is the shared state."""
+        By default it is the shared state. The host calls it after each step or handler, before the new state goes to
+        the neighbours: it must be cheap, since a slow one slows a lockstep's whole swarm."""
         schema = type(self).spec.schema
         return schema.message_values({name: getattr(self, name) for name in schema.names})
 
