@@ -57,7 +57,7 @@ class Model:
     def restore(self, k, own, private, graph):
         self.own, self.private, self.graph = own, private, graph
 
-    def renew(self, k, own, private, graph):
+    def renew(self, k, at, own, private, graph):
         self.restore(k, own, private, graph)
         return own, private
 

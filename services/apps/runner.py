@@ -187,7 +187,9 @@ class Runner(AppRunner):
         self._changes: dict[str, Value] = {}
         self._inputs = {} if inputs is None else inputs
         self._taken: dict[str, tuple[int, object]] = {}
-        """By field the iteration whose step has taken the newest input, and the input."""
+        """By field the iteration whose step has taken the newest input of this epoch, and the input."""
+        self._again: dict[str, object] | None = None
+        """In an epoch before its first step: the inputs of steps that are done again. None: a step was done."""
         self.changed: Callable[[], None] | None = None
         """Called when other parameters are in force."""
 
@@ -196,6 +198,11 @@ class Runner(AppRunner):
         none is."""
         found = type(self.app).check_change(values)
         self._changes = {**self._changes, **found}
+
+    def forget_inputs(self) -> None:
+        """Inputs of now are those that the `start` of the app around this one has given again, in a new process: a step
+        of the process before has taken them."""
+        self._inputs.clear()
 
     @property
     def size(self) -> int:
@@ -224,7 +231,7 @@ class Runner(AppRunner):
             self._call(f"iteration {k}", lambda: app.change(changes))
             if self.changed is not None:
                 self.changed()
-        if self._inputs:
+        if self._inputs or self._again is not None:
             self._call(f"iteration {k}", lambda: self._take_inputs(k))
         view, unpack = type(app).spec.view, self.schema.unpack
         app.robot.prepare(str(k), measurement)
@@ -241,11 +248,7 @@ class Runner(AppRunner):
         return packed
 
     def restore(self, k: int, own: bytes, private: bytes, graph: Graph) -> None:
-        """Be again where a snapshot was taken, among the robots of `graph`. Inputs that later steps have taken are for
-        the next step, where there is no newer one."""
-        for name, (taken, value) in self._taken.items():
-            if taken >= k:
-                self._inputs.setdefault(name, value)
+        """Be again where a snapshot was taken, among the robots of `graph`."""
         self._be_at(k)
         self._set(own)
         for name, value in unpack_private(private).items():
@@ -254,8 +257,11 @@ class Runner(AppRunner):
             self.app.robot.graph = graph
             self._call(f"iteration {k}", self.app.regraph)
 
-    def renew(self, k: int, own: bytes, private: bytes, graph: Graph) -> tuple[bytes, bytes]:
-        """Go over to other robots and links at iteration k; returns the state the app goes on with, packed."""
+    def renew(self, k: int, at: int, own: bytes, private: bytes, graph: Graph) -> tuple[bytes, bytes]:
+        """Go over to other robots and links at iteration k, with the state of iteration `at` of the epoch before;
+        returns the state the app goes on with, packed. Inputs that steps after that state have taken are for the next
+        step, where there is no newer one."""
+        self._again = {name: value for name, (taken, value) in self._taken.items() if taken >= at}
         self.restore(k, own, private, graph)
         where = f"on_epoch() at iteration {k}"
         self.app.robot.prepare(f"epoch {k}", None)
@@ -271,9 +277,12 @@ class Runner(AppRunner):
         return all(abs(a - b) <= self._tolerance for a, b in zip(before, after, strict=True))
 
     def _take_inputs(self, k: int) -> None:
-        for name in tuple(self._inputs):
-            self._taken[name] = k, self._inputs.pop(name)
-            setattr(self.app, name, copy.deepcopy(self._taken[name][1]))  # a step may change what it was given
+        inputs = {name: self._inputs.pop(name) for name in tuple(self._inputs)}
+        if self._again is not None:  # what this epoch has not taken is part of the state with which it began
+            inputs, self._again, self._taken = {**self._again, **inputs}, None, {}
+        for name, value in inputs.items():
+            self._taken[name] = k, value
+            setattr(self.app, name, copy.deepcopy(value))  # a step may change what it was given
 
     def _pack(self, where: str) -> tuple[bytes, bytes]:
         app, spec = self.app, type(self.app).spec

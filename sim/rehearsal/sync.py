@@ -107,7 +107,7 @@ class SyncRehearsal:
         self.graph, self.names = graph, graph.names
         for name in self.names:
             own, self.private[name] = self.runners[name].renew(
-                self.k, self.states[name][self.k], self.private[name], graph
+                self.k, self.k, self.states[name][self.k], self.private[name], graph
             )
             self.states[name][self.k] = own
 

@@ -12,6 +12,7 @@ a second; a neighbour's newest state is there in `self.neighbours` and in `step`
 holds up nobody. See docs/reference/apps.md. A lockstep may run within such an app: `channel`.
 """
 
+import copy
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, cast
@@ -271,10 +272,10 @@ class ChannelView:
                 raise AttributeError(
                     f"channel {self.name}: {name!r} is no input; {type(self.app).__name__} has {fields}"
                 )
-            # Not into the app itself, which a step may be changing, and which a new epoch puts back.
-            self.inputs[name] = spec.arrays[name].assigned(name, value) if name in spec.arrays else value
-            if not self.begun:
-                setattr(self.app, name, value)
+            # Not into the app itself, which a step may be changing, and which a new epoch puts back. A copy, since the
+            # caller may go on with what it has given.
+            given = spec.arrays[name].assigned(name, value) if name in spec.arrays else value
+            self.inputs[name] = copy.deepcopy(given)
 
     def __getattr__(self, name: str) -> Item:
         try:

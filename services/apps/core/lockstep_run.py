@@ -182,8 +182,11 @@ class LockstepRun:
             return None
         self._graph = epoch.graph
         state = self._before(epoch)
-        own, private = (state.own, state.private) if state is not None else self._program.start(measurement)
-        return self._answer(*self._program.renew(epoch.k, own, private, self._graph))
+        if state is not None:
+            at, own, private = state.k, state.own, state.private
+        else:
+            at, (own, private) = 0, self._program.start(measurement)
+        return self._answer(*self._program.renew(epoch.k, at, own, private, self._graph))
 
     # The other side
 

@@ -51,8 +51,9 @@ class Program(Protocol):
     def restore(self, k: int, own: bytes, private: bytes, graph: Graph) -> None:
         """Be again where a snapshot was taken."""
 
-    def renew(self, k: int, own: bytes, private: bytes, graph: Graph) -> tuple[bytes, bytes]:
-        """Be at k with this state, among these robots; the state the app goes on with, packed: shared, private."""
+    def renew(self, k: int, at: int, own: bytes, private: bytes, graph: Graph) -> tuple[bytes, bytes]:
+        """Be at k with this state, which is that of iteration `at` of the epoch before, among these robots; the state
+        the app goes on with, packed: shared, private."""
 
     def told(self) -> Told:
         """What the app tells of the state at which it is."""

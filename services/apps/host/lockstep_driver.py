@@ -117,6 +117,8 @@ class LockstepDriver:
         saved = self.run.saved(pages)
         if pages and not saved:
             self._runtime.log.info("the snapshot is of another run, this one begins anew")
+        if saved and saved[-1].k > 0:
+            self.runner.forget_inputs()
         if self.run.epochs.new and not saved:
             self._measure(0, partial(self._start, saved))
         else:  # without a first state to set, so that the others need not wait for what it has to say

@@ -190,7 +190,7 @@ def test_a_channel_is_another_instance_with_parameters_of_its_own() -> None:
     app.inner.value = 3
     assert (app.inner.value, app.inner.app.value) == (3.0, 3.0)
     app.inner.feed(_input=0.5)
-    assert app.inner.app._input == 0.5
+    assert app.inner.inputs == {"_input": 0.5}
     app.inner.begin(app.inner.app.change)
     app.inner.take(7, {"value": 4.0})
     assert (app.inner.k, app.inner.value) == (7, 4.0)
@@ -230,19 +230,79 @@ def test_an_input_of_a_channel_counts_once_whatever_epochs_begin() -> None:
     def renew(k: int) -> None:
         """An epoch begins, at an iteration that this robot has done."""
         del history[k + 1 :]
-        runner.renew(k, *history[k], LINE)
+        runner.renew(k, k, *history[k], LINE)
 
     assert [step(), step()] == [0.25, 0.25]
     view.feed(_input=[1.0])
     renew(2)  # between the input and the step that takes it
     assert [step(), step()] == [1.25, 1.25]
-    renew(3)  # the input is in the state
-    assert [step(), step()] == [1.25, 1.25]
     renew(2)  # the step that took it is done again
     assert [step(), step()] == [1.25, 1.25]
+    renew(3)  # the input is in the state
+    assert [step(), step()] == [1.25, 1.25]
     view.feed(_input=[2.0])
-    renew(2)  # of two inputs the newest counts
-    assert [step(), step()] == [2.25, 2.25]
+    assert step() == 3.25
+    view.feed(_input=[4.0])
+    renew(5)  # of two inputs the newest counts
+    assert [step(), step()] == [5.25, 5.25]
+
+
+def test_an_input_from_the_start_of_an_app_counts_once_where_the_lockstep_uses_it_in_its_own_start() -> None:
+    class Eager(Adding):
+        def start(self) -> None:
+            self.value += sum(self._input)
+
+    class EagerlyFed(EventApp):
+        inner = channel(Eager)
+
+    view = make(EagerlyFed).inner
+    runner = Runner(view.app, __file__, inputs=view.inputs)
+    view.feed(_input=[0.25])
+    own, _ = runner.start(None)
+    runner.step(0, own, {}, None)
+    assert view.app.value == 0.25
+
+
+def test_an_input_of_a_channel_is_what_it_was_when_it_was_fed() -> None:
+    view = make(Feeding).inner
+    runner = Runner(view.app, __file__, inputs=view.inputs)
+    own, private = runner.start(None)
+    fed = [0.25]
+    view.feed(_input=fed)
+    fed.append(1.0)
+    runner.step(0, own, {}, None)
+    fed.append(2.0)
+    runner.renew(0, 0, own, private, LINE)
+    runner.step(0, own, {}, None)
+    assert view.app.value == 0.25
+
+
+def test_an_input_of_a_channel_counts_once_where_an_epoch_begins_at_another_iteration_than_that_of_the_state() -> None:
+    view = make(Feeding).inner
+    runner = Runner(view.app, __file__, inputs=view.inputs)
+    state = runner.start(None)
+
+    def steps(first: int, last: int) -> tuple[bytes, bytes]:
+        now = state
+        for k in range(first, last):
+            now = runner.step(k, now[0], {}, None)
+        return now
+
+    early = state = steps(0, 4)
+    view.feed(_input=[0.25])
+    state = steps(4, 6)
+    runner.renew(9, 4, *early, LINE)  # an epoch that another one follows before it begins here
+    state = runner.renew(2, 6, *state, LINE)  # the input is in the state, whatever its iteration is called now
+    state = steps(2, 4)
+    assert view.app.value == 0.25
+    state = runner.renew(3, 3, *state, LINE)  # an iteration of the new epoch, before that of the input by number
+    steps(3, 4)
+    assert view.app.value == 0.25
+    view.feed(_input=[1.0])
+    steps(4, 6)
+    runner.renew(9, 4, *state, LINE)  # the step that took it is done again, under a greater number
+    steps(9, 10)
+    assert view.app.value == 1.25
 
 
 def test_wrong_use_of_a_channel_is_said() -> None:

@@ -378,6 +378,40 @@ def test_two_locksteps_run_inside_a_periodic_app(make_rig: MakeRig) -> None:
     assert {rig.stop(name) for name in NAMES} == {0}
 
 
+FED = """
+from swarm import PeriodicApp, SyncApp, channel
+class Adding(SyncApp):
+    value: float
+    _input: float = 0.0
+    def step(self, neighbours):
+        self.value, self._input = self.value + self._input, 0.0
+class Fed(PeriodicApp):
+    inner = channel(Adding)
+    def start(self):
+        self.inner.feed(_input=1.0)
+    def step(self, neighbours):
+        pass
+    def result(self):
+        return {"value": self.inner.value, "k": self.inner.k}
+"""
+
+
+def test_an_input_from_the_start_of_an_app_counts_once_through_a_kill(make_rig: MakeRig) -> None:
+    rig, app = make_rig("fed", FED, ("r0", "r1"))
+    rig.start_all(app)
+
+    def at(k: int) -> Callable[[], bool]:
+        return lambda: all(name in rig.state and rig.state[name].result["k"] >= k for name in rig.names)
+
+    rig.until(at(5), "iteration 5")
+    rig.kill("r0")
+    rig.state.clear()
+    rig.start("r0", "apps", app)
+    rig.until(at(1), "it goes on")
+    rig.until(at(rig.state["r0"].result["k"] + 5), "more iterations")
+    assert rig.state["r0"].result["value"] == 1.0
+
+
 LIVE = """
 from swarm import SyncApp, parameter
 class Live(SyncApp):
