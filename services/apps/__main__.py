@@ -9,6 +9,7 @@ restart.
 import argparse
 import hashlib
 import os
+import threading
 from urllib.parse import unquote
 
 from services.apps import loader
@@ -27,7 +28,7 @@ from services.apps.runner import Runner, metrics_of
 from swarm.app import run_options
 from swarm.app.event_app import EventApp
 from swarm.app.settings import Setting, parse, with_settings
-from swarm.app.sync_app import SyncApp
+from swarm.app.sync_app import BaseApp, SyncApp
 from swarm.app.truth import TruthWatch
 from swarm.config import Config
 from swarm.core.lockstep.frames import MAX_ITERATION
@@ -56,7 +57,7 @@ def main() -> int:
         service.config = with_settings(service.config, app.name, options.settings)
         number = options.run if options.run is not None else _default_run(app, service.config, options.settings)
         seed = _number("SWARM_SEED", os.environ.get("SWARM_SEED") or str(number), 10)
-        instance = app.make(service.config, service.robot, seed)  # what is wrong with it is said at once
+        instance = _make(service, app, service.config, seed)  # what is wrong with it is said at once
         runtime = ThreadedRuntime(service)
         measured = isinstance(instance, SyncApp) and instance.measured
         measurements = source_of(runtime, service.config, options.iterations) if measured else None
@@ -64,7 +65,7 @@ def main() -> int:
         if links is None:
             return 0
         if links.config.edges != service.config.edges:
-            instance = app.make(links.config, service.robot, seed)
+            instance = _make(service, app, links.config, seed)
         overlays = equip(instance.robot, service.bus, service.log)
         if metrics_of(type(instance)):
             instance.robot.truth = TruthWatch(service.bus, service.robot, app.name, service.config)
@@ -100,6 +101,23 @@ def main() -> int:
         if recording is not None:
             recording.close()
         return FAULT if host.failed else 0
+
+
+def _make(service: Service, app: loader.LoadedApp, config: Config, seed: int) -> BaseApp:
+    """Make the app. The author's code in it may never return: then a stop ends the process, which has opened nothing
+    yet."""
+    made = threading.Event()
+
+    def end() -> None:
+        service.stopping.wait()
+        if not made.is_set():
+            os._exit(0)
+
+    threading.Thread(target=end, name="make", daemon=True).start()
+    try:
+        return app.make(config, service.robot, seed)
+    finally:
+        made.set()
 
 
 def _options() -> argparse.Namespace:

@@ -35,6 +35,7 @@ from swarm.config import Config
 from swarm.core.asynchronous import HandlerCall, NeighbourState
 from swarm.errors import AppError, LocalError
 from swarm.frozen import frozen
+from swarm.messages import Measurement
 from swarm.messages.codec import Value
 
 GRAPHS = ("line", "loop", "thesis-d", "full", "random:1")
@@ -171,7 +172,16 @@ def examine(task: Task) -> Iterator[_Finding]:
 
 
 def _sync(task: Task, finding: _Finding) -> None:
-    swarm = SyncRehearsal(task.app, task.scene(finding.graph))
+    source = task.app.source
+
+    class Examined(Runner):
+        def start(self, measurement: Measurement | None) -> tuple[bytes, bytes]:
+            return limited(source, lambda: Runner.start(self, measurement))
+
+        def result(self) -> dict[str, Value]:
+            return limited(source, lambda: Runner.result(self))
+
+    swarm = SyncRehearsal(task.app, task.scene(finding.graph), runner=Examined)
     times: list[float] = []
     orders: set[str] = set()
     sums: set[tuple[str, int]] = set()
@@ -287,7 +297,7 @@ def _events(task: Task, finding: _Finding) -> None:
             name = self.app.robot.name
             if call.handler == first:
                 began.setdefault(name, self.app.robot.now)
-            histories.setdefault(name, []).append(self.result())
+            histories.setdefault(name, []).append(limited(app.source, self.result))
             finding.digests.append(_digest([name.encode(), own]))
             return own
 

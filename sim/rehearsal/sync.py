@@ -51,8 +51,17 @@ class CommonClock:
 class SyncRehearsal:
     """`results[name][k]` is what a robot reports at iteration k, `states[name][k]` its packed shared state."""
 
-    def __init__(self, app: loader.LoadedApp, config: Config, *, seed: int = 1, measure: Measure = measurement) -> None:
-        """`measure(robot, k)` gives the measurement of step k to an app that wants one."""
+    def __init__(
+        self,
+        app: loader.LoadedApp,
+        config: Config,
+        *,
+        seed: int = 1,
+        measure: Measure = measurement,
+        runner: type[Runner] = Runner,
+    ) -> None:
+        """`measure(robot, k)` gives the measurement of step k to an app that wants one. `runner` drives the app of each
+        robot."""
         self.k = 0
         self.names = config.names
         self.graph = config.graph
@@ -72,14 +81,14 @@ class SyncRehearsal:
             instance.robot.overlays = self.messages[name]  # type: ignore[assignment]
             instance.robot.mesh_clock = CommonClock(self.names[0], self._now)  # type: ignore[assignment]
             instance.robot.truth = self._world.truth(name, app.name)
-            self.runners[name] = Runner(instance, app.source)
+            self.runners[name] = runner(instance, app.source)
         self.private: dict[str, bytes] = {}
         self.states: dict[str, list[bytes]] = {}
         self.results: dict[str, list[dict[str, Value]]] = {}
-        for name, runner in self.runners.items():
-            own, self.private[name] = runner.start(self.measured(name))
+        for name, each in self.runners.items():
+            own, self.private[name] = each.start(self.measured(name))
             self.states[name] = [own]
-            self.results[name] = [runner.result()]
+            self.results[name] = [each.result()]
 
     def measured(self, name: str) -> Measurement | None:
         """The measurement for a robot's next step."""

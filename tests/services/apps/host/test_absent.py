@@ -5,6 +5,7 @@ import signal
 
 import pytest
 from apps_rig import NAMES, Rig
+from conftest import wait_until
 from host_rig import START, MakeRig, ask, make_rig
 
 from swarm.messages import AppEpoch, AppState, SetAppEpoch
@@ -147,6 +148,21 @@ def test_weights_that_hang_when_an_app_goes_on_from_a_snapshot_are_named(make_ri
     rig.until_phase("fault", "r0")
     assert ", line 10, in neighbour_weights(): it has not ended within 0.5 s" in rig.progress["r0"].reason
     assert rig.stop("r0") == 3
+
+
+def test_sigterm_ends_an_app_whose_weights_hang_when_it_is_made(make_rig: MakeRig) -> None:
+    rig = make_rig("")
+    app, spins = rig.directory / "weighing.py", rig.directory / "spins"
+    app.write_text(
+        "import pathlib\nfrom swarm import SyncApp\n"
+        "class Weighing(SyncApp):\n    value: float\n    def step(self, neighbours):\n        pass\n"
+        "    def neighbour_weights(self):\n"
+        f"        pathlib.Path({str(spins)!r}).touch()\n"
+        "        while True: pass\n"
+    )
+    rig.start("r0", "apps", str(app))
+    wait_until(spins.exists, what="the weights are asked for")
+    assert rig.stop("r0") == 0
 
 
 def test_an_app_that_diverges_is_named(make_rig: MakeRig) -> None:
