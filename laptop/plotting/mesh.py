@@ -50,10 +50,10 @@ def mesh(figure: Any, run: Run) -> None:
     for robot, peers in newest.items():
         for peer in peers:
             ends.setdefault(_pair(robot, peer), []).append(seen[_pair(robot, peer)][robot])
-    if not ends and newest:
-        raise LocalError(f"{run.path}: at the end no robot had a link")
-    if not ends:
+    if not newest:
         raise LocalError(f"{run.path}: no state of the mesh's links is recorded")
+    if not ends:
+        raise LocalError(f"{run.path}: at the end no robot had a link")
     names = sorted({name for pair in ends for name in pair}, key=natural)
     places = layout(names, list(ends), {name: track[-1][0] for name, track in paths(run).items()})
     links = {}

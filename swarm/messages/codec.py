@@ -164,7 +164,8 @@ def _checker(kind: Any, strict: bool) -> _Check:
     raise LocalError(f"messages cannot hold {kind}")
 
 
-def _wrong(value: object, path: str, wanted: str) -> PayloadError:
+def wrong(value: object, path: str, wanted: str) -> PayloadError:
+    """Return the error that names a wrong value by its path in a message, and what was expected there."""
     # A map or list is only named: it may be nested deeper than repr can follow.
     got = "a map" if isinstance(value, dict) else "a list" if isinstance(value, list) else shown(value)
     return PayloadError(f"{path or 'payload'}: expected {wanted}, got {got}")
@@ -183,17 +184,17 @@ def _check_float(value: object, path: str) -> float:
         try:
             number = float(value)
         except OverflowError:
-            raise _wrong(value, path, "a number in the range of a float") from None
+            raise wrong(value, path, "a number in the range of a float") from None
         if math.isfinite(number):
             return number
-    raise _wrong(value, path, "a finite number")
+    raise wrong(value, path, "a finite number")
 
 
 def _check_range(bounds: Between) -> _Check:
     def check(value: object, path: str) -> int:
         if type(value) is int and bounds.low <= value <= bounds.high:
             return value
-        raise _wrong(value, path, f"an integer from {bounds.low} to {bounds.high}")
+        raise wrong(value, path, f"an integer from {bounds.low} to {bounds.high}")
 
     return check
 
@@ -202,14 +203,14 @@ def _check_type(kind: type, expected: str) -> _Check:
     def check(value: object, path: str) -> object:
         if type(value) is kind:
             return value
-        raise _wrong(value, path, expected)
+        raise wrong(value, path, expected)
 
     return check
 
 
 def _check_none(value: object, path: str) -> None:
     if value is not None:
-        raise _wrong(value, path, "nil")
+        raise wrong(value, path, "nil")
 
 
 _PLAIN: dict[object, _Check] = {
@@ -237,7 +238,7 @@ def _check_union(kind: Any, strict: bool) -> _Check:
     def check(value: object, path: str) -> Any:
         option = options.get(type(value))
         if option is None:
-            raise _wrong(value, path, str(kind))
+            raise wrong(value, path, str(kind))
         return option(value, path)
 
     return check
@@ -250,7 +251,7 @@ _WIRE: dict[object, type] = {**{kind: kind for kind in (float, int, bool, str, b
 def _check_tuple(item: _Check) -> _Check:
     def check(value: object, path: str) -> tuple[Any, ...]:
         if not isinstance(value, list):
-            raise _wrong(value, path, "a list")
+            raise wrong(value, path, "a list")
         # Of a list: Python begins a tuple of unknown length with 10 places and cuts it, so that each one made of a
         # generator adds a block to the free list of its length, up to 2000 of every length.
         return tuple([item(entry, f"{path}[{index}]") for index, entry in enumerate(value)])
@@ -263,7 +264,7 @@ def _check_dict(item: _Check) -> _Check:
 
     def check(value: object, path: str) -> dict[str, Any]:
         if not isinstance(value, dict):
-            raise _wrong(value, path, "a map")
+            raise wrong(value, path, "a map")
         return {text(name, path): item(entry, f"{path}.{name}") for name, entry in value.items()}
 
     return check
@@ -287,7 +288,7 @@ def _check_dataclass(kind: type, strict: bool) -> _Check:
 
     def check(value: object, path: str) -> Any:
         if not isinstance(value, dict):
-            raise _wrong(value, path, f"a map of {kind.__name__}")
+            raise wrong(value, path, f"a map of {kind.__name__}")
         prefix = f"{path}." if path else ""
         if value.keys() != fields.keys():
             if missing := required - value.keys():

@@ -12,7 +12,8 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
-from swarm.errors import PayloadError, shown
+from swarm.errors import PayloadError
+from swarm.messages.codec import wrong
 
 _Check = Callable[[object, str], None]
 
@@ -37,9 +38,7 @@ def _checker(kind: Any) -> _Check:
 
 
 def _wrong(value: object, path: str, wanted: str) -> PayloadError:
-    # A map or list is only named: it may be large.
-    got = "a map" if isinstance(value, dict) else "a list" if isinstance(value, list) else shown(value)
-    return PayloadError(f"{path or 'message'}: expected {wanted}, got {got}")
+    return wrong(value, path or "message", wanted)
 
 
 def _dataclass(kind: type) -> _Check:

@@ -102,8 +102,8 @@ def _layouts(recorded: Run, notes: list[str]) -> dict[str, str]:
             number = recorded.robots.index(robot)
             ks = sorted(path.rows)
             times = [began + path.times[k] for k in ks]
-            measured = _measured(recorded, robot)
-            if measured and {"result.x", "result.y"} <= set(path.columns) and not channel:
+            placed = not channel and {"result.x", "result.y"} <= set(path.columns)
+            if placed and (measured := _measured(recorded, robot)):
                 rows = [
                     (k, t, path.value(k, "result.x"), path.value(k, "result.y")) for k, t in zip(ks, times, strict=True)
                 ]

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from services.apps.core.terms import Answer, Program, Terms, Told
+from services.apps.core.terms import AppAnswer, Program, Terms, Told
 from swarm.core.epochs import actions as epoch_actions
 from swarm.core.epochs.actions import EpochRequest, SaveEpochs, SwitchEpoch
 from swarm.core.epochs.epochs import Epochs
@@ -130,7 +130,7 @@ class LockstepRun:
         found = [Snapshot.decode(page) for page in pages]
         return [one for one in found if (one.run, one.schema) == (self.terms.run, self.terms.schema)]
 
-    def start(self, saved: Sequence[Snapshot], measurement: Measurement | None) -> Answer | None:
+    def start(self, saved: Sequence[Snapshot], measurement: Measurement | None) -> AppAnswer | None:
         """Let the app be where the newest snapshot was taken, or set its first state where this robot is new; what it
         gives goes to `begin`. None: it goes on with the next epoch."""
         if not saved:
@@ -141,7 +141,7 @@ class LockstepRun:
         self._program.restore(saved[-1].k, own, private, self._graph)
         return self._answer(own, private)
 
-    def begin(self, saved: Sequence[Snapshot], first: Answer | None, now: float) -> None:
+    def begin(self, saved: Sequence[Snapshot], first: AppAnswer | None, now: float) -> None:
         """Go on from snapshots, the newest last, or begin with the app's first state; `first` is what `start` gave."""
         self.phase = "running"
         self.progress_at = self._began_at = now
@@ -168,15 +168,15 @@ class LockstepRun:
         else:
             self.epochs.lose()
 
-    def compute(self, todo: Compute, measurement: Measurement | None) -> Answer:
+    def compute(self, todo: Compute, measurement: Measurement | None) -> AppAnswer:
         """Run the app's step; what it gives goes to `computed`."""
         size = self._program.size  # behind it stands the count of a rule to stop
         values = {name: value[:size] for name, value in todo.values.items()}
         own, private = self._program.step(todo.k, todo.own[:size], values, measurement)
         content = self.terms.rule is not None and self._program.content()
-        return Answer(own, private, self._program.told(), content)
+        return AppAnswer(own, private, self._program.told(), content)
 
-    def renew(self, epoch: Epoch, measurement: Measurement | None) -> Answer | None:
+    def renew(self, epoch: Epoch, measurement: Measurement | None) -> AppAnswer | None:
         """Let the app go over to an epoch; what it gives goes to `renewed`. None: this robot has no part in it."""
         if self._me not in epoch.members:
             return None
@@ -190,7 +190,7 @@ class LockstepRun:
 
     # The other side
 
-    def computed(self, todo: Compute, answer: Answer, now: float) -> None:
+    def computed(self, todo: Compute, answer: AppAnswer, now: float) -> None:
         """Go on with what `compute` gave."""
         core = self._lockstep
         if core is None or self.epochs.frozen or self._changing or core.fault is not None:
@@ -209,7 +209,7 @@ class LockstepRun:
         core.computed(own, self._stamp(private), now, last=last)
         self.epochs.k = core.k
 
-    def renewed(self, epoch: Epoch, answer: Answer | None, now: float) -> None:
+    def renewed(self, epoch: Epoch, answer: AppAnswer | None, now: float) -> None:
         """Go on with what `renew` gave."""
         if epoch.number != self.epochs.number:
             return  # there is a newer one by now
@@ -334,8 +334,8 @@ class LockstepRun:
         waiting = self._graph.neighbours(self._me) if frozen else self._lockstep.waiting_for
         return [(n, max(self.progress_at, self._heard.get(n, 0.0)) + self.terms.after) for n in waiting]
 
-    def _answer(self, own: bytes, private: bytes) -> Answer:
-        return Answer(own, private, self._program.told())
+    def _answer(self, own: bytes, private: bytes) -> AppAnswer:
+        return AppAnswer(own, private, self._program.told())
 
     def _resumes(self, snapshot: Snapshot) -> bool:
         """Whether this robot goes on in the epoch of a snapshot."""
@@ -365,7 +365,7 @@ class LockstepRun:
         last = None if self.terms.last is None else max(self.terms.last, epoch.k)
         return Lockstep(self._me, neighbours, self.channel, size, last=last, rtt=self.rtt)
 
-    def _enter(self, epoch: Epoch, first: Answer, now: float) -> None:
+    def _enter(self, epoch: Epoch, first: AppAnswer, now: float) -> None:
         self._lockstep = self._lockstep_of(epoch)
         own, private, self.told, _ = first
         own += Stopping.first() if self._stopping is not None else b""

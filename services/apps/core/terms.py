@@ -20,7 +20,7 @@ class Told(NamedTuple):
     """The author's result, with the errors by which the app is measured."""
 
 
-class Answer(NamedTuple):
+class AppAnswer(NamedTuple):
     """What the author's code gave in one job of the worker."""
 
     own: bytes

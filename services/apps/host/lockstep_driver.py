@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 
 from services.apps.core.lockstep_run import ALONE, LockstepRun, Renew
-from services.apps.core.terms import Answer, Terms
+from services.apps.core.terms import AppAnswer, Terms
 from services.apps.equipment.measurements import Measurements
 from services.apps.host.app_status import LOOK_EVERY, REPEAT, AppStatus
 from services.apps.host.observer import Observer, StepRecord
@@ -209,7 +209,7 @@ class LockstepDriver:
     def _start(self, saved: list[Snapshot], measurement: Measurement | None) -> None:
         self._worker.run(partial(self.run.start, saved, measurement), partial(self._begin, saved), self._app_failed)
 
-    def _begin(self, saved: list[Snapshot], first: Answer | None) -> None:
+    def _begin(self, saved: list[Snapshot], first: AppAnswer | None) -> None:
         run, log = self.run, self._runtime.log
         if self._closed or self.failed:
             return
@@ -228,7 +228,7 @@ class LockstepDriver:
                 partial(self.run.compute, todo, measurement), partial(self._computed, todo, asked), self._app_failed
             )
 
-    def _computed(self, todo: Compute, asked: Channel, answer: Answer) -> None:
+    def _computed(self, todo: Compute, asked: Channel, answer: AppAnswer) -> None:
         if not self.failed and self._counts(asked):
             self.run.computed(todo, answer, self._runtime.now)
             self._perform()
@@ -240,7 +240,7 @@ class LockstepDriver:
                 partial(self.run.renew, epoch, measurement), partial(self._renewed, epoch), self._app_failed
             )
 
-    def _renewed(self, epoch: Epoch, answer: Answer | None) -> None:
+    def _renewed(self, epoch: Epoch, answer: AppAnswer | None) -> None:
         if not self.failed:
             self.run.renewed(epoch, answer, self._runtime.now)
             self._perform()
