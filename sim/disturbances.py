@@ -1,8 +1,8 @@
 """The disturbances of a run: links are cut, robots switched off, services killed, bodies pushed, buttons pressed.
 
-Times count from the first iteration of all robots that do not come late. A time `2s..8s` is drawn between the two by
-the seed, a robot `any` is one of the swarm, drawn likewise, and `any` at an end of a cut is one that has a link with
-the other end: so a sweep over seeds is one over failures.
+Times count from the first iteration of all robots that do not come late, or of all where all do. A time `2s..8s` is
+drawn between the two by the seed, a robot `any` is one of the swarm, drawn likewise, and `any` at an end of a cut is
+one that has a link with the other end: so a sweep over seeds is one over failures.
 
 Each reader of an option raises `argparse.ArgumentTypeError`, which says what was expected.
 """

@@ -122,7 +122,7 @@ class VirtualRun:
         self._impossible: list[str] = []
         """One sentence for each that was not possible then."""
         self._running = set(names)
-        self._missing_first = set(names) - self._late.keys()
+        self._missing_first = set(names) - self._late.keys() or set(names)
         self._epoch = (0, 0)
         """Counter and number of the newest epoch."""
         self._members = frozenset(names)

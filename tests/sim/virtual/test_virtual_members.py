@@ -117,6 +117,14 @@ def test_a_robot_that_comes_late_is_taken_in_where_the_others_have_begun():
     assert path.times[min(k for k in path.rows if k > 0)] > 7
 
 
+def test_times_count_from_the_first_iteration_of_all_where_all_robots_come_late():
+    late = [f"--off=r{i}@start,{1 + 2 * i}s" for i in range(3)]
+    _, outcome = simulate("consensus", "--robots", "3", "--topology", "loop", "--seconds", "5", *late, rows=True)
+    firsts = [min(time for k, time in path.times.items() if k > 0) for path in outcome.trajectories.values()]
+    assert outcome.started_s is not None
+    assert outcome.started_s == max(firsts) > 5
+
+
 def test_a_fault_stops_nobody_else_where_robots_may_be_dropped(tmp_path):
     app = tmp_path / "bad.py"
     app.write_text(
