@@ -208,7 +208,7 @@ class Control:
         try:
             done = self._actions.acts["start"](asked)
         except BaseException:
-            self._asked |= earlier
+            self._asked = earlier | self._asked  # what was asked for meanwhile is newer
             raise
         for robot in near if settings else ():
             self._let(robot, app, values.of(robot), START_S)
