@@ -166,10 +166,15 @@ class Register:
         }
 
     def restore(self, halt: Halt, now: float) -> None:
-        """Take what an earlier process of this robot knew."""
+        """Take what an earlier process of this robot knew. A stop that holds and was given on a robot that is no longer
+        in the configuration becomes this robot's own: nobody has taken it back."""
         stops = {name: stop for name, stop in halt.stops.items() if name in self._robots}
         arms = {name: mark for name, mark in halt.arms.items() if name in self._robots}
         self._merge(Halt(stops, arms), None, now)
+        for name, (mark, reason) in halt.stops.items():
+            if name not in self._robots and mark > halt.arms.get(name, _NONE):
+                self.stop(reason, now)
+                return
 
     def to_file(self) -> bytes:
         """Return all that this robot knows, for `from_file`."""

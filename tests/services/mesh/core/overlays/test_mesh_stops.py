@@ -368,6 +368,31 @@ def test_a_process_that_starts_anew_goes_on_with_the_stops_it_knew() -> None:
     assert not any(stopped(world, name).stopped for name in world.names)
 
 
+def test_a_stop_outlives_the_robot_that_gave_it_being_taken_out_of_the_configuration() -> None:
+    """The meshes of the others start anew with the new configuration, and nobody has taken the stop back."""
+    world = World(line(3))
+    world.settle()
+    stop(world, "r2")
+    world.run(NOTICED)
+    kept = {name: from_file(world.kept_stops[name]) for name in ("r0", "r1")}
+    smaller = World(line(2))
+    for name in smaller.names:
+        smaller.step(name, lambda each, name=name: each.restore_stops(kept[name], smaller.now))  # type: ignore[misc]
+        assert stopped(smaller, name).by == {name: "smoke"}
+    smaller.settle()
+    assert all(stopped(smaller, name).stopped for name in smaller.names)
+    arm(smaller, "r1")
+    smaller.run(NOTICED)
+    assert not any(stopped(smaller, name).stopped for name in smaller.names)
+    # One that was taken back is none.
+    arm(world, "r0")
+    world.run(NOTICED)
+    kept = {"r0": from_file(world.kept_stops["r0"])}
+    fresh = World(line(2))
+    fresh.step("r0", lambda each: each.restore_stops(kept["r0"], fresh.now))
+    assert not stopped(fresh, "r0").stopped
+
+
 def test_kept_stops_are_read_as_they_were_written_and_damage_is_named() -> None:
     halt = Halt({f"r{n}": (Mark(n, n), "x" * n) for n in range(50)}, {f"r{n}": Mark(2**60 + n, 1) for n in range(50)})
     data = to_file(halt)
