@@ -94,6 +94,8 @@ class BusSide:
         """The keys used so far, by the message's type: the simulations have many robots, which use few of them."""
         self._throttle = Throttle(process.bus, self.key(BalancerState), THROTTLED_STATE_S)
         self._mode = ""
+        self._unknown: Stop | None = None
+        """The stop that was heard, as long as the mesh has not told that it knows of one."""
         self._stopped_at: float | None = now() if stopped else None
         """When a stop was heard last, or the mesh told last that one holds, s; None from the time on at which the mesh
         tells that none holds."""
@@ -175,6 +177,8 @@ class BusSide:
         """Pass a sample of `swarm/stop` to the loop at once, whatever its payload is."""
         stop = read(name, payload)
         assert isinstance(stop, Stop)
+        if self._stopped_at is None:
+            self._unknown = stop
         self._stopped_at = self._now()
         self._loop.halt(stop)
 
@@ -192,6 +196,14 @@ class BusSide:
             self.refuse(name, "refused", str(error))
             return
         assert isinstance(message, Stopped)
+        if message.stopped:
+            self._unknown = None
         # What the mesh told before the stop says nothing about it.
-        if self._stopped_at is None or message.t > self._stopped_at:
-            self._stopped_at = message.t if message.stopped else None
+        if self._stopped_at is not None and message.t <= self._stopped_at:
+            return
+        if (unknown := self._unknown) is not None:
+            # The mesh was not there when the stop was given, so nobody else has heard of it.
+            self._unknown, self._stopped_at = None, self._now()
+            self._process.bus.publish(STOP, unknown, urgent=True)
+            return
+        self._stopped_at = message.t if message.stopped else None

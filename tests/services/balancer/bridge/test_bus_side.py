@@ -75,8 +75,36 @@ def test_commands_that_move_the_robot_are_refused_while_a_stop_holds(message: ob
     assert side.passes(SetLeds(True, False, False), "leds")
     side.hear(TOLD, Stopped(99.9, False, {}))
     assert not side.passes(message, topic), "the mesh had not heard of the stop yet"
+    side.hear(TOLD, Stopped(100.05, True, {"r1": "smoke"}))
     side.hear(TOLD, Stopped(100.1, False, {}))
     assert side.passes(message, topic)
+    assert "swarm/stop" not in dict(side.bus.published)
+
+
+def test_a_stop_that_the_mesh_has_not_heard_is_given_to_it_once_more() -> None:
+    """It was published while the mesh was started anew, and nobody would repeat it."""
+    side = Side()
+    stop = Stop(99.0, "a program", "smoke")
+    side.hear("swarm/stop", stop)
+    side.now = 101.0
+    side.hear(TOLD, Stopped(100.9, False, {}))
+    assert side.bus.published == [("swarm/stop", stop)]
+    assert not side.passes()
+    side.hear(TOLD, Stopped(100.95, False, {}))
+    assert not side.passes(), "told before the stop was given once more"
+    # A mesh that knows it, and in which somebody takes it back.
+    side.hear(TOLD, Stopped(101.1, True, {"r0": "smoke"}))
+    side.hear(TOLD, Stopped(102.0, False, {}))
+    assert side.passes()
+    assert [name for name, _ in side.bus.published].count("swarm/stop") == 1
+
+
+def test_a_mesh_that_does_not_take_a_stop_locks_nobody_out_for_good() -> None:
+    side = Side()
+    side.hear("swarm/stop", Stop(99.0, "a program", "smoke"))
+    side.hear(TOLD, Stopped(100.1, False, {}))
+    side.hear(TOLD, Stopped(100.2, False, {}))
+    assert side.passes()
 
 
 def test_a_mesh_that_tells_of_a_stop_is_enough() -> None:

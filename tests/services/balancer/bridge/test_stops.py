@@ -35,7 +35,8 @@ def lying(processes: Processes, watcher: Watcher) -> "subprocess.Popen[str]":
 
 
 def take_back(watcher: Watcher) -> None:
-    """Tell what r0's mesh tells when all stops are taken back."""
+    """Tell what r0's mesh tells when it knows of a stop, and when all stops are taken back."""
+    watcher.bus.publish("swarm/r0/mesh/stopped", Stopped(clock.now(), True, {"r0": "test"}))
     watcher.bus.publish("swarm/r0/mesh/stopped", Stopped(clock.now(), False, {}))
 
 
