@@ -10,20 +10,21 @@ import asyncio
 import os
 import sys
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from laptop.fleet.ssh import everyone, robot_command
 from laptop.fleet.ssh.ssh import Host, HostError, Ssh, hosts, last_words
-from swarm.config import Config, load
+from swarm import clock
+from swarm.config import find, load
 from swarm.errors import LocalError, PayloadError
 from swarm.messages.json_input import read_json
 from swarm.onboard import halt
-from swarm.onboard.buses import buses
-from swarm.onboard.halt import Row
 from swarm.process.arguments import show
 from swarm.process.paths import DEFAULT_RUNTIME
+from swarm.process.simulations import default_run_dir, is_live, robots
 from swarm.process.terminal import columns
 
 THERE_S = 3.0
@@ -34,6 +35,8 @@ _HANGS_S = 12.0
 """Seconds after which a robot's own command counts as hanging, and its balancer is stopped by systemd."""
 _SYSTEMD_S = 15.0
 """Seconds that systemd has for it."""
+_BREAKS_S = 8.0
+"""Seconds within which a connection that breaks, or is refused, is made once more for a stop."""
 
 
 @dataclass
@@ -62,58 +65,65 @@ def run(args: argparse.Namespace) -> int:
 
     Returns 1 where a robot that can be reached has not confirmed in time.
     """
-    far = robots_of(args)
-    if far is None:
+    if args.no_ssh or args.run_dir or os.environ.get("SWARM_RUNTIME") or DEFAULT_RUNTIME.is_dir():
         return halt.run(args)
-    stop: bool = args.act == "stop"
+    found = _simulated()
     try:
-        found = buses.find(args)
-    except LocalError:
-        found = {}
-    answers = _Answers()
+        config = load(args.config)
+    except LocalError as error:
+        return _without_config(args, error)
+    if unknown := [name for name in args.robots or () if name not in found and name not in config.names]:
+        there = ", ".join({**dict.fromkeys(config.names), **found})
+        raise LocalError(f"{unknown[0]} is no robot of {config.path} or of a simulation; there are {there}")
+    real = [name for name in args.robots or config.names if name in config.names]
+    found = {name: place for name, place in found.items() if not args.robots or name in args.robots}
+    far = hosts(config, real) if real else (), Ssh(args.ssh_config)
+    stop: bool = args.act == "stop"
+    answers, began = _Answers(), clock.now()
 
     def by_ssh() -> None:
         nonlocal answers
-        answers = command(*far, stop=stop, reason=args.reason)
+        answers = command(*far, stop=stop, reason=args.reason, began=began)
 
     thread = threading.Thread(target=by_ssh, name="ssh")
     thread.start()
     try:
-        rows = halt.give(args, found) if found else []
+        rows = halt.give(found, stop=stop, reason=args.reason, timeout=args.timeout) if found else []
     except LocalError as error:  # such as a simulation that is just starting or ending
         rows = []
         sys.stderr.write(f"note: {error}\n")
     finally:
         thread.join()
-    how = {host.robot: _how(host.robot, rows, answers) for host in far[0]}
-    done = all(row.confirmed for row in halt.reached(rows) if row.robot not in how) and all(how.values())
+    how = {host.robot: _how(host.robot, answers) for host in far[0]}
+    done = all(row.confirmed for row in halt.reached(rows)) and all(how.values())
     told = {name: {"confirmed": outcome.ok, "text": outcome.text} for name, outcome in answers.outcomes.items()}
-    lines = [*(halt.table(rows, stop=stop) if rows else ()), *table(how, answers, stop=stop)]
+    lines = ["simulated robots", "", *halt.table(rows, stop=stop), "", "real robots", ""] if rows and how else []
+    lines += table(how, answers, stop=stop) if how else halt.table(rows, stop=stop)
     show(args, {**halt.report(args, rows, done), "ssh": told}, lines)
     return 0 if done else 1
 
 
-def robots_of(args: argparse.Namespace) -> tuple[tuple[Host, ...], Ssh] | None:
-    """Return the robots that ssh can reach. None on a robot, for a simulation alone, or without a configuration that
-    names robots.
-
-    Raises `LocalError` where a configuration was named and cannot be used.
-    """
-    if args.no_ssh or args.robots or args.run_dir or os.environ.get("SWARM_RUNTIME") or DEFAULT_RUNTIME.is_dir():
-        return None
-    try:
-        config: Config = load(args.config)
-    except LocalError:
-        if args.config:
-            raise
-        return None
-    return hosts(config), Ssh(args.ssh_config)
+def _simulated() -> dict[str, Path]:
+    """Return the runtime directories of the robots of a simulation that runs here; none where none runs."""
+    directory = default_run_dir().absolute()
+    return robots(directory) if is_live(directory) else {}
 
 
-def _how(name: str, rows: Sequence[Row], answers: _Answers) -> str:
-    """Return the paths by which a robot is confirmed; empty where it is not."""
-    paths = ["bus or mesh"] if any(row.confirmed for row in rows if row.robot == name) else []
-    paths += ["ssh"] if name in answers.outcomes and answers.outcomes[name].ok else []
+def _without_config(args: argparse.Namespace, error: LocalError) -> int:
+    """Stop or arm the robots of a simulation alone, since no configuration names real robots. Where there is one that
+    cannot be used, real robots may be meant: nobody has told them, and the exit code is not 0."""
+    if args.config is None and find.find() is None:
+        return halt.run(args)
+    if args.config is not None or not _simulated():
+        raise error
+    code = halt.run(args)
+    sys.stderr.write(f"swarm: {error}; no real robot was told\n")
+    return code or 1
+
+
+def _how(name: str, answers: _Answers) -> str:
+    """Return the paths by which a real robot is confirmed; empty where it is not."""
+    paths = ["ssh"] if name in answers.outcomes and answers.outcomes[name].ok else []
     paths += [f"mesh (seen by {answers.seen[name]})"] if name in answers.seen else []
     return ", ".join(paths)
 
@@ -130,18 +140,35 @@ def table(how: Mapping[str, str], answers: _Answers, *, stop: bool) -> list[str]
     return [*columns(lines), "", summary, *([] if stop else [halt.NEXT])]
 
 
-def command(robots: tuple[Host, ...], ssh: Ssh, *, stop: bool, reason: str) -> _Answers:
-    """Tell all robots at once; returns when each has answered or is given up."""
+def command(robots: tuple[Host, ...], ssh: Ssh, *, stop: bool, reason: str, began: float) -> _Answers:
+    """Tell all robots at once; returns when each has answered or is given up. `began`: the time at which the command
+    was given, s."""
     answers = _Answers()
     words = [*(["estop", reason] if stop else ["arm"]), "--json", "--timeout", str(THERE_S)]
 
-    async def job(host: Host, tell: everyone.ReportProgress) -> str:
+    async def since(host: Host) -> list[str]:
+        """Return the words that say when, by the robot's clock, `swarm arm` was given, or earlier: it takes back no
+        stop that came later, however long ssh takes. A robot never sleeps, so its uptime is its monotonic clock."""
+        there = float((await ssh.check(host, "cat /proc/uptime")).split()[0])
+        return ["--since", f"{there - (clock.now() - began):.2f}"]
+
+    async def ask(host: Host) -> tuple[str, str]:
+        """Return what the robot's own command prints, and the last words of its errors."""
+        started = clock.now()
         try:
             async with asyncio.timeout(_HANGS_S if stop else None):
-                done = await ssh.run(host, robot_command.words(host, words))
-            out, error = done.out, last_words(done.err)
+                later = [] if stop else await since(host)
+                done = await ssh.run(host, robot_command.words(host, [*words, *later]))
         except TimeoutError:
-            out, error = "", f"its own command has not ended within {_HANGS_S:g} s"
+            return "", f"its own command has not ended within {_HANGS_S:g} s"
+        except HostError as error:
+            if not stop or clock.now() > started + _BREAKS_S:  # it is away: another try would take as long
+                raise
+            return "", str(error)
+        return done.out, last_words(done.err)
+
+    async def job(host: Host, tell: everyone.ReportProgress) -> str:
+        out, error = await ask(host)
         rows = _rows(out)
         for name, row in rows.items():
             if row.get("confirmed") and name != host.robot:

@@ -10,9 +10,8 @@ from pathlib import Path
 
 from services.balancer.core.control.estimation.gyro import Zero
 from swarm.files import atomic_write
-from swarm.process.paths import VOLATILE
+from swarm.process.paths import GYRO_ZERO, VOLATILE
 
-NAME = "balancer.zero"
 USED_S = 10.0
 """The most seconds since a loop last used the zero: a restart takes 1 s."""
 MEASURED_S = 3600.0
@@ -28,7 +27,7 @@ class ZeroFile:
     """See the module."""
 
     def __init__(self, runtime: Path) -> None:
-        self._path = runtime / NAME
+        self._path = runtime / GYRO_ZERO
         self._zero: Zero | None = None
         self._measured = 0.0
         self._failed = False

@@ -8,7 +8,7 @@ moves by `swarm arm`: balancers wait for a command.
 
 import argparse
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import asdict
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from swarm.messages.keys import STOP, key, parse
 from swarm.onboard.buses import buses
 from swarm.onboard.buses.ask import AWAY, Views, opened
 from swarm.process.arguments import add_json, number, show
+from swarm.process.paths import GYRO_ZERO
 from swarm.process.terminal import columns
 
 ROUND = 0.2
@@ -36,6 +37,8 @@ LISTENING_S = 0.5
 """Seconds after which a balancer that was not heard on a bus that can be reached is taken for absent: one that runs
 tells its state every 0.04 s."""
 
+LOOP_S = 3.0
+"""Seconds since a balancing loop last wrote its gyro's zero after which it does not run any more."""
 
 DEFAULT_REASON = "swarm estop"
 
@@ -66,7 +69,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> list[argparse.ArgumentPars
     parsers = [acts.add_parser(name, prog=parser.prog, description=parser.description) for name in ("stop", "arm")]
     text = "why the robots stop; their logs and faults show it (swarm estop)"
     parsers[0].add_argument("reason", nargs="?", metavar="REASON", default=DEFAULT_REASON, help=text)
+    parsers[0].set_defaults(since=None)
     parsers[1].set_defaults(reason="")
+    # The laptop tells when the command was given, in seconds of this robot's clock.
+    parsers[1].add_argument("--since", type=float, help=argparse.SUPPRESS)
     for each in parsers:
         text = "seconds to wait for all robots to confirm (5)"
         each.add_argument("--timeout", type=number(0.1, 600, "s"), default=5.0, metavar="S", help=text)
@@ -77,7 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> list[argparse.ArgumentPars
 
 def run(args: argparse.Namespace) -> int:
     """Stop or arm over the buses that can be reached; code 1 where a robot has not confirmed in time."""
-    rows = give(args, buses.find(args))
+    rows = give(buses.find(args), stop=args.act == "stop", reason=args.reason, timeout=args.timeout, since=args.since)
     done = all(row.confirmed for row in reached(rows))
     show(args, report(args, rows, done), table(rows, stop=args.act == "stop"))
     return 0 if done else 1
@@ -93,10 +99,50 @@ def report(args: argparse.Namespace, rows: list[Row], done: bool) -> dict[str, o
     return {"stop": args.act == "stop", "confirmed": done, "robots": [asdict(row) for row in rows]}
 
 
-def give(args: argparse.Namespace, directories: Mapping[str, Path]) -> list[Row]:
-    """Stop or arm over the buses with these runtime directories; returns what each robot has confirmed."""
+def give(
+    directories: Mapping[str, Path], *, stop: bool, reason: str, timeout: float = 5.0, since: float | None = None
+) -> list[Row]:
+    """Stop or arm over the buses with these runtime directories; returns what each robot has confirmed within `timeout`
+    s. `since`: the time at which the command was given, s, where it was before now."""
+    given = clock.now() if since is None else min(since, clock.now())
+    views, modes = Views(), dict[str, str]()
+
+    def take(text: str, payload: bytes) -> None:
+        with contextlib.suppress(PayloadError):
+            message = read(text, payload)
+            if isinstance(message, BalancerState):
+                with views.changed:
+                    modes[parse(text).robot] = message.mode
+                    views.changed.notify_all()
+
+    def look() -> list[Row]:
+        there = {name: bus.connected for name, bus in found.items()}
+        running = {name for name in found if loop_runs(directories[name])}
+        listened = clock.now() > began + LISTENING_S
+        with views.changed:
+            seen = dict(modes)
+        return rows_of(there, views.best(), seen, stop=stop, listened=listened, running=running)
+
     with opened(directories) as found:
-        return _command(found, stop=args.act == "stop", reason=args.reason, timeout=args.timeout)
+        for bus in found.values():
+            bus.subscribe(key("*", "balancer", "state"), take)
+        began = clock.now()
+        rows: list[Row] = []
+        while True:
+            confirmed = {row.robot for row in rows if row.confirmed}
+            for name, bus in found.items():
+                if name not in confirmed:
+                    _give(name, bus, stop=stop, reason=reason, age=clock.now() - given)
+                views.ask(name, bus, ANSWER)
+            round_end = min(began + timeout, clock.now() + ROUND)
+            while clock.now() < round_end:
+                with views.changed:
+                    views.changed.wait(max(0.0, round_end - clock.now()))
+                rows = look()
+                if all(_is_final(row, found) for row in rows):
+                    return rows
+            if clock.now() >= began + timeout:
+                return rows
 
 
 def rows_of(
@@ -106,13 +152,16 @@ def rows_of(
     *,
     stop: bool,
     listened: bool = True,
+    running: Container[str] = (),
 ) -> list[Row]:
     """Return one row for each robot. `names`: the robots whose bus was looked for, and whether it is there. `listened`:
-    whether a balancer on such a bus would have been heard by now."""
+    whether a balancer on such a bus would have been heard by now. `running`: robots whose balancing loop is known to
+    run, though its state may not be heard."""
     rows = []
     for name in sorted({*names, *known}):
         entry, mode = known.get(name), modes.get(name)
-        still = mode not in MOVING and (mode is not None or listened or not names.get(name))
+        absent = (listened or not names.get(name)) and name not in running
+        still = mode not in MOVING and (mode is not None or absent)
         if entry is not None and entry.state not in AWAY:
             # Who has said nothing since it was started has heard of no stop.
             confirmed = (entry.stopped is True and still) if stop else not entry.stopped
@@ -153,43 +202,17 @@ def _remark(row: Row, *, stop: bool) -> str:
     if row.state != "here":
         return "out of reach"
     if stop and row.stopped:
-        return "its motors are on"
+        return "its motors are on" if row.mode else "its balancer tells no state: sudo systemctl stop swarm-balancer"
     return "not confirmed"
 
 
-def _command(opened_buses: Mapping[str, Bus], *, stop: bool, reason: str, timeout: float) -> list[Row]:
-    views, modes = Views(), dict[str, str]()
-
-    def take(text: str, payload: bytes) -> None:
-        with contextlib.suppress(PayloadError):
-            message = read(text, payload)
-            if isinstance(message, BalancerState):
-                with views.changed:
-                    modes[parse(text).robot] = message.mode
-                    views.changed.notify_all()
-
-    for bus in opened_buses.values():
-        bus.subscribe(key("*", "balancer", "state"), take)
-    began = clock.now()
-    end = began + timeout
-    rows: list[Row] = []
-    while True:
-        confirmed = {row.robot for row in rows if row.confirmed}
-        for name, bus in opened_buses.items():
-            if name not in confirmed:
-                _give(name, bus, stop=stop, reason=reason, age=clock.now() - began)
-            views.ask(name, bus, ANSWER)
-        round_end = min(end, clock.now() + ROUND)
-        while clock.now() < round_end:
-            with views.changed:
-                views.changed.wait(max(0.0, round_end - clock.now()))
-                seen = dict(modes)
-            there = {name: bus.connected for name, bus in opened_buses.items()}
-            rows = rows_of(there, views.best(), seen, stop=stop, listened=clock.now() > began + LISTENING_S)
-            if all(_is_final(row, opened_buses) for row in rows):
-                return rows
-        if clock.now() >= end:
-            return rows
+def loop_runs(directory: Path) -> bool:
+    """Return whether a balancing loop runs with this runtime directory: it writes its gyro's zero once a second."""
+    try:
+        used = float((directory / GYRO_ZERO).read_text().split()[-1])
+    except (OSError, ValueError, LookupError):
+        return False
+    return 0.0 <= clock.now() - used <= LOOP_S
 
 
 def _is_final(row: Row, opened_buses: Mapping[str, Bus]) -> bool:

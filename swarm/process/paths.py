@@ -17,6 +17,9 @@ MAX_SOCKET_PATH = 107
 
 BUS_SOCKET = "bus.sock"
 
+GYRO_ZERO = "balancer.zero"
+"""The file in which a balancing loop keeps its gyro's zero, and when it last used it: once a second while it runs."""
+
 VOLATILE = "a boot clears the runtime directory"
 """Why files in the runtime directory need not be on a disk (`swarm.files.atomic_write`)."""
 

@@ -93,8 +93,7 @@ def run(args: argparse.Namespace) -> int:
                 _command(bus, robot, STANDSTILL)
     write_lines([*tale.lines(), f"{robot}: {end or 'end'}"])
     if end.startswith("stop"):
-        stop = argparse.Namespace(act="stop", reason="swarm drive", timeout=5.0)
-        write_lines(halt.table(halt.give(stop, {robot: directory}), stop=True))
+        write_lines(halt.table(halt.give({robot: directory}, stop=True, reason="swarm drive"), stop=True))
     return 1 if end else 0
 
 

@@ -36,7 +36,7 @@ HELP = "check a new robot part by part until it stands; writes a report"
 
 TOPICS = (
     "balancer/state", "balancer/odometry", "balancer/imu", "balancer/buttons", "balancer/fault", "balancer/notice",
-    "balancer/display", "balancer/i2c", "balancer/firmware", "dwm/ranges", "mesh/links",
+    "balancer/display", "balancer/i2c", "balancer/firmware", "dwm/ranges", "mesh/links", "mesh/stopped",
 )  # fmt: skip
 _KEYS: dict[type, str] = {
     SetMode: "balancer/set/mode",
@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         if ended == STOPPED:
             ended = f"{STOPPED}; not all robots have confirmed the stop: swarm estop gives it again"
-            rows = halt.give(argparse.Namespace(act="stop", reason=REASON, timeout=5.0), {robot: directory})
+            rows = halt.give({robot: directory}, stop=True, reason=REASON)
             missing = " ".join(row.robot for row in halt.reached(rows) if not row.confirmed)
             ended = f"{STOPPED}; not confirmed by {missing}: swarm estop gives it again" if missing else STOPPED
             lines = halt.table(rows, stop=True)

@@ -1,5 +1,6 @@
 """`swarm estop` and `swarm arm` by ssh: robots that confirm, robots that do not, and robots that cannot be reached."""
 
+import argparse
 import json
 from pathlib import Path
 
@@ -7,8 +8,12 @@ import pytest
 from fake_robots import FakeRobots, Run
 from needs import needs_ssh
 
+from laptop import cli
 from laptop.cli import halt as halt_ssh
+from swarm import clock
 from swarm.errors import LocalError
+from swarm.onboard.buses import buses
+from swarm.onboard.halt import Row
 
 pytest_plugins = ["fleet_fixtures"]
 pytestmark = needs_ssh
@@ -94,15 +99,111 @@ def test_a_bus_that_does_not_answer_here_keeps_no_robot_from_its_stop(
     """As that of a simulation that is just starting or ending on the laptop."""
     home = add(robots, "r0", answer("r0"))
 
-    def refuse(*_: object) -> None:
+    def refuse(*_: object, **__: object) -> None:
         raise LocalError("no bus is there")
 
-    monkeypatch.setattr(halt_ssh.buses, "find", lambda _: {"r0": home})
+    monkeypatch.setattr(halt_ssh, "_simulated", lambda: {"r0": home})
     monkeypatch.setattr(halt_ssh.halt, "give", refuse)
     assert run("estop") == 0
     shown = capsys.readouterr()
     assert shown.out.splitlines()[-1] == "stopped: 1 of 1 robots"
     assert "no bus is there" in shown.err
+
+
+@pytest.fixture
+def simulation(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """A simulation runs on the laptop with robots r0, r1 and s0, which obey; the names of those that were told."""
+    told: list[str] = []
+
+    def give(found: dict[str, Path], *, stop: bool, **_: object) -> list[Row]:
+        told.extend(found)
+        return [Row(name, "here", stop, "fault", True) for name in found]
+
+    def find(args: argparse.Namespace) -> dict[str, Path]:
+        return buses.chosen(dict.fromkeys(("r0", "r1", "s0"), Path("/nowhere")), args.robots or ())
+
+    monkeypatch.setattr(halt_ssh.halt, "give", give)
+    monkeypatch.setattr(halt_ssh.halt.buses, "find", find)
+    monkeypatch.setattr(halt_ssh, "_simulated", lambda: dict.fromkeys(("r0", "r1", "s0"), Path("/nowhere")))
+    return told
+
+
+def test_a_simulated_robot_confirms_nothing_for_a_real_one_of_its_name(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], simulation: list[str]
+) -> None:
+    add(robots, "r0", answer("r0"))
+    robots.add("r1", up=False)
+    assert run("estop") == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert simulation == ["r0", "r1", "s0"]
+    assert lines[0] == "simulated robots"
+    assert "stopped: 3 of 3 robots" in lines[: lines.index("real robots")]
+    assert lines[-1] == "stopped: 1 of 2 robots; NOT CONFIRMED: r1"
+
+
+@pytest.mark.parametrize(
+    ("names", "real", "simulated"), [("r1", ["r1"], ["r1"]), ("s0", [], ["s0"]), ("r0,s0", ["r0"], ["r0", "s0"])]
+)
+def test_robots_that_are_named_are_told_real_and_simulated(
+    robots: FakeRobots, run: Run, simulation: list[str], names: str, real: list[str], simulated: list[str]
+) -> None:
+    homes = {name: add(robots, name, answer(name)) for name in ("r0", "r1")}
+    assert run("estop", "--robots", names) == 0
+    assert [name for name, home in homes.items() if (home / "asked").exists()] == real
+    assert simulation == simulated
+
+
+def test_a_robot_that_nobody_knows_is_named(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], simulation: list[str]
+) -> None:
+    home = add(robots, "r0", answer("r0"))
+    assert run("estop", "--robots", "r0,r7") == 2
+    assert "r7 is no robot of" in capsys.readouterr().err
+    assert not (home / "asked").exists()
+
+
+def test_a_configuration_that_is_damaged_keeps_no_simulation_from_its_stop_and_is_told(
+    robots: FakeRobots,
+    run: Run,
+    capsys: pytest.CaptureFixture[str],
+    simulation: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here/swarm.toml").write_text("network = 3")
+    monkeypatch.chdir(tmp_path / "here")
+    monkeypatch.delenv("SWARM_CONFIG", raising=False)
+    with pytest.raises(SystemExit) as end:
+        cli.main(["estop"])
+    assert end.value.code == 1
+    shown = capsys.readouterr()
+    assert simulation == ["r0", "r1", "s0"]
+    assert "stopped: 3 of 3 robots" in shown.out
+    assert "no real robot was told" in shown.err
+
+
+def test_a_rearm_says_when_it_was_given_so_that_it_takes_back_no_later_stop(
+    robots: FakeRobots, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home = add(robots, "r0", answer("r0"))
+    given = clock.now()
+    assert run("arm") == 0
+    words = (home / "asked").read_text().split()
+    with Path("/proc/uptime").open() as file:
+        there = float(file.read().split()[0]) - clock.now()
+    assert given - 0.1 <= float(words[words.index("--since") + 1]) - there <= clock.now()
+
+
+def test_a_connection_that_breaks_is_made_once_more_for_a_stop(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    home = robots.add("r0")
+    # The first command ends its connection: sshd's process for it is the shell's parent.
+    robots.script("r0", "sudo", 'case $2 in env) kill -9 $PPID; sleep 5 ;; *) shift; "$@" ;; esac')
+    assert run("estop") == 0
+    assert (home / "systemctl.log").read_text() == "stop swarm-balancer.service\n"
+    assert "its balancer was stopped (ssh ended without a word)" in capsys.readouterr().out
 
 
 def test_robots_of_which_ssh_tells_nothing_are_not_confirmed(

@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.balancer.core.control.estimation.gyro import Zero
-from services.balancer.zero_file import LARGEST, MEASURED_S, NAME, USED_S, ZeroFile
+from services.balancer.zero_file import LARGEST, MEASURED_S, USED_S, ZeroFile
+from swarm.process.paths import GYRO_ZERO
 
 ZERO = Zero(0.011, -0.02, 0.003)
 
@@ -24,7 +25,7 @@ def left(tmp_path: Path, *, measured: float = 100.0, used: float = 100.0, zero: 
 
 def test_a_zero_in_use_is_taken_to_the_bit(tmp_path: Path) -> None:
     assert left(tmp_path).read(100.0 + USED_S) == ZERO
-    assert [path.name for path in tmp_path.iterdir()] == [NAME]
+    assert [path.name for path in tmp_path.iterdir()] == [GYRO_ZERO]
 
 
 def test_one_that_nobody_used_for_a_while_is_not(tmp_path: Path) -> None:
@@ -59,7 +60,7 @@ def test_one_that_no_gyro_has_is_not(tmp_path: Path, zero: Zero) -> None:
 )
 def test_whatever_lies_there_is_survived(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
     folder = tmp_path_factory.mktemp("runtime")
-    (folder / NAME).write_bytes(data)
+    (folder / GYRO_ZERO).write_bytes(data)
     found = ZeroFile(folder).read(100.0)
     assert found is None or all(abs(axis) <= LARGEST for axis in found)
 

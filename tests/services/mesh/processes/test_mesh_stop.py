@@ -4,6 +4,7 @@ directory."""
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from conftest import stop, wait_until
@@ -11,6 +12,9 @@ from mesh_rig import Build, Robot, build
 from test_mesh_overlay_process import LINE, wait_here
 
 from laptop.cli import main
+from services.balancer.core.control.estimation.gyro import Zero
+from services.balancer.zero_file import ZeroFile
+from swarm import clock
 from swarm.messages import BalancerState, GraphRobot, Stop, Stopped, read
 from swarm.onboard import halt
 from swarm.onboard.halt import Row
@@ -86,6 +90,21 @@ def test_a_balancer_that_may_not_have_been_heard_yet_is_waited_for() -> None:
         assert row.confirmed is expected
     (row,) = halt.rows_of({"r0": True}, entry, {"r0": "fault"}, stop=True, listened=False)
     assert row.confirmed
+
+
+@pytest.mark.parametrize(("seconds", "runs"), [(0.5, True), (10.0, False), (-5.0, False)])
+def test_a_loop_that_balances_without_a_bridge_keeps_its_robot_unconfirmed(
+    tmp_path: Path, seconds: float, runs: bool
+) -> None:
+    """Nobody hears its state, but it says once a second that it uses its gyro's zero."""
+    assert not halt.loop_runs(tmp_path)
+    zeros = ZeroFile(tmp_path)
+    zeros.keep(Zero(0.0, 0.0, 0.0), clock.now() - seconds)
+    assert halt.loop_runs(tmp_path) is runs
+    entry = {"r0": known("self", stopped=True)}
+    (row,) = halt.rows_of({"r0": True}, entry, {}, stop=True, running={"r0"} if runs else ())
+    assert row.confirmed is not runs
+    assert ("systemctl stop swarm-balancer" in halt.table([row], stop=True)[1]) is runs
 
 
 def test_the_table_says_who_has_not_obeyed_and_why() -> None:
