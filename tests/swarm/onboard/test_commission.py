@@ -14,6 +14,7 @@ from conftest import thinned
 from services.dwm.calibrate import making
 from sim.core.actions import MISWIRINGS
 from sim.scenario import commission_report
+from swarm.messages import Stop, Stopped
 from swarm.onboard.commission import command
 from swarm.onboard.halt import Row
 
@@ -159,6 +160,25 @@ def test_button_a_confirms_and_button_c_declines() -> None:
         for _ in range(30):
             world._run_tick()
         assert bool(world.procedure.results) == ended
+
+
+@pytest.mark.parametrize("by", [{"r1": "smoke"}, {"r0": "the page"}, {"r0": "swarm commission", "r1": "smoke"}])
+def test_a_stop_of_somebody_else_is_not_taken_back(by: dict[str, str]) -> None:
+    world = World()
+    obey = world._command
+
+    def stopped(message: object) -> None:
+        obey(message)
+        if isinstance(message, Stop):
+            world._tell(Stopped(world.now, True, by))
+
+    world._command = stopped  # type: ignore[method-assign]
+    world.run()
+    step, text, remedy = world.failed
+    assert step == "stop"
+    assert "somebody else has stopped the swarm" in text
+    assert "swarm arm" in remedy
+    assert world._stop is not None
 
 
 def stopped_by_space(folder: Path, monkeypatch: pytest.MonkeyPatch, give: MagicMock) -> str:

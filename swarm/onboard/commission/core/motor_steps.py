@@ -1,10 +1,12 @@
 """Steps with motors: one at a time at low power, stop and watchdog, wheels that follow the tilt, and standing."""
 
 import math
+from collections.abc import Mapping
 from statistics import fmean
 
 from swarm.messages import Arm, SetMode, Stop, TryMotors
 from swarm.onboard.commission.core.procedure import Desk, Script, StepError
+from swarm.process.text import printable
 
 DUTY = 0.15
 """Share of full power in the motor tests; the balancer accepts at most 0.2 without balancing."""
@@ -16,6 +18,8 @@ WRONG_M = 0.015
 STILL = 0.02
 """m/s: below, a wheel stands."""
 STOP_S = 0.5
+REASON = "swarm commission"
+"""The reason of the stop that is tried."""
 WATCHDOG_S = 0.8
 """Seconds after the single command within which the wheels must stop: the ATmega waits 0.2 s, and then the wheels run
 out."""
@@ -64,11 +68,15 @@ def stop(desk: Desk) -> Script:
     yield from desk.confirm("lift-upright", "Wheels free, in your hand: they turn, then are stopped. A or Enter.")
     yield from _turning(desk, "turn")
     yield from desk.wait(0.4)
-    desk.send(Stop(desk.now, desk.subject.robot, "swarm commission"))
+    robot = desk.subject.robot
+    desk.send(Stop(desk.now, robot, REASON))
     begin = desk.now
     stopped = yield from desk.until(lambda: desk.robot.wheel_speed() < STILL and desk.robot.mode == "fault", STOP_S)
     desk.figures["stopped_s"] = round(desk.now - begin, 3)
-    desk.send(Arm(desk.now, "swarm commission"))
+    known = desk.robot.stopped
+    if known is not None and known.stopped and known.by != {robot: REASON}:
+        raise StepError(f"somebody else has stopped the swarm: {_named(known.by)}", "swarm arm, when all is well")
+    desk.send(Arm(desk.now, REASON))
     if not stopped:
         desk.send(SetMode("rest"))
         raise StepError("a stop does not stop the wheels", "swarm services restart balancer; swarm doctor")
@@ -76,6 +84,10 @@ def stop(desk: Desk) -> Script:
     desk.send(SetMode("rest"))
     if not (yield from desk.until(lambda: desk.robot.mode == "idle", 3.0)):
         raise StepError("the stop is not taken back", "swarm arm; is another robot stopped?")
+
+
+def _named(stops: Mapping[str, str]) -> str:
+    return ", ".join(f"{printable(robot)} ({printable(reason)})" for robot, reason in stops.items())
 
 
 def watchdog(desk: Desk) -> Script:

@@ -18,6 +18,7 @@ from swarm.messages import (
     Notice,
     Odometry,
     Ranges,
+    Stopped,
 )
 
 KEPT_SAMPLES = 4000
@@ -51,6 +52,7 @@ class RobotView:
         self.buttons: Buttons | None = None
         self.display: Display | None = None
         self.links: Links | None = None
+        self.stopped: Stopped | None = None
         self.rates: dict[str, I2CRates] = {}
         """By ticket."""
         self.notices: deque[Notice] = deque(maxlen=20)
@@ -81,6 +83,8 @@ class RobotView:
                 self.display = message
             case Links():
                 self.links = message
+            case Stopped():
+                self.stopped = message
             case I2CRates():
                 self.rates[message.ticket] = message
             case Notice():
