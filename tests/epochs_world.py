@@ -61,6 +61,9 @@ class Model:
         self.restore(k, own, private, graph)
         return own, private
 
+    def entered(self, k):
+        """It takes no inputs."""
+
     def told(self):
         return Told({}, {})
 

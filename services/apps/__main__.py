@@ -24,13 +24,14 @@ from services.apps.host.host import LockstepHost, Part
 from services.apps.persistence.claim import AppLock
 from services.apps.persistence.recording import AppRecording, place_of
 from services.apps.persistence.storage import FileStorage
-from services.apps.runner import Runner, metrics_of
+from services.apps.runner import Runner, line_of, metrics_of
 from swarm.app import run_options
 from swarm.app.event_app import EventApp
 from swarm.app.settings import Setting, parse, with_settings
 from swarm.app.sync_app import BaseApp, SyncApp
 from swarm.app.truth import TruthWatch
 from swarm.config import Config
+from swarm.core.asynchronous import HANG
 from swarm.core.lockstep.frames import MAX_ITERATION
 from swarm.errors import AppError, LocalError
 from swarm.process.arguments import whole
@@ -104,11 +105,13 @@ def main() -> int:
 
 
 def _make(service: Service, app: loader.LoadedApp, config: Config, seed: int) -> BaseApp:
-    """Make the app. The author's code in it may never return: then a stop ends the process, which has opened nothing
-    yet."""
-    made = threading.Event()
+    """Make the app. The author's code in it may never return: then its line is named, and a stop ends the process,
+    which has opened nothing yet."""
+    made, thread = threading.Event(), threading.get_ident()
 
     def end() -> None:
+        if not service.stopping.wait(HANG) and not made.is_set():
+            service.waits(f"{line_of(thread, app.source)}the app is not made within {HANG:g} s")
         service.stopping.wait()
         if not made.is_set():
             os._exit(0)

@@ -22,7 +22,7 @@ from swarm.app.robot import Robot
 from swarm.app.sync_app import BaseApp as AnyApp
 from swarm.app.sync_app import SyncApp
 from swarm.config import Config
-from swarm.errors import AppError, shown
+from swarm.errors import AppError, LocalError, shown
 from swarm.frozen import frozen
 from swarm.messages.codec import Value
 from swarm.messages.keys import is_name
@@ -86,6 +86,10 @@ class LoadedApp:
             return kind(known, values)
         except AppError as error:
             raise AppError(f"app {self.name} on {robot}: {error}") from None
+        except LocalError:
+            raise
+        except (Exception, SystemExit) as error:  # of the author's own methods, such as `neighbour_weights`
+            raise AppError(f"app {self.name} on {robot}: {describe(error, self.source)}") from error
 
     def check(self, config: Config) -> None:
         """Make the instances of all robots, to find every fault of state and parameters before the swarm

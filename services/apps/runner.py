@@ -118,11 +118,7 @@ class AppRunner:
 
     def hangs(self, thread: int | None, limit: float) -> str:
         """Describe code of the author that has run for `limit` s in a thread, with method and line at which it is."""
-        frame = None if thread is None else sys._current_frames().get(thread)
-        while frame is not None and frame.f_code.co_filename != self.source:
-            frame = frame.f_back
-        place = "" if frame is None else f"{self.source}, line {frame.f_lineno}, in {frame.f_code.co_name}(): "
-        return f"{self._where(self._running)}: {place}it has not ended within {limit:g} s"
+        return f"{self._where(self._running)}: {line_of(thread, self.source)}it has not ended within {limit:g} s"
 
     def _be_at(self, k: int) -> None:
         self.k = k
@@ -268,6 +264,12 @@ class Runner(AppRunner):
         self._call(where, lambda: self.app.on_epoch(graph.names))
         return self._pack(where)
 
+    def entered(self, k: int) -> None:
+        """The robot is in the epoch of the last `renew`. Inputs that it repeats are counted by its iterations, since a
+        further epoch may come before its first step."""
+        if self._again is not None:
+            self._taken = {name: (k, value) for name, value in self._again.items()}
+
     def content(self) -> bool:
         """Return whether the app says after its last step that it has converged, or has hardly moved."""
         said: object = self._call(f"converged() at iteration {self.k}", self.app.converged)
@@ -352,6 +354,14 @@ def mend_of(error: BaseException, fields: Iterable[Field]) -> str:
 def bounded(error: BaseException) -> str:
     """Return an error's text, cut where it is very long."""
     return cut(str(error), LONGEST)
+
+
+def line_of(thread: int | None, source: str) -> str:
+    """Return file, line and method of the author's code that runs in a thread, with a colon; empty where none does."""
+    frame = None if thread is None else sys._current_frames().get(thread)
+    while frame is not None and frame.f_code.co_filename != source:
+        frame = frame.f_back
+    return "" if frame is None else f"{source}, line {frame.f_lineno}, in {frame.f_code.co_name}(): "
 
 
 def describe(error: BaseException, source: str) -> str:

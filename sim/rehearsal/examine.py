@@ -181,7 +181,9 @@ def _sync(task: Task, finding: _Finding) -> None:
         def result(self) -> dict[str, Value]:
             return limited(source, lambda: Runner.result(self))
 
-    swarm = SyncRehearsal(task.app, task.scene(finding.graph), runner=Examined)
+    config = task.scene(finding.graph)
+    limited(source, lambda: task.app.check(config))
+    swarm = SyncRehearsal(task.app, config, runner=Examined)
     times: list[float] = []
     orders: set[str] = set()
     sums: set[tuple[str, int]] = set()
@@ -301,7 +303,9 @@ def _events(task: Task, finding: _Finding) -> None:
             finding.digests.append(_digest([name.encode(), own]))
             return own
 
-    swarm = EventRehearsal(app, task.scene(finding.graph), Examined)
+    config = task.scene(finding.graph)
+    limited(app.source, lambda: app.check(config))
+    swarm = EventRehearsal(app, config, Examined)
     go_on = may_go_on()
     while len(began) < len(swarm.units) and swarm.now < START_LIMIT:
         _pass(swarm, swarm.now + 0.1)

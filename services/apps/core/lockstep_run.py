@@ -246,7 +246,7 @@ class LockstepRun:
 
     def handle_timer(self, now: float) -> None:
         """Do what is due."""
-        if self.phase == "starting":
+        if self.phase == "starting" and self.epochs.well:
             return
         if self._lockstep is not None and not self._changing:
             self._lockstep.rtt = self.rtt
@@ -261,7 +261,7 @@ class LockstepRun:
 
     def next_deadline(self, now: float) -> float | None:
         """Return the time at which the driver must call `handle_timer`."""
-        if self.phase == "starting":
+        if self.phase == "starting" and self.epochs.well:
             return None
         # After each message: without lists and generators where nothing is about the members.
         earliest = self.epochs.next_deadline(now)
@@ -377,6 +377,7 @@ class LockstepRun:
         self.waiting = ()
         if self.phase == "done":
             self.phase = "running"
+        self._program.entered(epoch.k)
         self._lockstep.start(own, now, self._stamp(private), epoch.k)
         self.epochs.k = epoch.k
 

@@ -55,6 +55,9 @@ class Program(Protocol):
         """Be at k with this state, which is that of iteration `at` of the epoch before, among these robots; the state
         the app goes on with, packed: shared, private."""
 
+    def entered(self, k: int) -> None:
+        """The robot is in the epoch of the last `renew`, at its first iteration k."""
+
     def told(self) -> Told:
         """What the app tells of the state at which it is."""
 

@@ -145,10 +145,11 @@ class EventHost:
         """Give back what the app has taken. A handler that runs is waited for, but not for ever."""
         self._claims.close()
         self._runtime.entry(self._stop)()
+        until = self._runtime.now + CLOSE_WITHIN
         if not self._worker.close(CLOSE_WITHIN):
             self._runtime.log.warning("the app does not end: %s", self.runner.hangs(self._worker.thread, CLOSE_WITHIN))
         if self.channels is not None:
-            self.channels.close()
+            self.channels.close(until)
 
     def _stop(self) -> None:
         self._closed = True

@@ -10,7 +10,7 @@ from services.apps.core.terms import Terms
 from services.apps.equipment.device_claims import DeviceClaims
 from services.apps.equipment.measurements import Measurements
 from services.apps.host.changes import Changes
-from services.apps.host.lockstep_driver import LockstepDriver
+from services.apps.host.lockstep_driver import CLOSE_LEAST, CLOSE_WITHIN, LockstepDriver
 from services.apps.host.observer import Observer
 from services.apps.host.topology import RunPlace, TopologyWatch
 from services.apps.persistence.storage import Storage
@@ -131,12 +131,15 @@ class LockstepHost:
         for driver in self.drivers.values():
             driver.nudge()
 
-    def close(self) -> None:
-        """Let go of the files. A step that runs is waited for, but not for ever."""
+    def close(self, until: float | None = None) -> None:
+        """Let go of the files. Steps that run are waited for until a time, s (`CLOSE_WITHIN` where none is given): all
+        together, since systemd waits for 5 s."""
         if self._claims is not None:
             self._claims.close()
+        if until is None:
+            until = self._runtime.now + CLOSE_WITHIN
         for driver in self.drivers.values():
-            driver.close()
+            driver.close(max(CLOSE_LEAST, until - self._runtime.now))
 
     def _let_change(self, runner: Runner, run: int, storage: Storage, observer: Observer | None) -> None:
         """Take other parameters while it runs, as far as the app has declared some that are live."""

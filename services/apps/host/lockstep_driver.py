@@ -27,7 +27,9 @@ from swarm.process.runtime import Runtime, Timer
 IDLE_AFTER = 2.0
 """Seconds without a step after which an app counts as idle: what it drives stands still until its next step."""
 CLOSE_WITHIN = 2.0
-"""Seconds that a running step has when the process is to end."""
+"""Seconds that running steps have when the process is to end."""
+CLOSE_LEAST = 0.1
+"""Seconds that each of them has, however long others took: an idle thread ends at once."""
 
 
 class LockstepDriver:
@@ -120,15 +122,21 @@ class LockstepDriver:
         if saved and saved[-1].k > 0:
             self.runner.forget_inputs()
         if self.run.epochs.new and not saved:
-            self._measure(0, partial(self._start, saved))
+            if self.run.terms.drop:
+                self._runtime.at(self._runtime.now + self.run.terms.after, self._wait_outside)
+            self._measure(0, self._start_new)
         else:  # without a first state to set, so that the others need not wait for what it has to say
+            if not saved and self.run.terms.drop and self._measurements is not None:
+                # It begins with a measurement. Nobody is to take it in before it has one: all would wait for it.
+                self.run.epochs.well = False
+                self._measure(0, self._take_part)
             self._start(saved, None)
         self._runtime.every(LOOK_EVERY, self.look, self._status.keys)
 
-    def close(self) -> bool:
-        """Let go of the files. A step that runs is waited for, but not for ever; False if it did not end."""
+    def close(self, within: float) -> bool:
+        """Let go of the files. A step that runs is waited for at most `within` s; False if it did not end."""
         self._runtime.entry(self._stop)()
-        ended = self._worker.close(CLOSE_WITHIN)
+        ended = self._worker.close(within)
         if not ended:
             self._runtime.log.warning("the app does not end: %s", self.runner.hangs(self._worker.thread, CLOSE_WITHIN))
         else:
@@ -206,6 +214,22 @@ class LockstepDriver:
         if not self._closed and not self.failed:
             ready(measurement)
 
+    def _wait_outside(self) -> None:
+        """Let the others go on without this robot where it still waits for its first measurement."""
+        if not self._closed and not self.failed and not self._worker.busy and self.run.phase == "starting":
+            self.run.epochs.wait_outside(self._runtime.now)
+            self._perform()
+
+    def _take_part(self, _: Measurement | None) -> None:
+        """There is a first measurement: the others may take this robot in."""
+        if not self.run.epochs.well:
+            self.run.epochs.take_part(self._runtime.now)
+            self._perform()
+
+    def _start_new(self, measurement: Measurement | None) -> None:
+        self._take_part(measurement)
+        self._start([], measurement)
+
     def _start(self, saved: list[Snapshot], measurement: Measurement | None) -> None:
         self._worker.run(partial(self.run.start, saved, measurement), partial(self._begin, saved), self._app_failed)
 
@@ -234,7 +258,7 @@ class LockstepDriver:
             self._perform()
 
     def _renew(self, epoch: Epoch, measurement: Measurement | None) -> None:
-        if not self._closed and not self.failed:
+        if not self._closed and not self.failed and epoch.number == self.run.epochs.number:
             self._measured = None
             self._worker.run(
                 partial(self.run.renew, epoch, measurement), partial(self._renewed, epoch), self._app_failed

@@ -190,6 +190,18 @@ class Epochs:
         if self.auto:
             self._tell(now)
 
+    def wait_outside(self, now: float) -> None:
+        """This robot cannot take part yet: the others need not wait for it."""
+        self.well = False
+        self._tell(now)
+
+    def take_part(self, now: float) -> None:
+        """This robot can take part from now on: the others may take it in. They hear of it at once, where the host has
+        said where it is."""
+        self.well = True
+        if self._settled:
+            self._tell(now)
+
     def request(self, request: EpochRequest, now: float) -> None:
         """The operator asks for other members."""
         self._request = request

@@ -173,6 +173,15 @@ def test_a_start_or_a_result_that_hangs_is_named_too(tmp_path: Path, short: None
     assert f"{file}, line 7" in found["problems"][0]
 
 
+@pytest.mark.parametrize("kind", ["SyncApp", "PeriodicApp"])
+def test_weights_that_hang_are_named_too(tmp_path: Path, short: None, kind: str) -> None:
+    text = f"from swarm import {kind}\nclass Bad({kind}):\n    value: float\n    def step(self, neighbours):\n"
+    file = write(tmp_path, text + "        pass\n    def neighbour_weights(self):\n        while True: pass\n")
+    found = check.judge(findings(file), findings(file))
+    assert "it hangs" in found["problems"][0]
+    assert f"{file}, line 7" in found["problems"][0]
+
+
 def test_one_that_diverges_is_told_from_one_that_counts(tmp_path: Path, short: None) -> None:
     file = write(tmp_path, STEP + "        self.value += 0.3 * (self.value - mean)\n")
     found = check.judge(findings(file), findings(file))

@@ -305,6 +305,29 @@ def test_an_input_of_a_channel_counts_once_where_an_epoch_begins_at_another_iter
     assert view.app.value == 1.25
 
 
+@pytest.mark.parametrize("entered", [False, True])
+def test_an_input_of_a_channel_counts_once_where_two_epochs_follow_each_other_without_a_step(entered: bool) -> None:
+    view = make(Feeding).inner
+    runner = Runner(view.app, __file__, inputs=view.inputs)
+    state = runner.start(None)
+    view.feed(_input=[1.0])
+    runner.step(0, state[0], {}, None)  # void: an epoch begins with the state before it, under a greater number
+    state = runner.renew(50, 0, *state, LINE)
+    if entered:
+        runner.entered(50)
+    state = runner.renew(50, 50 if entered else 0, *state, LINE)
+    runner.entered(50)
+    taken, *_ = runner.step(50, state[0], {}, None), runner.step(51, state[0], {}, None)
+    assert taken == (runner.schema.pack({"value": 1.0}), taken[1])
+    # In the state that an epoch begins with, whose number is smaller.
+    runner.step(51, taken[0], {}, None)
+    state = runner.renew(10, 51, *taken, LINE)
+    runner.entered(10)
+    state = runner.renew(10, 10, *state, LINE)
+    runner.step(10, state[0], {}, None)
+    assert view.app.value == 1.0
+
+
 def test_wrong_use_of_a_channel_is_said() -> None:
     app = make()
     with pytest.raises(AttributeError, match="channel inner has value, but no 'valeu'"):

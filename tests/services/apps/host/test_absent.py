@@ -8,7 +8,7 @@ from apps_rig import NAMES, Rig
 from conftest import wait_until
 from host_rig import START, MakeRig, ask, make_rig
 
-from swarm.messages import AppEpoch, AppState, SetAppEpoch
+from swarm.messages import AppEpoch, AppState, SetAppEpoch, Status
 
 __all__ = ["make_rig"]
 
@@ -160,9 +160,24 @@ def test_sigterm_ends_an_app_whose_weights_hang_when_it_is_made(make_rig: MakeRi
         f"        pathlib.Path({str(spins)!r}).touch()\n"
         "        while True: pass\n"
     )
+    app.write_text(app.read_text() + "import sys\nsys.modules['__main__'].HANG = 0.5\n")
     rig.start("r0", "apps", str(app))
     wait_until(spins.exists, what="the weights are asked for")
+    line = f"{app}, line 9, in neighbour_weights(): the app is not made within 0.5 s"
+    wait_until(lambda: ask(rig, "r0", "weighing/status", Status).reason == line, what="the line is named")
     assert rig.stop("r0") == 0
+
+
+def test_weights_that_raise_when_an_app_is_made_are_a_fault_of_the_app(make_rig: MakeRig) -> None:
+    rig = make_rig("")
+    app = rig.directory / "weighing.py"
+    app.write_text(
+        "from swarm import SyncApp\nclass Weighing(SyncApp):\n    value: float\n"
+        "    def step(self, neighbours):\n        pass\n"
+        "    def neighbour_weights(self):\n        return {'r0': 1 / (len(self.robot.swarm) - 3)}\n"
+    )
+    assert rig.start("r0", "apps", str(app)).wait(60) == 2
+    assert f"app weighing on r0: {app}, line 7: ZeroDivisionError: division by zero" in rig.log("r0")
 
 
 def test_an_app_that_diverges_is_named(make_rig: MakeRig) -> None:

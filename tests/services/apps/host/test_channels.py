@@ -1,14 +1,34 @@
 """Several locksteps in one app, and several apps on one robot: none touches another."""
 
 import signal
+from types import SimpleNamespace
 
 import pytest
 from apps_rig import NAMES, Rig
 from host_rig import MakeRig, ask, consensus, make_rig
 
+from services.apps.host.host import LockstepHost
+from services.apps.host.lockstep_driver import CLOSE_WITHIN
 from swarm.messages import AppState
 
 __all__ = ["make_rig"]
+
+
+def test_steps_that_hang_are_waited_for_all_together_when_the_process_ends() -> None:
+    """systemd kills it after 5 s."""
+
+    class Driver:
+        def close(self, within: float) -> None:
+            runtime.now += within
+
+    runtime = SimpleNamespace(now=100.0)
+    host = LockstepHost.__new__(LockstepHost)
+    vars(host).update(_claims=None, _runtime=runtime, drivers={str(number): Driver() for number in range(8)})
+    host.close(runtime.now + CLOSE_WITHIN)
+    assert runtime.now - 100.0 < 3.0
+    host.close()
+    assert runtime.now - 100.0 < 6.0
+
 
 PAIR = """
 import sys

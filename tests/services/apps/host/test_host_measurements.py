@@ -3,10 +3,12 @@
 import math
 import random
 
+import pytest
 from apps_rig import NAMES, Rig
 from conftest import wait_until
 from host_rig import MakeRig, ask, make_rig, undisturbed
 from memory_swarm import PLACES, TARGET
+from test_absent import DROP, full, until_members
 
 from swarm.messages import Measurement, Pose, Range, Ranges, Status
 from swarm.messages.codec import encode
@@ -78,14 +80,14 @@ def test_live_measurements_are_the_newest_range_to_the_target_and_the_own_place(
         assert min(math.dist(candidate, TARGET) for candidate in candidates) < 1e-6
 
 
-def serve_live(rig: Rig) -> None:
-    """Publish the reports of the dwm service of each robot, once."""
+def serve_live(rig: Rig, *names: str) -> None:
+    """Publish the reports of the dwm service of each robot, or of those that are named, once."""
 
     def ranges(name: str, distance: float, quality: int) -> Ranges:
         other = Range("D001", 9.0, 9.0, 100, 0.0, 1)
         return Ranges(0.0, 1, (other, Range("C933", distance, distance, quality, 0.1, 1)))
 
-    for name in rig.names:
+    for name in names or rig.names:
         x, y = PLACES[int(name[1:])]
         publish = rig.buses[name].publish
         publish(f"swarm/{name}/dwm/ranges", ranges(name, 7.0, 0))  # no quality: not used
@@ -109,6 +111,32 @@ def test_a_robot_that_has_lost_its_state_says_so_without_waiting_for_a_measureme
     rig.start("r1", "apps", "localization", SWARM_STATE=states["r1"])
     reason = "r1 has lost its state and waits for the next epoch"
     rig.until(lambda: rig.progress["r1"].reason == reason, "a word of the lost state")
+
+
+@pytest.mark.parametrize("new", [False, True], ids=["rebooted", "new"])
+def test_a_robot_without_a_first_measurement_is_gone_on_without_until_it_has_one(make_rig: MakeRig, new: bool) -> None:
+    rig = make_rig(LIVE)
+    full(rig)
+    states = {name: str(rig.directory / f"state.{name}") for name in NAMES}
+    for name in NAMES:
+        rig.start(name, "apps", "localization", *DROP, SWARM_STATE=states[name])
+    rig.until_phase("waiting")
+    serve_live(rig, *NAMES[: 2 if new else 3])
+    if not new:
+        rig.until_k(5)
+        rig.kill("r2")
+        until_members(rig, ("r0", "r1"), "r0", "r1")
+        for file in (rig.directory / "r2").glob("app.*"):
+            file.unlink()
+        rig.start("r2", "apps", "localization", *DROP, SWARM_STATE=states["r2"])
+    until_members(rig, ("r0", "r1"), "r0", "r1")
+    rig.until(lambda: rig.progress["r2"].reason == "the dwm service gives no measurement", "a word of r2's module")
+    for _ in range(2):  # longer than robots are taken in
+        rig.until_k(rig.state["r0"].k + 50, "r0", "r1")
+    assert rig.epochs["r0"].members == ("r0", "r1")
+    serve_live(rig, "r2")
+    until_members(rig, NAMES, *NAMES)
+    rig.until_k(rig.state["r0"].k + 5)
 
 
 def test_sigterm_ends_an_app_that_waits_for_its_first_measurement(make_rig: MakeRig) -> None:
