@@ -1,8 +1,9 @@
 """A connection with a neighbour, from the call to its end, and what a robot keeps of that neighbour.
 
 `session` is one connection; it owns an `outbox` (what waits, by class), a window and fragments (`flow`), heartbeats
-(`round_trips`) and follows the mesh `clock`. `calls` says who calls whom, `neighbour` keeps what lasts
-longer than a connection. The classes of this module are what a connection tells its owner.
+(`round_trips`) and follows the mesh `clock`, which rests on the `link_clock` of each neighbour. `calls` says who calls
+whom, `neighbour` keeps what lasts longer than a connection. The classes of this module are what a connection tells its
+owner.
 Users: `calling`, `connections` and `node`; `bulk` uses `round_trips`, `routing` uses `calls`.
 """
 
