@@ -364,6 +364,21 @@ def test_a_release_that_came_up_at_a_later_boot_is_what_a_failed_attempt_goes_ba
     assert robot.boot(steps[-1][1]) == whole("2")
 
 
+def test_a_release_that_was_switched_to_and_not_started_is_not_taken_for_good(robot: Robot) -> None:
+    """The processes that run are those of the release before it, until a boot."""
+    robot.do(robot.release("1") / "install", *files(robot, "1"))
+    robot.do(robot.release("2") / "install", *files(robot, "2"))
+    switched = robot.root / "run/swarm-install.switched"
+    assert not switched.exists()
+    switched.touch()
+    good = robot.root / "opt/swarm/good"
+    good.unlink()
+    good.symlink_to(robot.root / "opt/swarm/releases/1")
+    steps = robot.run(robot.release("3", runs=False) / "install", *files(robot, "3"), code=1)
+    assert robot.boot(steps[-1][1]) == whole("1")
+    assert not switched.exists()
+
+
 @pytest.mark.slow
 def test_a_config_that_does_not_run_is_taken_back_within_one_release(robot: Robot) -> None:
     release = robot.release("1")
