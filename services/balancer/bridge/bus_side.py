@@ -4,6 +4,7 @@ The same code runs in the bridge, over the socket pairs to the control loop, and
 body without physics (`sim.virtual.robot.balancer`).
 """
 
+import contextlib
 from collections.abc import Callable
 from typing import Protocol
 
@@ -15,6 +16,7 @@ from swarm.bus.protocol import Now
 from swarm.bus.throttle import THROTTLED, Throttle
 from swarm.errors import LocalError, PayloadError
 from swarm.messages import (
+    Arm,
     BalancerFault,
     BalancerState,
     Battery,
@@ -35,6 +37,7 @@ from swarm.messages import (
     Uwb,
     read,
 )
+from swarm.messages.codec import decode
 from swarm.messages.keys import STOP, key
 from swarm.process.runtime import Process
 
@@ -95,7 +98,8 @@ class BusSide:
         self._throttle = Throttle(process.bus, self.key(BalancerState), THROTTLED_STATE_S)
         self._mode = ""
         self._unknown: Stop | None = None
-        """The stop that was heard, as long as the mesh has not told that it knows of one."""
+        """The stop that was heard, until the mesh tells that it knows of one, or somebody takes it back."""
+        self._unknown_since = 0.0
         self._stopped_at: float | None = now() if stopped else None
         """When a stop was heard last, or the mesh told last that one holds, s; None from the time on at which the mesh
         tells that none holds."""
@@ -106,6 +110,7 @@ class BusSide:
         robot, bus = self._process.robot, self._process.bus
         bus.subscribe(STOP, self._stop)
         bus.subscribe(key(robot, "mesh", "stopped"), self._take_stopped)
+        bus.subscribe(key(robot, "mesh", "set", "arm"), self._forget_stop)
         bus.on_change(self._ask_mesh)
         bus.subscribe([key(robot, "balancer", "set", what) for what in _COMMANDS], put)
 
@@ -178,9 +183,16 @@ class BusSide:
         stop = read(name, payload)
         assert isinstance(stop, Stop)
         if self._stopped_at is None:
-            self._unknown = stop
+            self._unknown, self._unknown_since = stop, self._now()
         self._stopped_at = self._now()
         self._loop.halt(stop)
+
+    def _forget_stop(self, name: str, payload: bytes) -> None:
+        """Somebody takes back the stops that were known then. The mesh may not be there to hear it."""
+        with contextlib.suppress(PayloadError):
+            arm = decode(Arm, payload, name)
+            if self._unknown_since <= self._now() - max(0.0, arm.age):
+                self._unknown = None
 
     def _ask_mesh(self, connected: bool) -> None:
         """Ask the mesh whether a stop holds, which may be one that nobody on this bus has heard."""

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from services.balancer.bridge.bus_side import BusSide
-from swarm.messages import SetLeds, SetMode, SetVelocity, Stop, Stopped
+from swarm.messages import Arm, SetLeds, SetMode, SetVelocity, Stop, Stopped
 from swarm.messages.codec import encode
 
 TOLD = "swarm/r0/mesh/stopped"
@@ -97,6 +97,25 @@ def test_a_stop_that_the_mesh_has_not_heard_is_given_to_it_once_more() -> None:
     side.hear(TOLD, Stopped(102.0, False, {}))
     assert side.passes()
     assert [name for name, _ in side.bus.published].count("swarm/stop") == 1
+
+
+def test_a_stop_that_was_taken_back_while_the_mesh_was_away_is_not_given_again() -> None:
+    side = Side()
+    arm = "swarm/r0/mesh/set/arm"
+    side.hear("swarm/stop", Stop(99.0, "a program", "smoke"))
+    side.now = 101.0
+    side.hear(arm, Arm(101.0, "somebody", 5.0))  # given before the stop
+    side.bus.heard[arm](arm, b"\xc1 no message")
+    side.hear(TOLD, Stopped(100.9, False, {}))
+    assert [name for name, _ in side.bus.published] == ["swarm/stop"]
+    side = Side()
+    side.hear("swarm/stop", Stop(99.0, "a program", "smoke"))
+    side.now = 101.0
+    side.hear(arm, Arm(101.0, "somebody", 0.5))
+    assert not side.passes(), "the mesh has the last word"
+    side.hear(TOLD, Stopped(3600.0, False, {}))
+    assert side.passes()
+    assert "swarm/stop" not in dict(side.bus.published)
 
 
 def test_a_mesh_that_does_not_take_a_stop_locks_nobody_out_for_good() -> None:
