@@ -35,6 +35,8 @@ _HANGS_S = 12.0
 """Seconds after which a robot's own command counts as hanging, and its balancer is stopped by systemd."""
 _SYSTEMD_S = 15.0
 """Seconds that systemd has for it."""
+USAGE = 2
+"""Exit code of a command line that is not understood."""
 _BREAKS_S = 8.0
 """Seconds within which a connection that breaks, or is refused, is made once more for a stop."""
 
@@ -69,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
         return halt.run(args)
     found = _simulated()
     try:
-        config = load(args.config)
+        config = load(args.config, addressed=False)
     except LocalError as error:
         return _without_config(args, error)
     if unknown := [name for name in args.robots or () if name not in found and name not in config.names]:
@@ -117,6 +119,8 @@ def _without_config(args: argparse.Namespace, error: LocalError) -> int:
     if args.config is not None or not _simulated():
         raise error
     code = halt.run(args)
+    if args.robots:  # who was found in the simulation
+        return code
     sys.stderr.write(f"swarm: {error}; no real robot was told\n")
     return code or 1
 
@@ -159,6 +163,8 @@ def command(robots: tuple[Host, ...], ssh: Ssh, *, stop: bool, reason: str, bega
             async with asyncio.timeout(_HANGS_S if stop else None):
                 later = [] if stop else await since(host)
                 done = await ssh.run(host, robot_command.words(host, [*words, *later]))
+                if later and done.code == USAGE and "--since" in done.err:  # it has an earlier release
+                    done = await ssh.run(host, robot_command.words(host, words))
         except TimeoutError:
             return "", f"its own command has not ended within {_HANGS_S:g} s"
         except HostError as error:

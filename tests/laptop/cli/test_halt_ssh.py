@@ -11,7 +11,8 @@ from needs import needs_ssh
 from laptop import cli
 from laptop.cli import halt as halt_ssh
 from swarm import clock
-from swarm.errors import LocalError
+from swarm.config import load
+from swarm.errors import ConfigError, LocalError
 from swarm.onboard.buses import buses
 from swarm.onboard.halt import Row
 
@@ -193,6 +194,28 @@ def test_a_rearm_says_when_it_was_given_so_that_it_takes_back_no_later_stop(
     with Path("/proc/uptime").open() as file:
         there = float(file.read().split()[0]) - clock.now()
     assert given - 0.1 <= float(words[words.index("--since") + 1]) - there <= clock.now()
+
+
+def test_a_robot_with_an_earlier_release_is_armed_too(robots: FakeRobots, run: Run) -> None:
+    robots.add("r0")
+    refusal = "echo 'swarm arm: error: unrecognized arguments: --since 1' >&2; exit 2"
+    text = f"""case "$*" in *--since*) {refusal} ;; *) echo '{answer("r0")}' ;; esac"""
+    robots.script("r0", "sudo", text)
+    assert run("arm") == 0
+
+
+def test_a_simulation_is_stopped_where_the_robots_of_swarm_toml_are_not_paired_yet(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], simulation: list[str]
+) -> None:
+    homes = [add(robots, name, answer(name)) for name in ("r0", "r1")]
+    robots.ready()
+    bluetooth = [line for line in robots.config.read_text().splitlines() if not line.startswith("link")]
+    robots.config.write_text("\n".join(bluetooth))
+    with pytest.raises(ConfigError, match="bluetooth"):
+        load(robots.config)
+    assert run("estop") == 0
+    assert simulation == ["r0", "r1", "s0"]
+    assert all((home / "asked").exists() for home in homes)
 
 
 def test_a_connection_that_breaks_is_made_once_more_for_a_stop(
