@@ -181,6 +181,21 @@ def test_a_stop_of_somebody_else_is_not_taken_back(by: dict[str, str]) -> None:
     assert world._stop is not None
 
 
+def test_wheels_that_do_not_stop_are_named_before_a_stop_of_somebody_else() -> None:
+    world = World()
+
+    def deaf(message: object) -> None:
+        if isinstance(message, Stop):
+            world._tell(Stopped(world.now, True, {"r1": "smoke"}))
+        else:
+            obey(message)
+
+    obey, world._command = world._command, deaf  # type: ignore[method-assign]
+    world.run()
+    assert world.failed[:2] == ("stop", "a stop does not stop the wheels")
+    assert world.balancer.mode == "idle"
+
+
 def stopped_by_space(folder: Path, monkeypatch: pytest.MonkeyPatch, give: MagicMock) -> str:
     """Run `swarm commission`, in which a person presses Space; what the report's `ended` says."""
     for what in ("Bus", "_Session", "load", "subject_of"):

@@ -74,12 +74,14 @@ def stop(desk: Desk) -> Script:
     stopped = yield from desk.until(lambda: desk.robot.wheel_speed() < STILL and desk.robot.mode == "fault", STOP_S)
     desk.figures["stopped_s"] = round(desk.now - begin, 3)
     known = desk.robot.stopped
-    if known is not None and known.stopped and known.by != {robot: REASON}:
-        raise StepError(f"somebody else has stopped the swarm: {_named(known.by)}", "swarm arm, when all is well")
-    desk.send(Arm(desk.now, REASON))
+    theirs = {} if known is None or known.by == {robot: REASON} else known.by
+    if not theirs:
+        desk.send(Arm(desk.now, REASON))
     if not stopped:
         desk.send(SetMode("rest"))
         raise StepError("a stop does not stop the wheels", "swarm services restart balancer; swarm doctor")
+    if theirs:
+        raise StepError(f"somebody else has stopped the swarm: {_named(theirs)}", "swarm arm, when all is well")
     yield from desk.wait(1.0)
     desk.send(SetMode("rest"))
     if not (yield from desk.until(lambda: desk.robot.mode == "idle", 3.0)):
