@@ -14,6 +14,7 @@ import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -168,6 +169,12 @@ def examine(task: Task) -> Iterator[_Finding]:
             yield finding
 
 
+def _make_all(app: loader.LoadedApp, config: Config) -> None:
+    """Make the app of each robot, none of them for ever."""
+    for name in config.names:
+        limited(app.source, partial(app.make, config, name))
+
+
 # Synchronous apps
 
 
@@ -182,7 +189,7 @@ def _sync(task: Task, finding: _Finding) -> None:
             return limited(source, lambda: Runner.result(self))
 
     config = task.scene(finding.graph)
-    limited(source, lambda: task.app.check(config))
+    _make_all(task.app, config)
     swarm = SyncRehearsal(task.app, config, runner=Examined)
     times: list[float] = []
     orders: set[str] = set()
@@ -304,7 +311,7 @@ def _events(task: Task, finding: _Finding) -> None:
             return own
 
     config = task.scene(finding.graph)
-    limited(app.source, lambda: app.check(config))
+    _make_all(app, config)
     swarm = EventRehearsal(app, config, Examined)
     go_on = may_go_on()
     while len(began) < len(swarm.units) and swarm.now < START_LIMIT:

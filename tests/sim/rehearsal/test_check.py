@@ -182,6 +182,18 @@ def test_weights_that_hang_are_named_too(tmp_path: Path, short: None, kind: str)
     assert f"{file}, line 7" in found["problems"][0]
 
 
+def test_an_app_that_is_slow_to_make_does_not_hang(
+    tmp_path: Path, short: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(limits, "STEP_LIMIT", 0.5)
+    text = "import time\nfrom swarm import SyncApp\nclass Slow(SyncApp):\n    value: float\n"
+    text += "    def step(self, neighbours):\n"
+    weigh = "        until = time.process_time() + 0.15\n        while time.process_time() < until: pass\n"
+    weigh += "        return super().neighbour_weights()\n"
+    file = write(tmp_path, text + "        pass\n    def neighbour_weights(self):\n" + weigh)
+    assert not findings(file, iterations=3)[1]["fault"]
+
+
 def test_one_that_diverges_is_told_from_one_that_counts(tmp_path: Path, short: None) -> None:
     file = write(tmp_path, STEP + "        self.value += 0.3 * (self.value - mean)\n")
     found = check.judge(findings(file), findings(file))
