@@ -1,5 +1,6 @@
 """The shell around one lockstep of an app: its frames on the bus, its steps, its snapshots, state and progress."""
 
+import contextlib
 import secrets
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -15,10 +16,10 @@ from services.apps.persistence.storage import Storage
 from services.apps.runner import Runner, bounded
 from swarm.core.asynchronous import HANG
 from swarm.core.epochs.actions import EpochRequest, SaveEpochs, SendToNeighbours, SwitchEpoch
-from swarm.core.epochs.notes import LOST, Epoch
+from swarm.core.epochs.notes import LOST, Epoch, EpochNote
 from swarm.core.lockstep.actions import Advanced, Compute, Fault, Finished, Save, Send, Waiting, key_of
 from swarm.core.lockstep.frames import Channel, Snapshot
-from swarm.errors import SwarmError
+from swarm.errors import PayloadError, SwarmError
 from swarm.messages import AppProgress, AppState, Measurement
 from swarm.messages.codec import Value, encode
 from swarm.messages.keys import key
@@ -124,12 +125,12 @@ class LockstepDriver:
         if self.run.epochs.new and not saved:
             if self.run.terms.drop:
                 self._runtime.at(self._runtime.now + self.run.terms.after, self._wait_outside)
-            self._measure(0, self._start_new)
+            self._measure(0, partial(self._start, saved))
         else:  # without a first state to set, so that the others need not wait for what it has to say
             if not saved and self.run.terms.drop and self._measurements is not None:
                 # It begins with a measurement. Nobody is to take it in before it has one: all would wait for it.
                 self.run.epochs.well = False
-                self._measure(0, self._take_part)
+                self._measure(0, _ignore)
             self._start(saved, None)
         self._runtime.every(LOOK_EVERY, self.look, self._status.keys)
 
@@ -157,7 +158,12 @@ class LockstepDriver:
             self._runtime.soon(self._perform)
 
     def receive_note(self, sender: str, payload: bytes) -> None:
-        """Take a robot's note about the members, passed on by `sender`."""
+        """Take a robot's note about the members, passed on by `sender`. Where it tells of a later epoch, a robot that
+        still waits for its first measurement is outside, and says so: all would wait for it."""
+        if self.run.terms.drop and self.run.phase == "starting" and self._measuring_since is not None:
+            with contextlib.suppress(PayloadError):
+                if EpochNote.decode(payload).epoch.counter > 0:
+                    self.run.epochs.well = False
         self.run.receive_note(sender, payload, self._runtime.now)
         self._perform()
 
@@ -212,6 +218,7 @@ class LockstepDriver:
     def _take_measurement(self, ready: Callable[[Measurement | None], None], measurement: Measurement) -> None:
         self._measuring_since = None
         if not self._closed and not self.failed:
+            self._take_part()
             ready(measurement)
 
     def _wait_outside(self) -> None:
@@ -220,15 +227,11 @@ class LockstepDriver:
             self.run.epochs.wait_outside(self._runtime.now)
             self._perform()
 
-    def _take_part(self, _: Measurement | None) -> None:
-        """There is a first measurement: the others may take this robot in."""
+    def _take_part(self) -> None:
+        """There is a measurement, whoever has asked for it: the others may take this robot in."""
         if not self.run.epochs.well:
             self.run.epochs.take_part(self._runtime.now)
             self._perform()
-
-    def _start_new(self, measurement: Measurement | None) -> None:
-        self._take_part(measurement)
-        self._start([], measurement)
 
     def _start(self, saved: list[Snapshot], measurement: Measurement | None) -> None:
         self._worker.run(partial(self.run.start, saved, measurement), partial(self._begin, saved), self._app_failed)
@@ -393,3 +396,7 @@ class LockstepDriver:
         if run.phase == "running" and run.waiting:
             return "waiting", run.k, run.waiting, self.watch.reason(run.waiting)
         return run.phase, run.k, (), run.reason
+
+
+def _ignore(_: Measurement | None) -> None:
+    """It is enough that there is a measurement."""

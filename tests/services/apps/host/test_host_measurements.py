@@ -2,6 +2,7 @@
 
 import math
 import random
+import threading
 
 import pytest
 from apps_rig import NAMES, Rig
@@ -10,6 +11,7 @@ from host_rig import MakeRig, ask, make_rig, undisturbed
 from memory_swarm import PLACES, TARGET
 from test_absent import DROP, full, until_members
 
+from swarm.errors import LocalError
 from swarm.messages import Measurement, Pose, Range, Ranges, Status
 from swarm.messages.codec import encode
 
@@ -137,6 +139,52 @@ def test_a_robot_without_a_first_measurement_is_gone_on_without_until_it_has_one
     serve_live(rig, "r2")
     until_members(rig, NAMES, *NAMES)
     rig.until_k(rig.state["r0"].k + 5)
+
+
+def test_a_new_robot_that_comes_late_is_taken_in_when_it_has_a_measurement(make_rig: MakeRig) -> None:
+    rig = make_rig(LIVE)
+    full(rig)
+    states = {name: str(rig.directory / f"state.{name}") for name in NAMES}
+    for name in ("r0", "r1"):
+        rig.start(name, "apps", "localization", *DROP, SWARM_STATE=states[name])
+    rig.until(lambda: {"r0", "r1"} <= rig.progress.keys(), "a start")
+    serve_live(rig, "r0", "r1")
+    until_members(rig, ("r0", "r1"), "r0", "r1")
+    rig.start("r2", "apps", "localization", "--absent", "drop", "--drop-after", "3600", SWARM_STATE=states["r2"])
+    rig.until(lambda: "r2" in rig.progress and rig.progress["r2"].phase == "waiting", "a word of r2's module")
+    for _ in range(2):
+        rig.until_k(rig.state["r0"].k + 50, "r0", "r1")
+    assert rig.epochs["r0"].epoch == 1
+    serve_live(rig, "r2")
+    until_members(rig, NAMES, *NAMES)
+
+
+def test_a_rebooted_robot_of_a_replay_is_taken_in_when_its_dwm_service_is_there(make_rig: MakeRig) -> None:
+    rig, there = make_rig(REPLAY), threading.Event()
+    full(rig)
+    there.set()
+    states = {name: str(rig.directory / f"state.{name}") for name in NAMES}
+
+    def row(name: str, parameters: dict[str, str]) -> bytes:
+        if name == "r2" and not there.is_set():
+            raise LocalError("the service is still starting")
+        return encode(reading(name, int(parameters["sequence"])))
+
+    for name in NAMES:
+        rig.buses[name].serve(f"swarm/{name}/dwm/measurement", lambda _, asked, name=name: row(name, asked))
+        rig.start(name, "apps", "localization", *DROP, SWARM_STATE=states[name])
+    rig.until_k(5)
+    rig.kill("r2")
+    until_members(rig, ("r0", "r1"), "r0", "r1")
+    there.clear()
+    for file in (rig.directory / "r2").glob("app.*"):
+        file.unlink()
+    rig.progress.pop("r2")
+    rig.start("r2", "apps", "localization", *DROP, SWARM_STATE=states["r2"])
+    rig.until(lambda: "r2" in rig.progress and rig.progress["r2"].phase == "waiting", "r2 waits")
+    rig.until_k(rig.state["r0"].k + 50, "r0", "r1")
+    there.set()
+    until_members(rig, NAMES, *NAMES)
 
 
 def test_sigterm_ends_an_app_that_waits_for_its_first_measurement(make_rig: MakeRig) -> None:
