@@ -100,6 +100,8 @@ class BusSide:
         self._unknown: Stop | None = None
         """The stop that was heard, until the mesh tells that it knows of one, or somebody takes it back."""
         self._unknown_since = 0.0
+        self._mesh_stopped = False
+        """Whether the mesh said last that a stop holds: then it repeats that, and knows of it."""
         self._stopped_at: float | None = now() if stopped else None
         """When a stop was heard last, or the mesh told last that one holds, s; None from the time on at which the mesh
         tells that none holds."""
@@ -182,7 +184,7 @@ class BusSide:
         """Pass a sample of `swarm/stop` to the loop at once, whatever its payload is."""
         stop = read(name, payload)
         assert isinstance(stop, Stop)
-        if self._stopped_at is None:
+        if not self._mesh_stopped:
             self._unknown, self._unknown_since = stop, self._now()
         self._stopped_at = self._now()
         self._loop.halt(stop)
@@ -208,6 +210,7 @@ class BusSide:
             self.refuse(name, "refused", str(error))
             return
         assert isinstance(message, Stopped)
+        self._mesh_stopped = message.stopped
         if message.stopped:
             self._unknown = None
         # What the mesh told before the stop says nothing about it.

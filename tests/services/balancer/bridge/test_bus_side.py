@@ -118,6 +118,36 @@ def test_a_stop_that_was_taken_back_while_the_mesh_was_away_is_not_given_again()
     assert "swarm/stop" not in dict(side.bus.published)
 
 
+@pytest.mark.parametrize("age", [0.0, 3.0])
+def test_a_stop_given_after_a_rearm_is_given_to_the_mesh_that_was_away(age: float) -> None:
+    side, arm = Side(), "swarm/r0/mesh/set/arm"
+    first, later = Stop(99.0, "a program", "smoke"), Stop(105.0, "a program", "fire")
+    side.hear("swarm/stop", first)
+    side.now = 103.0
+    if not age:
+        side.hear(arm, Arm(103.0, "somebody", 0.0))
+    side.now = 105.0
+    side.hear("swarm/stop", later)
+    if age:
+        side.now = 106.0
+        side.hear(arm, Arm(106.0, "somebody", age))
+    side.now = 108.0
+    side.hear(TOLD, Stopped(107.9, False, {}))
+    assert side.bus.published == [("swarm/stop", later)]
+    assert not side.passes()
+
+
+def test_a_repetition_of_the_mesh_is_not_given_back_to_it() -> None:
+    side = Side()
+    side.hear(TOLD, Stopped(100.5, True, {"r1": "smoke"}))
+    side.now = 101.0
+    side.hear("swarm/stop", Stop(101.0, "r1", "smoke"))
+    side.now = 102.0
+    side.hear(TOLD, Stopped(101.9, False, {}))
+    assert side.bus.published == []
+    assert side.passes()
+
+
 def test_a_mesh_that_does_not_take_a_stop_locks_nobody_out_for_good() -> None:
     side = Side()
     side.hear("swarm/stop", Stop(99.0, "a program", "smoke"))
