@@ -119,8 +119,6 @@ def _without_config(args: argparse.Namespace, error: LocalError) -> int:
     if args.config is not None or not _simulated():
         raise error
     code = halt.run(args)
-    if args.robots:  # who was found in the simulation
-        return code
     sys.stderr.write(f"swarm: {error}; no real robot was told\n")
     return code or 1
 
@@ -163,14 +161,15 @@ def command(robots: tuple[Host, ...], ssh: Ssh, *, stop: bool, reason: str, bega
             async with asyncio.timeout(_HANGS_S if stop else None):
                 later = [] if stop else await since(host)
                 done = await ssh.run(host, robot_command.words(host, [*words, *later]))
-                if later and done.code == USAGE and "--since" in done.err:  # it has an earlier release
-                    done = await ssh.run(host, robot_command.words(host, words))
         except TimeoutError:
             return "", f"its own command has not ended within {_HANGS_S:g} s"
         except HostError as error:
             if not stop or clock.now() > started + _BREAKS_S:  # it is away: another try would take as long
                 raise
             return "", str(error)
+        if later and done.code == USAGE and "--since" in done.err:
+            # Without the time it would take back stops that came after the command.
+            raise HostError("its release is older than this program: swarm deploy, or swarm arm on the robot")
         return done.out, last_words(done.err)
 
     async def job(host: Host, tell: everyone.ReportProgress) -> str:

@@ -196,12 +196,16 @@ def test_a_rearm_says_when_it_was_given_so_that_it_takes_back_no_later_stop(
     assert given - 0.1 <= float(words[words.index("--since") + 1]) - there <= clock.now()
 
 
-def test_a_robot_with_an_earlier_release_is_armed_too(robots: FakeRobots, run: Run) -> None:
+def test_a_robot_with_an_earlier_release_is_not_armed_and_the_mend_is_named(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without the time of the command it would take back stops that came later."""
     robots.add("r0")
     refusal = "echo 'swarm arm: error: unrecognized arguments: --since 1' >&2; exit 2"
     text = f"""case "$*" in *--since*) {refusal} ;; *) echo '{answer("r0")}' ;; esac"""
     robots.script("r0", "sudo", text)
-    assert run("arm") == 0
+    assert run("arm") == 1
+    assert "its release is older than this program: swarm deploy" in capsys.readouterr().out
 
 
 def test_a_simulation_is_stopped_where_the_robots_of_swarm_toml_are_not_paired_yet(
