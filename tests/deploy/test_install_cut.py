@@ -379,6 +379,16 @@ def test_a_release_that_was_switched_to_and_not_started_is_not_taken_for_good(ro
     assert not switched.exists()
 
 
+def test_a_release_that_was_switched_to_and_not_started_is_started_by_the_next_attempt(robot: Robot) -> None:
+    release = robot.release("1")
+    robot.do(release / "install", *files(robot, "1"))
+    switched = robot.root / "run/swarm-install.switched"
+    switched.touch()
+    steps = robot.run(release / "install", *files(robot, "1"))
+    assert "systemctl" in [name for name, _ in steps]
+    assert not switched.exists()
+
+
 @pytest.mark.slow
 def test_a_config_that_does_not_run_is_taken_back_within_one_release(robot: Robot) -> None:
     release = robot.release("1")
