@@ -10,7 +10,7 @@ import inspect
 import linecache
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import ModuleType
 
@@ -91,10 +91,11 @@ class LoadedApp:
         except (Exception, SystemExit) as error:  # of the author's own methods, such as `neighbour_weights`
             raise AppError(f"app {self.name} on {robot}: {describe(error, self.source)}") from error
 
-    def check(self, config: Config) -> None:
+    def check(self, config: Config, make: Callable[[Config, str], AnyApp] | None = None) -> None:
         """Make the instances of all robots, to find every fault of state and parameters before the swarm
-        starts."""
-        hashes = {name: type(self.make(config, name)).spec.schema.hash for name in config.names}
+        starts; `make` in place of the method, where the time that it may take is bounded."""
+        make = make or self.make
+        hashes = {name: type(make(config, name)).spec.schema.hash for name in config.names}
         odd = [name for name in hashes if hashes[name] != hashes[config.names[0]]]
         if odd:
             first = config.names[0]

@@ -171,8 +171,7 @@ def examine(task: Task) -> Iterator[_Finding]:
 
 def _make_all(app: loader.LoadedApp, config: Config) -> None:
     """Make the app of each robot, none of them for ever."""
-    for name in config.names:
-        limited(app.source, partial(app.make, config, name))
+    app.check(config, lambda config, name: limited(app.source, partial(app.make, config, name)))
 
 
 # Synchronous apps

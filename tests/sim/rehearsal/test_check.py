@@ -13,6 +13,7 @@ from conftest import thinned
 from services.apps import loader
 from sim.rehearsal import check, examine, limits, new, rehearse, trends
 from sim.scenario import imports
+from swarm.app import settings
 from swarm.errors import AppError, LocalError
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -192,6 +193,12 @@ def test_an_app_that_is_slow_to_make_does_not_hang(
     weigh += "        return super().neighbour_weights()\n"
     file = write(tmp_path, text + "        pass\n    def neighbour_weights(self):\n" + weigh)
     assert not findings(file, iterations=3)[1]["fault"]
+
+
+def test_robots_that_run_different_algorithms_are_named(short: None) -> None:
+    task = examine.Task(loader.load("consensus"), 3, 3, [settings.parse("r1.algorithm=thesis")])
+    (found,) = examine.examine(task)
+    assert "r1 runs another algorithm than r0" in found.fault
 
 
 def test_one_that_diverges_is_told_from_one_that_counts(tmp_path: Path, short: None) -> None:
