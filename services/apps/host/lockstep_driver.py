@@ -123,8 +123,6 @@ class LockstepDriver:
         if saved and saved[-1].k > 0:
             self.runner.forget_inputs()
         if self.run.epochs.new and not saved:
-            if self.run.terms.drop:
-                self._runtime.at(self._runtime.now + self.run.terms.after, self._wait_outside)
             self._measure(0, partial(self._start, saved))
         else:  # without a first state to set, so that the others need not wait for what it has to say
             if not saved and self.run.terms.drop and self._measurements is not None:
@@ -188,6 +186,10 @@ class LockstepDriver:
         since = self._worker.running_since
         if since is not None and now - since >= HANG:
             self._fail(self.runner.hangs(self._worker.thread, HANG))
+        waited = self._measuring_since
+        if run.terms.drop and run.epochs.well and waited is not None and now - waited >= run.terms.after:
+            run.epochs.wait_outside(now)  # the others need not wait for a measurement that does not come
+            self._perform()
         repeated, _ = self._status.look()
         if repeated:
             if not run.begun:
@@ -220,12 +222,6 @@ class LockstepDriver:
         if not self._closed and not self.failed:
             self._take_part()
             ready(measurement)
-
-    def _wait_outside(self) -> None:
-        """Let the others go on without this robot where it still waits for its first measurement."""
-        if not self._closed and not self.failed and not self._worker.busy and self.run.phase == "starting":
-            self.run.epochs.wait_outside(self._runtime.now)
-            self._perform()
 
     def _take_part(self) -> None:
         """There is a measurement, whoever has asked for it: the others may take this robot in."""

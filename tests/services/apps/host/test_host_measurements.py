@@ -115,21 +115,22 @@ def test_a_robot_that_has_lost_its_state_says_so_without_waiting_for_a_measureme
     rig.until(lambda: rig.progress["r1"].reason == reason, "a word of the lost state")
 
 
-@pytest.mark.parametrize("new", [False, True], ids=["rebooted", "new"])
-def test_a_robot_without_a_first_measurement_is_gone_on_without_until_it_has_one(make_rig: MakeRig, new: bool) -> None:
+@pytest.mark.parametrize("how", ["rebooted", "restarted", "new"])
+def test_a_robot_without_a_first_measurement_is_gone_on_without_until_it_has_one(make_rig: MakeRig, how: str) -> None:
     rig = make_rig(LIVE)
     full(rig)
     states = {name: str(rig.directory / f"state.{name}") for name in NAMES}
     for name in NAMES:
         rig.start(name, "apps", "localization", *DROP, SWARM_STATE=states[name])
     rig.until_phase("waiting")
-    serve_live(rig, *NAMES[: 2 if new else 3])
-    if not new:
+    serve_live(rig, *NAMES[: 2 if how == "new" else 3])
+    if how != "new":
         rig.until_k(5)
         rig.kill("r2")
-        until_members(rig, ("r0", "r1"), "r0", "r1")
-        for file in (rig.directory / "r2").glob("app.*"):
-            file.unlink()
+        if how == "rebooted":
+            until_members(rig, ("r0", "r1"), "r0", "r1")
+            for file in (rig.directory / "r2").glob("app.*"):
+                file.unlink()
         rig.start("r2", "apps", "localization", *DROP, SWARM_STATE=states["r2"])
     until_members(rig, ("r0", "r1"), "r0", "r1")
     rig.until(lambda: rig.progress["r2"].reason == "the dwm service gives no measurement", "a word of r2's module")
