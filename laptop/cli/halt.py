@@ -35,7 +35,7 @@ _HANGS_S = 12.0
 """Seconds after which a robot's own command counts as hanging, and its balancer is stopped by systemd."""
 _SYSTEMD_S = 15.0
 """Seconds that systemd has for it."""
-USAGE = 2
+_USAGE = 2
 """Exit code of a command line that is not understood."""
 _BREAKS_S = 8.0
 """Seconds within which a connection that breaks, or is refused, is made once more for a stop."""
@@ -99,8 +99,10 @@ def run(args: argparse.Namespace) -> int:
     how = {host.robot: _how(host.robot, answers) for host in far[0]}
     done = all(row.confirmed for row in halt.reached(rows)) and all(how.values())
     told = {name: {"confirmed": outcome.ok, "text": outcome.text} for name, outcome in answers.outcomes.items()}
-    lines = ["simulated robots", "", *halt.table(rows, stop=stop), "", "real robots", ""] if rows and how else []
-    lines += table(how, answers, stop=stop) if how else halt.table(rows, stop=stop)
+    simulated, real_ones = halt.table(rows, stop=stop), table(how, answers, stop=stop)
+    lines = simulated if not how else real_ones
+    if rows and how:
+        lines = ["simulated robots", "", *simulated, "", "real robots", "", *real_ones]
     show(args, {**halt.report(args, rows, done), "ssh": told}, lines)
     return 0 if done else 1
 
@@ -167,7 +169,7 @@ def command(robots: tuple[Host, ...], ssh: Ssh, *, stop: bool, reason: str, bega
             if not stop or clock.now() > started + _BREAKS_S:  # it is away: another try would take as long
                 raise
             return "", str(error)
-        if later and done.code == USAGE and "--since" in done.err:
+        if later and done.code == _USAGE and "--since" in done.err:
             # Without the time it would take back stops that came after the command.
             raise HostError("its release is older than this program: swarm deploy, or swarm arm on the robot")
         return done.out, last_words(done.err)

@@ -149,7 +149,7 @@ class EventHost:
         if not self._worker.close(CLOSE_WITHIN):
             self._runtime.log.warning("the app does not end: %s", self.runner.hangs(self._worker.thread, CLOSE_WITHIN))
         if self.channels is not None:
-            self.channels.close(until)
+            self.channels.close(until - self._runtime.now)
 
     def _stop(self) -> None:
         self._closed = True

@@ -131,13 +131,12 @@ class LockstepHost:
         for driver in self.drivers.values():
             driver.nudge()
 
-    def close(self, until: float | None = None) -> None:
-        """Let go of the files. Steps that run are waited for until a time, s (`CLOSE_WITHIN` where none is given): all
-        together, since systemd waits for 5 s."""
+    def close(self, within: float = CLOSE_WITHIN) -> None:
+        """Let go of the files. Steps that run are waited for, all together for `within` s, since systemd waits for
+        5 s."""
         if self._claims is not None:
             self._claims.close()
-        if until is None:
-            until = self._runtime.now + CLOSE_WITHIN
+        until = self._runtime.now + within
         for driver in self.drivers.values():
             driver.close(max(CLOSE_LEAST, until - self._runtime.now))
 

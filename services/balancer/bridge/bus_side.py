@@ -37,7 +37,6 @@ from swarm.messages import (
     Uwb,
     read,
 )
-from swarm.messages.codec import decode
 from swarm.messages.keys import STOP, key
 from swarm.process.runtime import Process
 
@@ -192,7 +191,8 @@ class BusSide:
     def _forget_stop(self, name: str, payload: bytes) -> None:
         """Somebody takes back the stops that were known then. The mesh may not be there to hear it."""
         with contextlib.suppress(PayloadError):
-            arm = decode(Arm, payload, name)
+            arm = read(name, payload)
+            assert isinstance(arm, Arm)
             if self._unknown_since <= self._now() - max(0.0, arm.age):
                 self._unknown = None
 

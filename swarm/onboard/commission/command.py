@@ -26,6 +26,7 @@ from swarm.onboard.body.drive import one
 from swarm.onboard.body.keyboard import Keyboard
 from swarm.onboard.buses import buses
 from swarm.onboard.buses.ask import PATIENCE
+from swarm.onboard.commission.core.motor_steps import REASON
 from swarm.onboard.commission.core.procedure import PASSED, Action, Ask, Procedure, Say, SendCommand, Subject
 from swarm.onboard.commission.core.steps import STEPS
 from swarm.process.arguments import add_json
@@ -49,7 +50,6 @@ _KEYS: dict[type, str] = {
 _TICK_S = 0.05
 _QUEUE = 4000
 """Messages that may wait: 20 s of all that a robot says."""
-REASON = "swarm commission"
 STOPPED = "stopped by the person: swarm arm takes the stop back"
 YES, NO = ("enter", "a", "y"), ("n", "c")
 ENDS = ("x", "escape")

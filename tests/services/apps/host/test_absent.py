@@ -159,8 +159,8 @@ def test_sigterm_ends_an_app_whose_weights_hang_when_it_is_made(make_rig: MakeRi
         "    def neighbour_weights(self):\n"
         f"        pathlib.Path({str(spins)!r}).touch()\n"
         "        while True: pass\n"
+        "import sys\nsys.modules['__main__'].HANG = 0.5\n"
     )
-    app.write_text(app.read_text() + "import sys\nsys.modules['__main__'].HANG = 0.5\n")
     rig.start("r0", "apps", str(app))
     wait_until(spins.exists, what="the weights are asked for")
     line = f"{app}, line 9, in neighbour_weights(): the app is not made within 0.5 s"

@@ -24,7 +24,7 @@ def test_steps_that_hang_are_waited_for_all_together_when_the_process_ends() -> 
     runtime = SimpleNamespace(now=100.0)
     host = LockstepHost.__new__(LockstepHost)
     vars(host).update(_claims=None, _runtime=runtime, drivers={str(number): Driver() for number in range(8)})
-    host.close(runtime.now + CLOSE_WITHIN)
+    host.close(CLOSE_WITHIN)
     assert runtime.now - 100.0 < 3.0
     host.close()
     assert runtime.now - 100.0 < 6.0
