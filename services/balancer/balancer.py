@@ -92,7 +92,7 @@ class Balancer:
         self._unreachable: MotorFault | None = None
         self._retry_at = 0.0
         self._errors_in_row = 0
-        self._claim = LedClaim()
+        self.led_claim = LedClaim()
         self.leds: Shown | None = None
         """The LEDs as they are lit; None before they were first written."""
         self._leds_again_at = 0.0
@@ -176,11 +176,11 @@ class Balancer:
             self._calibrate()
         elif mode == "lie":
             self._controller.command(mode, now)
-            self._claim.clear()
+            self.led_claim.clear()
             self.stopped = False
         else:
             self._wish, self._wish_until = mode, now + WISH_S
-            self._claim.clear()
+            self.led_claim.clear()
             if self.ready and mode == "stand":
                 self._zero = None  # a calibration under way is given up: the zero of before holds
             self._controller.command(mode if self.ready else "rest", now)
@@ -215,12 +215,7 @@ class Balancer:
 
         Raises `LocalError` for a wrong time, or where too many orders wait for theirs.
         """
-        self._claim.order(leds, seconds, now, at)
-
-    @property
-    def leds_due(self) -> float:
-        """Return the time of the next change of the LEDs by an app's order, s; infinity where none waits."""
-        return self._claim.next_change
+        self.led_claim.order(leds, seconds, now, at)
 
     def stop(self, reason: str) -> bool:
         """Motors off until the next command; True where that is new."""
@@ -290,7 +285,7 @@ class Balancer:
         wanted = shown(
             self.mode,
             "" if self.fault is None else self.fault.name,
-            self._claim.leds(now),
+            self.led_claim.leds(now),
             low_battery=self._guard.level != OK,
             now=now,
         )

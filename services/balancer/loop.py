@@ -155,7 +155,7 @@ class Loop:
             self._each_second(self.ticks % SECOND_TICKS)
         elif part == 2:
             self._feed(clock.now())
-        due = self._balancer.leds_due
+        due = self._balancer.led_claim.next_change
         write_at = leds.moment(due, until)
         for message in self._tasks.run(until, write_at):
             self._bridge.send(message)

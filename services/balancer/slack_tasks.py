@@ -153,7 +153,7 @@ class SlackTasks:
 
     def _leds_change(self, until: float) -> bool:
         """Return whether LEDs are to be written in this tick: there is time for no more then."""
-        return self._balancer.leds_due < until or self._balancer.leds_wanted(until) is not None
+        return self._balancer.led_claim.next_change < until or self._balancer.leds_wanted(until) is not None
 
     def _granted(self, queued: QueuedTask, now: float) -> float:
         """Return how much of the margin a task may use, s."""

@@ -136,12 +136,10 @@ class VirtualRun:
         """Seconds of real time that it took."""
 
     @_without_looking_for_garbage()
+    @broken_off()
+    @prints_heard()
     def go(self) -> RunOutcome:
         """Run from beginning to end."""
-        with broken_off(), prints_heard():
-            return self._go()
-
-    def _go(self) -> RunOutcome:
         scenario, world = self._scenario, self.world
         began = real_time.perf_counter()
         if scenario.loaded is not None:
@@ -336,10 +334,9 @@ class VirtualRun:
     def _never(self, ended_at: float) -> tuple[str, ...]:
         started = ended_at if self._started is None else self._started
         # A robot that comes late is started a second time then.
-        come = [
-            each for each in self._scenario.disturbances if each.at is None and self.world.robots[each.robot].starts > 1
-        ]
-        left = [each for each in self._scenario.disturbances if each not in (*come, *self._happened)]
+        planned = self._scenario.disturbances
+        come = [each for each in planned if each.at is None and self.world.robots[each.robot].starts > 1]
+        left = [each for each in planned if each not in (*come, *self._happened)]
         return (*self._impossible, *never(left, ended_at - started))
 
     def _seen(self) -> Json:

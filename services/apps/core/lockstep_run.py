@@ -310,7 +310,7 @@ class LockstepRun:
         if self.phase == "fault":
             return False
         self.phase, self.reason = "fault", reason
-        self.epochs.fail(now)
+        self.epochs.withdraw(now)
         return True
 
     # How it works

@@ -188,7 +188,7 @@ class LockstepDriver:
             self._fail(self.runner.hangs(self._worker.thread, HANG))
         waited = self._measuring_since
         if run.terms.drop and run.epochs.well and waited is not None and now - waited >= run.terms.after:
-            run.epochs.wait_outside(now)  # the others need not wait for a measurement that does not come
+            run.epochs.withdraw(now)  # the others need not wait for a measurement that does not come
             self._perform()
         repeated, _ = self._status.look()
         if repeated:

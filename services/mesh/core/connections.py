@@ -156,13 +156,17 @@ class Connections:
 
     def look_at_links(self, now: float) -> None:
         """End young links with the second robot of a name, and tell the overlays the round trips of the others."""
-        self._look_for_clashes(now)
-        for peer, link in self.links.items():
+        for peer, link in tuple(self.links.items()):
             if (session := link.session) is None:
+                continue
+            if reason := self._overlays.clashes.check_link(peer, session.process, link.since, now):
+                self._end(link, session, frames.CLASH, reason, now)
+                self._actions.log_link(f"link down peer={peer} reason={reason}")
                 continue
             if (rtt := session.pulse.rtt) is not None:
                 self._overlays.measured(peer, rtt, now)
             self._supervise(peer, session)
+        self._name_clashes(now)
 
     def _supervise(self, peer: str, session: Session) -> None:
         """Have the transport of a link that is ours to call know how long silence may last, where that has changed by
@@ -196,8 +200,7 @@ class Connections:
 
     def transmit(self, packet: Transmit) -> bool:
         """Send a packet of the overlays; False where the queue of the link has no room for it."""
-        link = self.links.get(packet.peer)
-        session = link.session if link is not None else None
+        session = self._session_of(packet.peer)
         if session is None or not session.is_up:
             return True
         self._ready.append(session)
@@ -298,14 +301,8 @@ class Connections:
                     # It was started anew, perhaps: no need to wait for silence.
                     self._end(old, old.session, frames.REPLACED, "replaced by a newer connection", now)
                 link = self.links.setdefault(name, Link(name))
-                link.session = session
-                link.unanswered = 0
-                link.since = now
+                link.attach(session, now)
                 self._supervise(name, session)
-                link.attempt = False
-                link.connection += 1
-                if link.dialler is not None:
-                    link.dialler.up(now)
                 if self._overlays.link_up(name, now):
                     self._actions.log_link(f"link up peer={name} connection={link.connection}")
                     self._links_changed()
@@ -340,16 +337,6 @@ class Connections:
         if session is not None and session.state == SUSPECT and session.process not in (0, process):
             return ""  # it was started anew, perhaps: no need to wait for silence
         return self._overlays.clashes.refusal(robot, process, session.process if session is not None else 0, now)
-
-    def _look_for_clashes(self, now: float) -> None:
-        """End young links with the second robot of a name."""
-        clashes = self._overlays.clashes
-        for peer, link in tuple(self.links.items()):
-            session = link.session
-            if session is not None and (reason := clashes.check_link(peer, session.process, link.since, now)):
-                self._end(link, session, frames.CLASH, reason, now)
-                self._actions.log_link(f"link down peer={peer} reason={reason}")
-        self._name_clashes(now)
 
     def _name_clashes(self, now: float) -> None:
         """Say in the log and in the link state which names two robots have."""

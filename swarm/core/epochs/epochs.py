@@ -183,21 +183,15 @@ class Epochs:
             if self._mine.promised != NONE:
                 self._tell(now)
 
-    def fail(self, now: float) -> None:
-        """This robot's app is in fault: the others need not wait for it."""
+    def withdraw(self, now: float) -> None:
+        """This robot takes no part, be it for a fault or for the time being: the others need not wait for it."""
         self.well = False
         self._become(offer=None)
         if self.auto:
             self._tell(now)
 
-    def wait_outside(self, now: float) -> None:
-        """This robot cannot take part yet: the others need not wait for it."""
-        self.well = False
-        self._tell(now)
-
     def take_part(self, now: float) -> None:
-        """This robot can take part from now on: the others may take it in. They hear of it at once, where the host has
-        said where it is."""
+        """This robot can take part from now on. The others hear of it at once where the host has said where it is."""
         self.well = True
         if self._settled:
             self._tell(now)
@@ -249,12 +243,11 @@ class Epochs:
         self._drive(now)
         if not self._cause(now):
             self._cause_at = None
-        else:
-            if self._cause_at is None:
-                self._cause_at = now + STAGGER * self.epoch.members.index(self.me)
-            if now >= self._cause_at:
-                self._cause_at = None
-                self._propose(now)
+        elif self._cause_at is None:
+            self._cause_at = now + STAGGER * self.epoch.members.index(self.me)
+        if self._cause_at is not None and now >= self._cause_at:
+            self._cause_at = None
+            self._propose(now)
         if self._busy and now >= self._tell_at:
             self._tell(now)
 
@@ -385,13 +378,9 @@ class Epochs:
             return False
         if mine.promised != NONE:
             return self._roster.orphaned(now)
-        if self._request is not None:
+        if self._request is not None or (self.auto and (self.deaf or self._relink)):
             return True
-        if not self.auto:
-            return False
-        if self.deaf or self._relink:
-            return True
-        if not self._roster.notes:
+        if not self.auto or not self._roster.notes:
             return False
         members = self._roster.of_members()
         lost = any(not note.well or note.k < 0 for name, note in members.items() if name != self.me)

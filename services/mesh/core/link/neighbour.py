@@ -91,6 +91,16 @@ class Link:
         if self.dialler is not None:
             self.dialler.ended(now, page)
 
+    def attach(self, session: Session, now: float) -> None:
+        """A connection is up: it is the one in use from now on."""
+        self.session = session
+        self.since = now
+        self.unanswered = 0
+        self.attempt = False
+        self.connection += 1
+        if self.dialler is not None:
+            self.dialler.up(now)
+
     def detach(self, session: Session, reason: str, now: float) -> None:
         """The connection in use is lost, or is given up."""
         self.session = None

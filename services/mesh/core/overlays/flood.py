@@ -91,22 +91,23 @@ class FloodOverlay:
         self._all_have = all_have
         self._expected = expected
         self._counters = counters
-        self._store = Store()
+        self.store = Store()
+        """The floods that this robot has seen, and the values that it keeps."""
         self.incarnation = incarnation
         self._sequence = 0
-        self._store.begin(me, incarnation)
+        self.store.begin(me, incarnation)
         self._began_at = -_NEVER
         self._pause = BEGIN_ANEW
         self._attempts: dict[int, Attempt] = {}
         self._waves = Waves(me, self._emit_wave, towards=towards, heard=self._heard)
-        self._neighbours = CatchUp(me, self._store, emit=emit, random=random, counters=counters)
+        self._neighbours = CatchUp(me, self.store, emit=emit, random=random, counters=counters)
         self._links = self._neighbours.links
         self._completion = Completion(
             me, names,
             emit=self._emit_wave, links=self._links, expected=expected, graph=graph, complete=self._complete,
         )  # fmt: skip
         self.large = large_messages.LargeFloods(
-            me, self._store, self._waves, self._completion, pass_on=self._pass_on, deliver=deliver, counters=counters
+            me, self.store, self._waves, self._completion, pass_on=self._pass_on, deliver=deliver, counters=counters
         )
 
     # -- own floods --------------------------------------------------------------------------------------------
@@ -154,17 +155,9 @@ class FloodOverlay:
                 return self.large.progress(id), len(attempt.payload)
         return None
 
-    def forget(self, origin: str) -> None:
-        """Stop passing on the values of a robot that has been gone for long."""
-        self._store.forget(origin)
-
-    def take_again(self, origin: str) -> None:
-        """Pass on the values of a robot that is back, also those that have not changed since it was forgotten."""
-        self._store.take_again(origin)
-
     def known(self, origin: str) -> int:
         """The newest incarnation of a robot that was heard of; 0 = none."""
-        return self._store.incarnation(origin)
+        return self.store.incarnation(origin)
 
     # -- inputs ------------------------------------------------------------------------------------------------
 
@@ -227,7 +220,7 @@ class FloodOverlay:
             if now >= attempt.deadline and self._attempts.get(sequence) is attempt:
                 self._expire(sequence, attempt, now)
         self._neighbours.handle_timer(now)
-        self._counters["flood_unkept"] = self._store.unkept
+        self._counters["flood_unkept"] = self.store.unkept
 
     def next_deadline(self) -> float:
         """Return the time at which `handle_timer` must be called."""
@@ -244,7 +237,7 @@ class FloodOverlay:
 
     def _spread(self, key: str, packet: Spread, priority: int, now: float) -> None:
         """Begin an own flood: note it as seen, and send it."""
-        self._store.take(self._me, key, packet, priority)
+        self.store.take(self._me, key, packet, priority)
         if len(packet.payload) > packets.room(all_know=bool(packet.known)):
             id = pieces.MessageId(self._me, packet.incarnation, packet.first or packet.sequence, flood=True)
             self.large.hold(id, packet.payload, now, key if packet.latest else "")
@@ -268,7 +261,7 @@ class FloodOverlay:
         if origin == self._me:
             self._on_own(peer, key, packet, priority, now)
             return
-        verdict = self._store.take(origin, key, packet, priority)
+        verdict = self.store.take(origin, key, packet, priority)
         if verdict == OLD:
             self._counters["flood_old"] += 1
             if origin == peer:
@@ -293,7 +286,7 @@ class FloodOverlay:
         others = self._pass_on(key, packet, priority, peer, data)
         if packet.echo:
             self._waves.join(id, key, priority, peer, others, now)
-        if not packet.first or not self._store.has_seen(origin, packet.first):
+        if not packet.first or not self.store.has_seen(origin, packet.first):
             self._deliver(origin, key, packet.payload, priority, packet.incarnation)
         if packet.known:
             self._completion.spread(first, others, now)
@@ -317,9 +310,9 @@ class FloodOverlay:
             self._begin(incarnation + 1, now)
 
     def _begin(self, incarnation: int, now: float) -> None:
-        kept = self._store.kept(self._me)
+        kept = self.store.kept(self._me)
         self.incarnation, self._sequence = incarnation, 0
-        self._store.begin(self._me, incarnation)
+        self.store.begin(self._me, incarnation)
         for key, value in kept:
             packet = Spread(incarnation, self._next(now), value.payload, latest=True)
             self._spread(key, packet, value.priority, now)

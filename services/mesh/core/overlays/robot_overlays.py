@@ -64,8 +64,7 @@ class RobotOverlays:
         """`incarnation` is higher than at the last start (a time in us); `random` gives numbers from 0 up to 1.
         `process` is the number of this mesh process in HELLO, 0 where there are no HELLOs. `start` is where the
         topology begins; without it links are the caller's matter. `admits_flood(key)`, `admits_unicast(sender, key)`:
-        which keys the relay rules let in. `wanted(key)`: whether anybody hears a key on the own bus, where that can be
-        known."""
+        which keys the relay rules let in. `wanted(key)`: whether anybody hears a key on the own bus, if known."""
         self.me = me
         self._robots = frozenset(robots)  # the very same, if it is one already: simulations share it
         if me not in self._robots:
@@ -77,23 +76,19 @@ class RobotOverlays:
         emit = self._actions.append
         self._requests = OverlayRequests(me, to_bus=self._to_bus, now=lambda: self.now)
         names = _sorted(self._robots)
-
-        def graph() -> Mapping[str, Collection[str]]:
-            return self._map.graph()
-
         self._flood = FloodOverlay(
             me, incarnation, self._robots, names,
             emit=emit, deliver=self._on_flood, reached=self._requests.reached, all_have=self._requests.all_have,
-            towards=self._towards, expected=lambda: self._map.routes().keys(), graph=graph,
-            random=random, counters=counters,
+            towards=self._towards, expected=lambda: self._map.routes().keys(), random=random, counters=counters,
+            graph=lambda: self._map.graph(),  # noqa: PLW0108 - the map comes later
         )  # fmt: skip
         self._map = LinkStateMap(
             me,
             self._robots,
             metric=metric,
             publish=self._publish_links,
-            aged=self._flood.forget,
-            returned=self._flood.take_again,
+            aged=self._flood.store.forget,
+            returned=self._flood.store.take_again,
             random=random,
             process=process,
         )
@@ -127,16 +122,15 @@ class RobotOverlays:
         """The time of the last call."""
         self._random = random
         self._version = 0
-        self._deadline = 0.0
+        self._deadline = self._members_at = 0.0
         self._look_at = _NEVER
-        self._members_at = 0.0
         self._lsa_key = key_of(me, "mesh", "lsa")
         self._members_key = key_of(me, "mesh", "members")
         self.linking: Linking | None = None
         """Which links there are to be; None where that is the caller's matter."""
         if start is not None:
-            linking = Linking(me, start, self._map, act=emit, random=random, counters=counters)
-            self.linking = self._requests.linking = linking
+            self.linking = Linking(me, start, self._map, act=emit, random=random, counters=counters)
+            self._requests.linking = self.linking
 
     # -- links and packets -------------------------------------------------------------------------------------
 

@@ -102,7 +102,7 @@ def test_a_robot_goes_on_from_a_greater_count_of_starts_that_others_know() -> No
 def test_a_round_at_the_greatest_number_is_not_gone_beyond() -> None:
     epochs = epochs_of("r0")
     epochs.receive(note("r2", promised=Ballot(MAX_COUNT, "r2")).encode(), 0.0)
-    epochs.fail(0.1)
+    epochs.withdraw(0.1)
     epochs.well = True
     epochs.suspect(("r1",), 0.2)
     for tenth in range(100):
