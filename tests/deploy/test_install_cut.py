@@ -389,6 +389,32 @@ def test_a_release_that_was_switched_to_and_not_started_is_started_by_the_next_a
     assert not switched.exists()
 
 
+def test_settings_that_were_never_seen_to_run_are_not_what_a_failed_attempt_goes_back_to(robot: Robot) -> None:
+    release = robot.release("1")
+    robot.do(release / "install", *files(robot, "1"))
+    seen = (robot.root / "opt/swarm/current/etc.good").readlink()
+    robot.do(release / "install", *files(robot, "2"))
+    good_etc = robot.root / "opt/swarm/current/etc.good"
+    assert good_etc.readlink() != seen
+    good_etc.unlink()  # as where the power fails before the services have come up with the settings 2
+    good_etc.symlink_to(seen)
+    (robot.root / "opt/swarm/current/bin/python").write_text("#!/bin/sh\n# broken\nexit 0\n")
+    steps = robot.run(release / "install", *files(robot, "3"), code=1)
+    assert robot.boot(steps[-1][1]) == whole("1")
+
+
+def test_settings_that_came_up_at_a_later_boot_are_what_a_failed_attempt_goes_back_to(robot: Robot) -> None:
+    release = robot.release("1")
+    robot.do(release / "install", *files(robot, "1"))
+    good_etc = robot.root / "opt/swarm/current/etc.good"
+    seen = good_etc.readlink()
+    robot.do(release / "install", *files(robot, "2"))
+    good_etc.unlink()
+    good_etc.symlink_to(seen)
+    steps = robot.run(robot.release("2", runs=False) / "install", *files(robot, "3"), code=1)
+    assert robot.boot(steps[-1][1]) == whole("1")._replace(config="config 2", key="key 2")
+
+
 @pytest.mark.slow
 def test_a_config_that_does_not_run_is_taken_back_within_one_release(robot: Robot) -> None:
     release = robot.release("1")
