@@ -63,7 +63,7 @@ class BusInterface:
                 self._ping(message)
             case HoldLink():
                 self._hold(message)
-            case Stop(_, origin, reason):
+            case Stop(_, origin, reason, _):
                 self._log.warning("stop of the swarm by=%s reason=%s", origin, reason)
                 self._ask(lambda each, now: each.stop(message, now))
             case Arm(_, origin, age):

@@ -115,7 +115,7 @@ class Stopped:
     t: float
     stopped: bool
     by: dict[str, str]
-    """The robots whose stop holds, with its reason; 16 of them where there are more."""
+    """The robots whose stop holds, with its reason; 16 of them where there are more, this one first."""
 
 
 @frozen

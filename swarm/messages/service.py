@@ -37,6 +37,8 @@ class Stop:
     t: float
     origin: str
     reason: str
+    repeated: bool = False
+    """Whether a mesh repeats a stop that it knows."""
 
 
 def stop_of(payload: bytes) -> Stop:
@@ -56,6 +58,7 @@ def stop_of(payload: bytes) -> Stop:
         t if isinstance(t, float) and math.isfinite(t) else 0.0,
         origin[:MAX_STOP_TEXT] if isinstance(origin, str) else "unknown",
         reason[:MAX_STOP_TEXT] if isinstance(reason, str) else "",
+        fields.get("repeated") is True,
     )
 
 
@@ -63,7 +66,8 @@ def stop_payload(message: object) -> bytes:
     """The payload under which a stop is published; empty where `message` is too long or cannot be packed, since an
     empty payload stops, too, and an exception would not. Never raises."""
     if isinstance(message, Stop):
-        message = Stop(message.t, message.origin[:MAX_STOP_TEXT], message.reason[:MAX_STOP_TEXT])
+        origin, reason = message.origin[:MAX_STOP_TEXT], message.reason[:MAX_STOP_TEXT]
+        message = Stop(message.t, origin, reason, message.repeated)
     try:
         payload = bytes(message) if isinstance(message, bytes | bytearray) else encode(message)
     except LocalError:

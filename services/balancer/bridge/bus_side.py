@@ -97,10 +97,9 @@ class BusSide:
         self._throttle = Throttle(process.bus, self.key(BalancerState), THROTTLED_STATE_S)
         self._mode = ""
         self._unknown: Stop | None = None
-        """The stop that was heard, until the mesh tells that it knows of one, or somebody takes it back."""
+        """The newest stop that was given on this bus, until the mesh tells that it knows of it, or somebody takes it
+        back."""
         self._unknown_since = 0.0
-        self._mesh_stopped = False
-        """Whether the mesh said last that a stop holds: then it repeats that, and knows of it."""
         self._stopped_at: float | None = now() if stopped else None
         """When a stop was heard last, or the mesh told last that one holds, s; None from the time on at which the mesh
         tells that none holds."""
@@ -183,7 +182,7 @@ class BusSide:
         """Pass a sample of `swarm/stop` to the loop at once, whatever its payload is."""
         stop = read(name, payload)
         assert isinstance(stop, Stop)
-        if not self._mesh_stopped:
+        if not stop.repeated:
             self._unknown, self._unknown_since = stop, self._now()
         self._stopped_at = self._now()
         self._loop.halt(stop)
@@ -210,13 +209,14 @@ class BusSide:
             self.refuse(name, "refused", str(error))
             return
         assert isinstance(message, Stopped)
-        self._mesh_stopped = message.stopped
-        if message.stopped:
+        # The mesh notes a stop of this bus under this robot's name, and may shorten the reason.
+        known = message.by.get(self._process.robot)
+        if known is not None and self._unknown is not None and self._unknown.reason.startswith(known):
             self._unknown = None
         # What the mesh told before the stop says nothing about it.
         if self._stopped_at is not None and message.t <= self._stopped_at:
             return
-        if (unknown := self._unknown) is not None:
+        if (unknown := self._unknown) is not None and not message.stopped:
             # The mesh was not there when the stop was given, so nobody else has heard of it.
             self._unknown, self._stopped_at = None, self._now()
             self._process.bus.publish(STOP, unknown, urgent=True)

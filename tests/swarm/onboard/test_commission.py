@@ -14,7 +14,7 @@ from conftest import thinned
 from services.dwm.calibrate import making
 from sim.core.actions import MISWIRINGS
 from sim.scenario import commission_report
-from swarm.messages import Stop, Stopped
+from swarm.messages import Stop, Stopped, TryMotors
 from swarm.onboard.commission import command
 from swarm.onboard.halt import Row
 
@@ -179,6 +179,21 @@ def test_a_stop_of_somebody_else_is_not_taken_back(by: dict[str, str]) -> None:
     assert "somebody else has stopped the swarm" in text
     assert "swarm arm" in remedy
     assert world._stop is not None
+
+
+def test_a_stop_given_just_before_that_of_the_step_is_not_taken_back() -> None:
+    """The step's own stop would take its place, and the arm would take back both."""
+    world = World()
+    obey = world._command
+
+    def turning(message: object) -> None:
+        obey(message)
+        if isinstance(message, TryMotors) and (message.kind, message.seconds) == ("turn", 3.0):
+            world._tell(Stopped(world.now, True, {"r0": "smoke"}))
+
+    world._command = turning  # type: ignore[method-assign]
+    world.run()
+    assert world.failed[:2] == ("stop", "it was stopped before this step did so")
 
 
 def test_wheels_that_do_not_stop_are_named_before_a_stop_of_somebody_else() -> None:

@@ -12,7 +12,6 @@ link came up, after 1 s and then every 10 s, for full queues may drop anything.
 `Register` is that register, `Stops` tells this robot's bus, and the swarm, which robots have stopped the swarm.
 """
 
-import itertools
 import struct
 from collections.abc import Callable
 from typing import NamedTuple
@@ -304,6 +303,7 @@ class Stops:
         self, me: str, register: Register, flood: FloodOverlay, to_bus: Callable[[str, bytes, int], None]
     ) -> None:
         """`to_bus(key, payload, class)` publishes on the own bus."""
+        self._me = me
         self._register = register
         self._flood = flood
         self._to_bus = to_bus
@@ -335,11 +335,11 @@ class Stops:
 
     def stopped(self, now: float) -> Stopped:
         """Return the message for the key `mesh/stopped`."""
-        stops = self._register.stops
-        return Stopped(now, bool(stops), dict(itertools.islice(stops.items(), MAX_NAMED)))
+        stops = sorted(self._register.stops.items(), key=lambda stop: stop[0] != self._me)
+        return Stopped(now, bool(stops), dict(stops[:MAX_NAMED]))
 
     def _tell(self, now: float) -> None:
         stops = self._register.stops
         self._tell_at = now + STOP_PERIOD if stops else _NEVER
         for origin, reason in stops.items():
-            self._to_bus(STOP, encode(Stop(now, origin, reason)), CONTROL)
+            self._to_bus(STOP, encode(Stop(now, origin, reason, repeated=True)), CONTROL)

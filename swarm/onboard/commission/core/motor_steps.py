@@ -69,6 +69,10 @@ def stop(desk: Desk) -> Script:
     yield from _turning(desk, "turn")
     yield from desk.wait(0.4)
     robot = desk.subject.robot
+    known = desk.robot.stopped
+    if desk.robot.mode == "fault" or (known is not None and known.stopped):
+        # This step's stop would take the place of one that somebody has just given on this robot.
+        raise StepError("it was stopped before this step did so", "swarm status names who; swarm arm, when all is well")
     desk.send(Stop(desk.now, robot, REASON))
     begin = desk.now
     stopped = yield from desk.until(lambda: desk.robot.wheel_speed() < STILL and desk.robot.mode == "fault", STOP_S)

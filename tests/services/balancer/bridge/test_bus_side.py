@@ -70,7 +70,7 @@ class Side:
 def test_commands_that_move_the_robot_are_refused_while_a_stop_holds(message: object, topic: str) -> None:
     side = Side()
     assert side.passes(message, topic)
-    side.hear("swarm/stop", Stop(99.0, "r1", "smoke"))
+    side.hear("swarm/stop", Stop(99.0, "r1", "smoke", repeated=True))
     assert not side.passes(message, topic)
     assert side.passes(SetLeds(True, False, False), "leds")
     side.hear(TOLD, Stopped(99.9, False, {}))
@@ -97,6 +97,32 @@ def test_a_stop_that_the_mesh_has_not_heard_is_given_to_it_once_more() -> None:
     side.hear(TOLD, Stopped(102.0, False, {}))
     assert side.passes()
     assert [name for name, _ in side.bus.published].count("swarm/stop") == 1
+
+
+def test_a_stop_given_while_the_mesh_was_away_outlives_an_earlier_one_that_the_mesh_remembers() -> None:
+    side = Side()
+    side.hear("swarm/stop", Stop(99.0, "r1", "smoke", repeated=True))
+    side.hear(TOLD, Stopped(100.1, True, {"r1": "smoke"}))
+    side.now = 105.0  # the mesh is away
+    stop = Stop(105.0, "a program", "fire")
+    side.hear("swarm/stop", stop)
+    side.now = 108.0
+    side.hear(TOLD, Stopped(107.0, True, {"r1": "smoke"}))  # started anew, from its file
+    assert side.bus.published == []
+    side.hear(TOLD, Stopped(107.5, False, {}))  # somebody has taken back the earlier one
+    assert side.bus.published == [("swarm/stop", stop)]
+    assert not side.passes()
+
+
+@pytest.mark.parametrize("reason", ["fire", "", "f" * 70])
+def test_a_stop_that_the_mesh_knows_is_not_given_again(reason: str) -> None:
+    side = Side()
+    side.hear("swarm/stop", Stop(99.0, "a program", reason))
+    side.hear(TOLD, Stopped(99.9, True, {"r0": reason[:64], "r1": "smoke"}))
+    side.now = 102.0
+    side.hear(TOLD, Stopped(101.9, False, {}))
+    assert side.bus.published == []
+    assert side.passes()
 
 
 def test_a_stop_that_was_taken_back_while_the_mesh_was_away_is_not_given_again() -> None:
@@ -141,7 +167,7 @@ def test_a_repetition_of_the_mesh_is_not_given_back_to_it() -> None:
     side = Side()
     side.hear(TOLD, Stopped(100.5, True, {"r1": "smoke"}))
     side.now = 101.0
-    side.hear("swarm/stop", Stop(101.0, "r1", "smoke"))
+    side.hear("swarm/stop", Stop(101.0, "r1", "smoke", repeated=True))
     side.now = 102.0
     side.hear(TOLD, Stopped(101.9, False, {}))
     assert side.bus.published == []

@@ -11,6 +11,7 @@ from process_rig import Watcher, watcher
 from services.balancer.bridge.link import COMMANDS_A_TICK
 from swarm import clock
 from swarm.messages import SetLeds, SetMode, SetVelocity, Stop, Stopped, TryMotors, read
+from swarm.messages.service import stop_of
 
 __all__ = ["watcher"]
 
@@ -34,9 +35,9 @@ def lying(processes: Processes, watcher: Watcher) -> "subprocess.Popen[str]":
     return body
 
 
-def take_back(watcher: Watcher) -> None:
+def take_back(watcher: Watcher, reason: str) -> None:
     """Tell what r0's mesh tells when it knows of a stop, and when all stops are taken back."""
-    watcher.bus.publish("swarm/r0/mesh/stopped", Stopped(clock.now(), True, {"r0": "test"}))
+    watcher.bus.publish("swarm/r0/mesh/stopped", Stopped(clock.now(), True, {"r0": reason}))
     watcher.bus.publish("swarm/r0/mesh/stopped", Stopped(clock.now(), False, {}))
 
 
@@ -88,7 +89,7 @@ def test_a_command_from_before_a_stop_moves_nothing_after_it(processes: Processe
     )
     assert watcher.wait_mode("fault").fault == "stopped: enough (by test)"
     # What is given after the stop was taken back counts.
-    take_back(watcher)
+    take_back(watcher, "enough")
     watcher.command("mode", SetMode("stand"))
     watcher.wait_mode("standing_up")
 
@@ -118,15 +119,17 @@ def test_nothing_moves_while_the_swarm_is_stopped(processes: Processes, watcher:
     watcher.command("mode", SetMode("stand"))
     wait_until(lambda: sum("stopped: swarm arm" in each.text for each in watcher.heard["notice"]) == 4)
     assert watcher.last().mode == "fault"
-    take_back(watcher)
+    take_back(watcher, "enough")
     watcher.command("mode", SetMode("stand"))
     watcher.wait_mode("standing_up")
 
 
 def test_any_sample_of_the_stop_key_stops_the_robot(processes: Processes, watcher: Watcher) -> None:
     lying(processes, watcher)
+    reason = ""
     for payload, why in PAYLOADS.values():
-        take_back(watcher)
+        take_back(watcher, reason)
+        reason = stop_of(payload).reason
         watcher.command("mode", SetMode("stand"))
         wait_until(lambda: watcher.last() is not None and watcher.last().mode in ("standing_up", "balancing"))
         watcher.bus.publish("swarm/stop", payload)

@@ -64,7 +64,9 @@ def test_a_stop_is_repeated_on_the_bus_until_it_is_taken_back() -> None:
     world.settle()
     stop(world, "r0")
     world.run(10.5 * STOP_PERIOD)
-    assert 10 <= len(world.got("r2", STOP)) <= 12
+    heard = [decode(Stop, payload, STOP) for payload in world.got("r2", STOP)]
+    assert 10 <= len(heard) <= 12
+    assert all(each.repeated and (each.origin, each.reason) == ("r0", "smoke") for each in heard)
     arm(world, "r1")
     world.run(0.1)
     world.clear()
@@ -254,6 +256,8 @@ def test_what_is_told_of_a_stop_is_bounded() -> None:
     shown = stopped(world, "r0")
     assert shown.stopped
     assert len(shown.by) == MAX_NAMED
+    last = world.names[-1]
+    assert next(iter(stopped(world, last).by)) == last, "a bridge looks for the stop of its own bus"
     assert len(encode(shown)) < packets.MAX_SPREAD
 
 
