@@ -9,6 +9,8 @@ from swarm.messages.codec import encode, unpack, with_telemetry
 MAX_STOP_TEXT = 100
 """Characters of a stop's origin and reason that are kept. They come back in every state message of a balancer: others'
 prose must not make those too large to send."""
+MAX_REASON = 64
+"""Bytes of a stop's reason that travel from robot to robot."""
 MAX_STOP = 4096
 """Bytes of a stop's payload that are sent: more is only in the way of the stop."""
 
@@ -60,6 +62,11 @@ def stop_of(payload: bytes) -> Stop:
         reason[:MAX_STOP_TEXT] if isinstance(reason, str) else "",
         fields.get("repeated") is True,
     )
+
+
+def short_reason(reason: str) -> str:
+    """Return a stop's reason as other robots hear it."""
+    return reason.encode()[:MAX_REASON].decode(errors="ignore")
 
 
 def stop_payload(message: object) -> bytes:

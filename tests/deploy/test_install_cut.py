@@ -403,6 +403,19 @@ def test_settings_that_were_never_seen_to_run_are_not_what_a_failed_attempt_goes
     assert robot.boot(steps[-1][1]) == whole("1")
 
 
+def test_a_key_that_somebody_has_put_there_outlives_two_attempts_that_fail(robot: Robot) -> None:
+    release = robot.release("1")
+    robot.do(release / "install", *files(robot, "1"))
+    key = robot.root / "etc/swarm/key"
+    key.unlink()
+    key.write_text("by hand")
+    (robot.root / "opt/swarm/current/bin/python").write_text("#!/bin/sh\n# broken\nexit 0\n")
+    config = files(robot, "2")[:4]
+    for _ in range(2):
+        steps = robot.run(release / "install", *config, code=1)
+        assert robot.boot(steps[-1][1]) == whole("1")._replace(key="by hand")
+
+
 def test_settings_that_came_up_at_a_later_boot_are_what_a_failed_attempt_goes_back_to(robot: Robot) -> None:
     release = robot.release("1")
     robot.do(release / "install", *files(robot, "1"))

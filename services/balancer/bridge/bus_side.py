@@ -38,6 +38,7 @@ from swarm.messages import (
     read,
 )
 from swarm.messages.keys import STOP, key
+from swarm.messages.service import short_reason
 from swarm.process.runtime import Process
 
 THROTTLED_STATE_S = 0.2
@@ -209,15 +210,15 @@ class BusSide:
             self.refuse(name, "refused", str(error))
             return
         assert isinstance(message, Stopped)
-        # The mesh notes a stop of this bus under this robot's name, and may shorten the reason.
-        known = message.by.get(self._process.robot)
-        if known is not None and self._unknown is not None and self._unknown.reason.startswith(known):
+        # The mesh notes a stop of this bus under this robot's name.
+        if self._unknown is not None and message.by.get(self._process.robot) == short_reason(self._unknown.reason):
             self._unknown = None
         # What the mesh told before the stop says nothing about it.
         if self._stopped_at is not None and message.t <= self._stopped_at:
             return
-        if (unknown := self._unknown) is not None and not message.stopped:
-            # The mesh was not there when the stop was given, so nobody else has heard of it.
+        if (unknown := self._unknown) is not None:
+            # The mesh was not there when the stop was given, so nobody else has heard of it. It is to know the stop
+            # before somebody takes back those that it knows.
             self._unknown, self._stopped_at = None, self._now()
             self._process.bus.publish(STOP, unknown, urgent=True)
             return

@@ -25,14 +25,12 @@ from swarm.messages import Stop, Stopped
 from swarm.messages.codec import encode
 from swarm.messages.keys import STOP, key
 from swarm.messages.keys import key as key_of
+from swarm.messages.service import MAX_REASON, short_reason
 
 _HALT = struct.Struct("<BBB")
 
 _MARK = struct.Struct("<QI")
 _LENGTH = struct.Struct("<H")
-
-MAX_REASON = 64
-"""Bytes of a stop's reason."""
 
 _HALT_ENTRIES = 20
 """Robots in one HALT packet: at most 1.9 kB."""
@@ -187,8 +185,7 @@ class Register:
         self._stopped_at, self._waiting = now, None
         mark = self._next_mark()
         if mark.incarnation <= MAX_INCARNATION:
-            reason = reason.encode()[:MAX_REASON].decode(errors="ignore")
-            self._merge(Halt({self._me: (mark, reason)}, {}), None, now)
+            self._merge(Halt({self._me: (mark, short_reason(reason))}, {}), None, now)
         # Else somebody has taken back the greatest mark there is in our name
         # (docs/reference/network/captured-member.md).
 

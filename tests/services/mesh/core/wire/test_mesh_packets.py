@@ -24,6 +24,7 @@ from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import MAX_PAYLOAD
 from services.mesh.core.wire.packets import Ack, EchoPacket, Spread, UnicastMessage
 from swarm.errors import FrameError
+from swarm.messages.service import MAX_REASON
 
 DOCUMENT = Path(__file__).parents[5] / "docs/reference/network/overlay-packets.md"
 
@@ -196,7 +197,7 @@ def test_a_stop_counts_in_a_packet_that_is_cut_off_and_with_a_text_of_another_re
     whole = bytes((packets.HALT, 1, 0)) + b"\x02r1" + struct.pack("<QI", 1, 1)
     for text in (b"\xff\xfe", b"x" * 200, "\u00e4".encode() * 100):
         ((_, reason),) = stop.decode_halt(whole + bytes((len(text),)) + text).stops.values()
-        assert len(reason.encode()) <= stop.MAX_REASON
+        assert len(reason.encode()) <= MAX_REASON
 
 
 @given(
