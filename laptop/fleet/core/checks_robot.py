@@ -113,7 +113,7 @@ def adapter(robot: ExaminedRobot) -> Finding:
     if found is None:
         return SIMULATED
     if found["problem"]:
-        # A Zero 2 W's controller misses the kernel's time of 2 s at some boots (raspberrypi/linux issue 6462).
+        # At some boots the controller of a Zero 2 W answers the kernel too late (raspberrypi/linux issue 6462).
         log = "swarm command 'dmesg | grep Bluetooth' (where it says -110, reboot the robot)"
         return bad(found["problem"], f"swarm provision; firmware: the check `radio`; {log}")
     said = robot.config.robot(robot.name).bluetooth

@@ -217,8 +217,8 @@ class BusSide:
         if self._stopped_at is not None and message.t <= self._stopped_at:
             return
         if (unknown := self._unknown) is not None:
-            # The mesh was not there when the stop was given, so nobody else has heard of it. It is to know the stop
-            # before somebody takes back those that it knows.
+            # The mesh was not there when the stop was given, so nobody else has heard of it. The mesh gets it before
+            # somebody takes back the stops that the mesh knows.
             self._unknown, self._stopped_at = None, self._now()
             self._process.bus.publish(STOP, unknown, urgent=True)
             return
