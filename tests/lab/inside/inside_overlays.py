@@ -14,7 +14,7 @@ from typing import TypeVar
 
 import pytest
 from conftest import Processes
-from inside_swarm import NAMES, Swarm
+from inside_swarm import NAMES, Swarm, come
 
 from lab.radio.remote import Radio
 from lab.waiting import PATIENCE_S, until
@@ -59,20 +59,6 @@ def overlays(swarm: Swarm, request: pytest.FixtureRequest) -> dict[str, Overlays
 def answer(what: str, handle: Handle[A]) -> A:
     """Wait for what the mesh says a message or flood came to."""
     return until(f"the mesh answers: {what}", lambda: handle.answer, state=lambda: f"{handle.moved} bytes moved")
-
-
-def come(each: Overlays, count: int) -> list[tuple[str, bytes, bool]]:
-    """(sender, payload, flooded) of what has come: so many, and whatever came too much."""
-    got: list[tuple[str, bytes, bool]] = []
-
-    def enough() -> bool:
-        got.extend(tuple(message) for message in each.messages())
-        return len(got) >= count
-
-    until(f"{count} messages come", enough, state=lambda: got)
-    time.sleep(0.2)
-    enough()
-    return got
 
 
 def members(swarm: Swarm, name: str) -> dict[str, Member]:

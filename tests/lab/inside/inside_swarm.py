@@ -14,6 +14,7 @@ from conftest import Processes
 from lab.inside import PYTHON
 from lab.shapes import ROBOTS
 from lab.waiting import WaitedInVainError, until
+from swarm.app.overlays import Overlays
 from swarm.bus.zenoh_bus import Bus, Router
 from swarm.messages import Links, read
 from swarm.process.paths import bus_endpoint
@@ -170,3 +171,17 @@ class Swarm:
             bus.close()
         for router in self.routers:
             router.close()
+
+
+def come(each: Overlays, count: int) -> list[tuple[str, bytes, bool]]:
+    """(sender, payload, flooded) of what has come: so many, and whatever came too much."""
+    got: list[tuple[str, bytes, bool]] = []
+
+    def enough() -> bool:
+        got.extend(tuple(message) for message in each.messages())
+        return len(got) >= count
+
+    until(f"{count} messages come", enough, state=lambda: got)
+    time.sleep(0.2)
+    enough()
+    return got
