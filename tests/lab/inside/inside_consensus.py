@@ -128,11 +128,11 @@ def test_faults_in_mid_run_change_no_bit(swarm: Swarm, radio: Radio) -> None:
     bring_up(radio)
     more("an adapter unplugged and plugged")
     killed = swarm.kill(MESH, "r2")
+    swarm.wait("another mesh runs", lambda: swarm.process(MESH, "r2") != killed)
     more("a mesh killed")
-    assert swarm.process(MESH, "r2") != killed
     killed = swarm.kill(APPS, "r3")
+    swarm.wait("another app runs", lambda: swarm.process(APPS, "r3") != killed)
     more("an app killed")
-    assert swarm.process(APPS, "r3") != killed
     finish(swarm, LONG)
     compare(swarm, LONG)
     assert radio.order("look")["counts"]["lost"] >= 4

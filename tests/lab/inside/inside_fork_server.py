@@ -41,7 +41,9 @@ class Supervisor:
         child = os.fork()
         if child:
             self._running[child] = order
-            Path(order["environment"]["SWARM_RUNTIME"], f"{order['module']}.pid").write_text(str(child))
+            path = Path(order["environment"]["SWARM_RUNTIME"], f"{order['module']}.pid")
+            path.with_suffix(".new").write_text(str(child))
+            path.with_suffix(".new").rename(path)
         return child or None
 
     def reap(self) -> list[Order]:

@@ -243,7 +243,7 @@ def told_in_the_log(unit: str, text: str) -> bool:
 
 
 def a_limit_of_memory_is_reached() -> dict[str, float]:
-    """That service is ended and started anew, nothing else is, the robot stands all the while, and the log says why."""
+    """That service is ended and started anew, nothing else is, the robot stands, and the log says why."""
     robot.stand()
     measured = {}
     for unit in ("swarm-mesh", "swarm-dwm", "swarm-bus"):
@@ -256,9 +256,17 @@ def a_limit_of_memory_is_reached() -> dict[str, float]:
         wait(lambda unit=unit: show(unit, "ActiveState") == "active", f"{unit} is up", 30.0)
         wait(lambda unit=unit: told_in_the_log(unit, "oom-kill"), f"the log of {unit} says why", 5.0)
         expect(others == {other: show(other, "MainPID") for other in others}, f"others were started anew with {unit}")
+    return {**measured, **heard_again()}
+
+
+def heard_again() -> dict[str, float]:
+    """It stands as before. While the kernel looked for what it may end, the machine's only processor may have stood
+    still for longer than a body stands without its loop: then there is a named fault, and it stands by command."""
     robot.state = None
-    wait(lambda: robot.mode == "balancing", "it stands as before", 20.0)
-    return measured
+    wait(lambda: robot.mode in ("balancing", "fault"), "it is heard again", 20.0)
+    expect(robot.mode == "balancing" or robot.fault is not None, f"it fell without a word: {robot.said()}")
+    fell = float(robot.mode == "fault")
+    return {"fell": fell, "up_again_s": robot.stand()}
 
 
 HOG = """
@@ -275,9 +283,7 @@ while "oom_kill 0" in (group / "memory.events").read_text() and len(taken) < 200
 
 
 def the_balancers_limit_of_memory_is_reached() -> dict[str, float]:
-    """Its bridge is ended, and another one started: the loop goes on. While the kernel looks for what it may end, the
-    machine's only processor may stand still for longer than a body stands without its loop (on a robot the loop has a
-    processor of its own): then that is a named fault, and it stands again by command."""
+    """Its bridge is ended, and another one started: the loop goes on (on a robot it has a processor of its own)."""
     robot.stand()
     loop = show("swarm-balancer", "MainPID")
     group = group_of("swarm-balancer")
@@ -290,13 +296,9 @@ def the_balancers_limit_of_memory_is_reached() -> dict[str, float]:
     subprocess.run([sys.executable, "-c", HOG, str(group)], check=True, timeout=60.0)
     wait(lambda: (now := bridge()) and now != old, "there is another bridge", 10.0)
     expect(show("swarm-balancer", "MainPID") == loop, "the loop was ended")
-    robot.state = None
-    wait(lambda: robot.mode in ("balancing", "fault"), "it is heard again", 20.0)
-    expect(robot.mode == "balancing" or robot.fault is not None, f"it fell without a word: {robot.said()}")
+    heard = heard_again()
     expect(told_in_the_log("swarm-balancer", "the bridge ended code=-9"), "the log does not say so")
-    fell = float(robot.mode == "fault")
-    measured = {"balancer_mib": current / (1 << 20), "missed_ticks": robot.missed() - missed, "fell": fell}
-    return {**measured, "up_again_s": robot.stand()}
+    return {"balancer_mib": current / (1 << 20), "missed_ticks": robot.missed() - missed, **heard}
 
 
 def stopped() -> dict[str, float]:
