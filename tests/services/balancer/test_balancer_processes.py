@@ -100,16 +100,24 @@ def test_a_robot_stands_talks_obeys_and_stops(processes: Processes, watcher: Wat
 
 def test_the_loop_outlives_its_bridge_and_starts_another(processes: Processes, watcher: Watcher) -> None:
     body = processes.start("-m", "sim.body")
-    before = watcher.wait_mode("balancing")
+    watcher.wait_mode("balancing")
     (bridge,) = children(body.pid)
     os.kill(bridge, signal.SIGKILL)
+    before = [*watcher.heard["state"]]
     wait_until(lambda: children(body.pid) not in ([], [bridge]))
     count = len(watcher.heard["state"])
     wait_until(lambda: len(watcher.heard["state"]) > count + 5)
-    after = watcher.last()
-    assert after.mode == "balancing"
-    # It ticked on while nobody listened: by the loop's own time, nothing is missing but what it says was missed.
-    assert after.ticks + after.missed - before.ticks - before.missed == pytest.approx((after.t - before.t) * 100, abs=2)
+    assert watcher.last().mode == "balancing"
+
+    def lost() -> float:
+        """Ticks that are neither done nor missed by the loop's own time. A tick that begins late has that in its time
+        and not yet in what was missed, so states are compared until two agree."""
+        after = watcher.last()
+        return min(
+            abs((after.t - one.t) * 100 - (after.ticks + after.missed - one.ticks - one.missed)) for one in before
+        )
+
+    wait_until(lambda: lost() <= 2.0, what="it has ticked on while nobody listened")
 
 
 def test_a_stop_holds_though_the_bridge_that_heard_it_is_killed(processes: Processes, watcher: Watcher) -> None:

@@ -69,6 +69,7 @@ def test_a_repeated_request_is_done_once_and_answered_again(processes, board, bu
     bus.publish("swarm/r0/dwm/set/module", ModuleRequest("t4", VER_GET.request))
     wait_until(lambda: answers[-1].ticket == "t4", what="it goes on")
     assert stop(process) == 0
+    wait_until(lambda: states, what="its last words")
     assert not any(answer.ticket == "t3" for answer in answers)
     assert states[-1].counters["refused_payloads"] == 2
 
@@ -83,12 +84,16 @@ def test_requests_while_the_port_is_gone(processes, board, bus):
 
 
 def test_a_module_in_shell_mode_is_told_to_leave_it(processes, board, bus):
-    board.module("r0").in_shell = True
     states = heard(bus, Status, "swarm/r0/dwm/status")
     ranges = heard(bus, Ranges, "swarm/r0/dwm/ranges")
     processes.start_ready("-m", "services.dwm")
     wait_until(lambda: ranges, what="ranges")
-    assert any("shell mode" in state.reason for state in states if state.state == "degraded")
+    board.module("r0").in_shell = True
+
+    def told() -> bool:
+        return any("shell mode" in state.reason for state in states if state.state == "degraded")
+
+    wait_until(told, what="the shell mode is told")
     wait_until(lambda: states[-1].state == "ready", what="ready")
 
 

@@ -23,7 +23,7 @@ from swarm.messages import (
     SetVelocity,
 )
 from swarm.messages.codec import decode, encode
-from swarm.onboard.buses import ask as swarm_ask
+from swarm.onboard import param as swarm_param
 
 MakeRig = Callable[..., Rig]
 
@@ -218,7 +218,7 @@ def test_the_command_shows_and_changes_parameters(
     assert param("hands", "gain")[1] == "swarm: 'gain' is no setting such as gain=0.5 or r2.gain=0.5\n"
     assert param("hands", "r7.gain=1")[1] == "swarm: no robot 'r7' here, there are r0\n"
     rig.stop("r0")
-    monkeypatch.setattr(swarm_ask, "PATIENCE", 0.5)
+    monkeypatch.setattr(swarm_param, "PATIENCE", 0.5)
     assert param("hands") == (2, "swarm: no app hands answers on r0: does it run? (swarm status)\n")
 
 
@@ -239,7 +239,6 @@ def test_a_change_that_waits_for_a_running_handler_is_told_as_such(
     monkeypatch.setenv("SWARM_CONFIG", str(rig.directory / "swarm.toml"))
     monkeypatch.setenv("SWARM_ROBOT", "r0")
     monkeypatch.setenv("SWARM_RUNTIME", str(rig.directory / "r0"))
-    monkeypatch.setattr(swarm_ask, "PATIENCE", 0.7)
 
     def param(*arguments: str) -> str:
         with pytest.raises(SystemExit) as end:
@@ -251,7 +250,7 @@ def test_a_change_that_waits_for_a_running_handler_is_told_as_such(
     assert "gain           0.5 " in text
     assert text.endswith("r0: taken, and holds from the app's next step on\n")
     gate.write_text("")  # returns when the handler reads it
-    monkeypatch.setattr(swarm_ask, "PATIENCE", 20.0)
+    monkeypatch.setattr(swarm_param, "PATIENCE", 20.0)
     text = param("gain=0.875")
     assert "gain           0.875 " in text
     assert "taken" not in text
