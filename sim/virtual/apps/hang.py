@@ -32,8 +32,8 @@ class Hangs(SystemExit):
 
 
 @contextlib.contextmanager
-def broken_off(look_s: float = LOOK_S, limit_s: float = HANG) -> Iterator[None]:
-    """Within this, an author's code in this thread that takes longer than `limit_s` is broken off."""
+def broken_off() -> Iterator[None]:
+    """Within this, an author's code in this thread that takes longer than `HANG` s is broken off."""
     mine = threading.get_ident()
     # Only the main thread can be interrupted where Python waits; others (a Dask worker's) where it computes.
     interrupts = threading.current_thread() is threading.main_thread()
@@ -43,11 +43,11 @@ def broken_off(look_s: float = LOOK_S, limit_s: float = HANG) -> Iterator[None]:
     def watch() -> None:
         seen: FrameType | None = None
         looks = 0
-        while not over.wait(look_s):
+        while not over.wait(LOOK_S):
             running = _authors(sys._current_frames().get(mine))
             looks = looks + 1 if running is not None and running is seen else 0
             seen = running
-            if looks * look_s >= limit_s:
+            if looks * LOOK_S >= HANG:
                 looks = 0  # an author's code that catches everything is broken off again
                 if interrupts:
                     signal.pthread_kill(mine, SIGNAL)

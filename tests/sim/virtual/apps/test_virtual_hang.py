@@ -2,11 +2,9 @@
 
 import re
 import threading
-from functools import partial
 
 import pytest
 
-from sim.virtual import run
 from sim.virtual.apps import hang
 from sim.virtual.run import simulate
 from swarm.recording.run import Run
@@ -42,7 +40,8 @@ LOOP = "while True: pass"
 @pytest.fixture(autouse=True)
 def soon(monkeypatch):
     """Nobody waits for ten seconds here."""
-    monkeypatch.setattr(run, "broken_off", partial(hang.broken_off, 0.02, 0.2))
+    monkeypatch.setattr(hang, "LOOK_S", 0.02)
+    monkeypatch.setattr(hang, "HANG", 0.5)
 
 
 def app(tmp_path, text):
