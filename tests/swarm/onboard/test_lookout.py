@@ -2,7 +2,6 @@
 
 import fcntl
 import os
-import signal
 import struct
 import subprocess
 import termios
@@ -19,6 +18,7 @@ from swarm.errors import LocalError
 from swarm.messages import Arm, Stop, read
 from swarm.messages.codec import MAX_PAYLOAD, encode
 from swarm.onboard.lookout import MAX_KEYS, MAX_WAITING, Lookout, publish
+from swarm.process.paths import BUS_SOCKET
 
 FLOOD = bytes(60_000)
 
@@ -62,20 +62,21 @@ def test_lookout_publishes_a_stop_at_once_while_nobody_reads_its_telemetry(proce
 
 def test_a_single_command_waits_for_a_bus_that_is_found_late(processes: Processes, runtime: Path) -> None:
     heard: list[str] = []
-    lookout = processes.start("-m", "swarm.onboard.lookout", "r0")
-    assert lookout.stdin is not None
-    assert lookout.stdout is not None
-    os.write(lookout.stdin.fileno(), msgpack.packb(["swarm/r0/mesh/set/hold", b"now"]))
-    lookout.stdin.close()
-    assert os.read(lookout.stdout.fileno(), 100).startswith(msgpack.packb(["bus", False]))
-    lookout.send_signal(signal.SIGSTOP)
     processes.router()
     with Bus.of(runtime) as bus:
         bus.subscribe("swarm/r0/mesh/set/hold", lambda key, payload: heard.append(key))
         assert bus.wait_connected(60.0)
-        lookout.send_signal(signal.SIGCONT)
+        there, away = runtime / BUS_SOCKET, runtime / "away"
+        there.rename(away)
+        lookout = processes.start("-m", "swarm.onboard.lookout", "r0")
+        assert lookout.stdin is not None
+        assert lookout.stdout is not None
+        os.write(lookout.stdin.fileno(), msgpack.packb(["swarm/r0/mesh/set/hold", b"now"]))
+        lookout.stdin.close()
+        assert os.read(lookout.stdout.fileno(), 100).startswith(msgpack.packb(["bus", False]))
+        away.rename(there)
         wait_until(lambda: heard, what="the command is on the bus")
-    assert lookout.wait(60.0) == 0
+        assert lookout.wait(60.0) == 0
 
 
 @pytest.mark.usefixtures("router")

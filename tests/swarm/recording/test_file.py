@@ -4,6 +4,7 @@ import errno
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections import Counter
 
@@ -13,6 +14,7 @@ from recorded_numbers import TOPIC, numbers
 
 from bench.rigs.running import running
 from swarm.recording import file as module
+from swarm.recording.file import RecordingFile
 
 pytest_plugins = ("recording_fixtures",)
 
@@ -196,10 +198,16 @@ def test_on_a_full_disk_the_recording_says_so_and_goes_on_when_there_is_room(ope
 
 def test_a_defect_of_the_recording_thread_ends_the_recording_and_nothing_else(open_file, monkeypatch, caplog):
     monkeypatch.setattr(module, "FLUSH_S", 0.01)
-    told = []
+    told, watched = [], threading.Event()
+
+    def flush(file):
+        watched.wait(30.0)
+        return {}["a defect"]
+
+    monkeypatch.setattr(RecordingFile, "flush", flush)
     file = open_file()
     file.watched = told.append
-    monkeypatch.setattr(file, "flush", lambda: {}["a defect"])
+    watched.set()
     file._thread.join(30.0)
     assert not file._thread.is_alive()
     assert told == ["defect of the recording: KeyError('a defect')"]

@@ -8,6 +8,7 @@ from conftest import costly
 from hypothesis import given
 from hypothesis import strategies as st
 
+from swarm.recording import file as recording_file
 from swarm.recording.core import mcap, writer
 from swarm.recording.core.writer import Writer
 from swarm.recording.file import RecordingFile
@@ -23,6 +24,7 @@ SMALL = 1000
 @pytest.fixture(autouse=True)
 def small_index(monkeypatch):
     monkeypatch.setattr(writer, "INDEX_SIZE", SMALL)
+    monkeypatch.setattr(recording_file, "FLUSH_S", 3600.0)  # by its own thread: one second, one chunk
 
 
 def written(path, seconds, *, append=False, end=True, journal=None):
@@ -150,6 +152,7 @@ def killed(tmp_path_factory):
     """A recording with checkpoints and no end, and the same without links between them."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(writer, "INDEX_SIZE", SMALL)
+        patch.setattr(recording_file, "FLUSH_S", 3600.0)
         path = tmp_path_factory.mktemp("killed") / "x.mcap"
         written(path, range(60), end=False)
         unlinked = path.read_bytes()

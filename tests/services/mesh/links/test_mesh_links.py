@@ -110,12 +110,12 @@ def test_latency_counts_from_the_write_and_the_end_travels_like_bytes(place: Pla
 @pytest.mark.parametrize("model", ["latency=0.001,bandwidth=50000"])
 def test_a_slow_air_fills_the_senders_socket(place: Place) -> None:
     near, far = place.connect()
-    offered = 0
+    offered, start = 0, clock.now()
     while near.flush():
         near.offer(bytes(1000))
         offered += 1000
         assert offered < 200_000
-    received, start = 0, clock.now()
+    received = 0
     while received < 20_000:
         received += len(receive(far))
     assert clock.now() - start >= 0.8 * 20_000 / 50_000
