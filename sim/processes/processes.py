@@ -148,9 +148,10 @@ class Processes:
     def end(self, robot: str, service: str) -> bool:
         """End the process of a robot's service at once; it is started again. Return False where it does not run."""
         child = self.find(robot, service)
-        if child is None or child.process is None:
+        if child is None or child.process is None or child.process.poll() is not None:
             return False
         child.process.kill()
+        child.process.wait()  # so that who ends it once more at once is told that it does not run
         return True
 
     def start(self, robot: str) -> None:

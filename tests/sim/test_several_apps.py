@@ -1,6 +1,7 @@
 """Several apps at once on each robot, in both simulations: recorded, drawn and played back each for itself."""
 
 import json
+import signal
 from pathlib import Path
 
 import pytest
@@ -140,7 +141,10 @@ def test_what_cannot_be_is_said(arguments, words):
 
 @pytest.mark.slow
 def test_real_processes_run_several_apps_too():
-    with Simulation("consensus", "localization", "--iterations", "100") as simulation:
+    with Simulation("consensus", "localization", "--seconds", "600") as simulation:
+        simulation.wait_for("r0", 100)
+        simulation.wait_for("r0", 11, app="localization")
+        simulation.process.send_signal(signal.SIGINT)
         report = simulation.finish()
         run = Run(simulation.records)
     assert report["problems"] == []

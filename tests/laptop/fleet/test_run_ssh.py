@@ -1,7 +1,6 @@
 """`swarm run` over real ssh servers: an app is started on all robots, or on none."""
 
 import re
-import time
 
 import pytest
 from fake_releases import add_robot, files
@@ -90,12 +89,12 @@ def test_an_app_that_waits_when_it_is_started_is_reported_at_once(
     (homes[0] / "status").write_text("starting the dwm service gives no measurement\n")
     (homes[2] / "state").write_text("failed\n")
     for home in homes:
-        blocks = 'case "$*" in *--no-block*|show*|stop*|"start swarm-mesh"*) ;; *) sleep 60 ;; esac\n'
+        waits = f"touch {home}/blocked; sleep 60"
+        blocks = f'case "$*" in *--no-block*|show*|stop*|"start swarm-mesh"*) ;; *) {waits} ;; esac\n'
         path = home / "bin/systemctl"
         path.write_text(path.read_text().replace("#!/bin/sh\n", f"#!/bin/sh\n{blocks}"))
-    began = time.monotonic()
-    assert run(words[0], *words[1:], "localization", "--robots", "r0,r1,r2", "--json", "--timeout", "30") == 1
-    assert time.monotonic() - began < 15
+    assert run(words[0], *words[1:], "localization", "--robots", "r0,r1,r2", "--json", "--timeout", "50") == 1
+    assert not [home for home in homes if (home / "blocked").exists()]
     found, unit = outcomes(capsys), "swarm-app@localization.service"
     assert found["r0"]["text"] == (f"{words[1]} {unit}, which runs and waits: the dwm service gives no measurement")
     assert found["r1"]["text"] == f"{words[1]} {unit}"

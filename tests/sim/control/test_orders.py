@@ -20,6 +20,7 @@ from sim.processes.processes import Processes
 from swarm import clock
 from swarm.app.settings import Setting
 from swarm.errors import LocalError, PayloadError
+from swarm.process.simulations import pid_of
 from swarm.recording import trajectory
 from swarm.recording.reader import SUFFIX
 
@@ -162,9 +163,11 @@ def test_an_app_of_a_swarm_that_runs_another_one(tmp_path: Path) -> None:
         done = subprocess.run([sys.executable, "-m", "laptop.cli", *start], capture_output=True, text=True, check=True)
         assert done.stdout == "led_sync: started on r0 r1\n"
         simulation.wait_for("r1", 3, app="led_sync")
+        process = Path(f"/proc/{pid_of(simulation.run_dir, 'r0', 'app/consensus')}")
+        assert process.exists()
         assert "stopped" in app_requests.give(simulation.run_dir, "stop", "consensus", ["r0", "r1"])
+        wait_until(lambda: not process.exists(), what="the app has ended")
         led = simulation.trajectory("r0", "led_sync").last
-        simulation.wait_for("r0", led + 20, app="led_sync")
         path = simulation.records / f"r0.consensus{SUFFIX}"
         stopped = trajectory.read(path).last
         simulation.wait_for("r0", led + 60, app="led_sync")
