@@ -151,7 +151,7 @@ class Processes:
         if child is None or child.process is None or child.process.poll() is not None:
             return False
         child.process.kill()
-        child.process.wait()  # so that who ends it once more at once is told that it does not run
+        child.process.wait()  # a second call finds that it has ended, also before `supervise` does
         return True
 
     def start(self, robot: str) -> None:

@@ -54,7 +54,7 @@ FAILED = re.compile(r"^  (\w+) +FAILED ", re.MULTILINE)
 FALLEN = re.compile(r"^  (\w+) +FAILED .*this one is fault", re.MULTILINE)
 """What `swarm balance lie` says of a robot that has fallen. A simulated body falls where its loop, in a virtual
 machine, does not get its 100 Hz from a busy host for long enough."""
-FELL = re.compile("swarm balance stand")
+FELL = "swarm balance stand"
 """What the column body of `swarm status` says to do with a robot that has fallen."""
 MANY_FALLS = 6
 NO_PI = {
@@ -171,7 +171,7 @@ class Laptop:
             name = line.partition(" ")[0]
             if name in NAMES and pattern is not None:
                 seen[name] = pattern.search(line) is not None
-                if not seen[name] and FELL.search(line) and self.falls < MANY_FALLS:
+                if not seen[name] and FELL in line and self.falls < MANY_FALLS:
                     self._stand([name])
             if (pattern is None and "http://" in line) or (len(seen) == len(NAMES) and all(seen.values())):
                 break

@@ -186,7 +186,7 @@ def test_a_machine_that_loses_its_power_boots_and_joins_again(lab_image: Image, 
         begun = [swarm.until(name, "line", lambda said: said["k"] >= 30, "at iteration 30") for name in swarm.names]
         swarm.until_recorded("r2", "line", "restless", 30)
         swarm.machines["r2"].kill()
-        # Where a machine had no processor for long, an epoch of two may have been before, too.
+        # The others may have gone on without a machine that started late: then there was an epoch of two before.
         epoch = max(said["epoch"] for said in begun)
         two = swarm.until(
             "r0",

@@ -80,3 +80,5 @@ def test_the_others_go_on_without_a_robot_that_is_switched_off_and_take_it_in_ag
         assert report["problems"] == []
         assert report["missing"] == []
         assert report["restarts"] == 1
+        values = [result["value"] for result in report["result"].values()]
+        assert max(values) - min(values) < 1e-9

@@ -228,9 +228,7 @@ def test_a_silent_robot_takes_the_buffers_of_its_neighbours_until_its_connection
         assert took < PATIENT / 2
     assert ended(silent) == "connection timed out"
     adapter.close()
-    for pipe in (silent, called):
-        pipe.shutdown()
-        pipe.close()
+    close(silent, called)
     other.close()
 
 
@@ -256,9 +254,7 @@ def test_a_link_goes_on_when_a_silent_one_of_the_same_adapter_has_ended(
     assert not select.select([living], [], [], 1.0)[0], "the kernel sends on by itself by now: `nudge` is needless"
     caller.nudge()
     assert read(living)
-    for pipe in (silent, called):
-        pipe.shutdown()
-        pipe.close()
+    close(silent, called)
     other.close()
 
 
@@ -323,8 +319,7 @@ def test_both_call_at_once_which_is_why_one_fixed_side_calls(radio: Radio) -> No
             results.append(errno.errorcode[error.errno or 0])
         else:
             results.append("connected")
-            pipe.shutdown()
-            pipe.close()
+            close(pipe)
 
     threads = [threading.Thread(target=call, args=pair) for pair in ((4, 5), (5, 4))]
     for thread in threads:

@@ -21,6 +21,8 @@ from typing import Any
 
 import services.apps.__main__
 import services.mesh.__main__  # noqa: F401  imported for those to come
+from swarm.files import atomic_write
+from swarm.process.paths import VOLATILE
 
 RESTART_S = 0.2
 """As the units of robots have it (RestartSec=)."""
@@ -42,8 +44,7 @@ class Supervisor:
         if child:
             self._running[child] = order
             path = Path(order["environment"]["SWARM_RUNTIME"], f"{order['module']}.pid")
-            path.with_suffix(".new").write_text(str(child))
-            path.with_suffix(".new").rename(path)
+            atomic_write(path, str(child).encode(), unsynced=VOLATILE)
         return child or None
 
     def reap(self) -> list[Order]:

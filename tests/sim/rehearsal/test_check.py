@@ -42,7 +42,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """One graph, little patience, and the alarms that the process of its own would have."""
     monkeypatch.setattr(examine, "GRAPHS", ("line",))
     monkeypatch.setattr(limits, "STEP_LIMIT", 0.3)
-    for each in ("TIME_LIMIT", "WAIT_LIMIT"):  # those are for tests of them
+    for each in ("TIME_LIMIT", "WAIT_LIMIT"):  # tests of these two set them themselves
         monkeypatch.setattr(limits, each, 1e3)
     before = {number: signal.signal(number, limits.alarm) for number in limits.ALARMS}
     yield

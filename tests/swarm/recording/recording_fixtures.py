@@ -7,13 +7,11 @@ import pytest
 from swarm.recording import file
 from swarm.recording.file import RecordingFile
 
-NEVER_S = 3600.0
-
 
 @pytest.fixture
 def open_file(tmp_path, monkeypatch):
-    """Files whose own thread does not write within a test: what is written when is the test's to say."""
-    monkeypatch.setattr(file, "FLUSH_S", NEVER_S)
+    """Files whose own thread writes nothing within a test: the test itself decides when they are written."""
+    monkeypatch.setattr(file, "FLUSH_S", 3600.0)
     opened = []
 
     def open_(path=None, counters=None, **options):

@@ -24,7 +24,7 @@ SMALL = 1000
 @pytest.fixture(autouse=True)
 def small_index(monkeypatch):
     monkeypatch.setattr(writer, "INDEX_SIZE", SMALL)
-    monkeypatch.setattr(recording_file, "FLUSH_S", 3600.0)  # by its own thread: one second, one chunk
+    monkeypatch.setattr(recording_file, "FLUSH_S", 3600.0)  # the test alone writes: one second, one chunk
 
 
 def written(path, seconds, *, append=False, end=True, journal=None):
