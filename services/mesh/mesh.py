@@ -5,6 +5,7 @@ The same code runs in a process, over sockets (`services.mesh.sockets`), and und
 """
 
 import logging
+import math
 import threading
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
@@ -135,6 +136,8 @@ class Mesh:
         self._heard = heard
         self._deadline: float | None = None
         """The deadline that the transport was told last; None after that time has come."""
+        self._paced: dict[Session, float] = {}
+        """When sessions go on with bulk that their pace holds back."""
         self._changed = False
         """Whether a report is planned."""
         self._reporting, self._keeping = threading.Lock(), threading.Lock()
@@ -250,8 +253,22 @@ class Mesh:
         """The time told to `Transport.wake` has come."""
         if self.running:
             self._deadline = None
-            self._node.handle_timer(self._surroundings.now)
+            now = self._surroundings.now
+            if now >= self._node.next_deadline():
+                self._node.handle_timer(now)
+            for session, at in tuple(self._paced.items()):
+                if now >= at:
+                    del self._paced[session]
+                    self._transport.flush(session)
             self.carry_out()
+
+    def flushed(self, session: Session) -> None:
+        """A session has given all that leaves now. Where its pace holds bulk back, it is flushed again in time."""
+        if self._surroundings.now < (at := session.resumes) < math.inf:
+            self._paced[session] = at
+            if self._deadline is None or at < self._deadline:
+                self._deadline = at
+                self._transport.wake(at)
 
     def carry_out(self) -> None:
         """Send what is to be sent, and do what the node asks for."""
@@ -278,7 +295,7 @@ class Mesh:
                     outside(self._keep_topology)  # before the bus hears of it
                 elif kind is WriteStops:
                     outside(self._write_stops)
-        deadline = node.next_deadline()
+        deadline = min(node.next_deadline(), *self._paced.values()) if self._paced else node.next_deadline()
         if deadline != self._deadline:
             self._deadline = deadline
             transport.wake(deadline)

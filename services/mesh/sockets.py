@@ -183,6 +183,7 @@ class Sockets:
         while pipe.flush():
             data = session.data_to_send(clock.now(), _CHUNK)
             if not data:
+                self._mesh.flushed(session)
                 if self._blocked.pop(session, None) is not None:
                     self._other_pipes = True
                 break

@@ -22,7 +22,8 @@ class Transport(Protocol):
         """Make a connection to a robot, then call `Mesh.dialled` or `Mesh.dial_failed`."""
 
     def flush(self, session: Session) -> None:
-        """Send what the session has to send, as far as that needs no waiting, and the rest when it can be sent."""
+        """Send what the session has to send, as far as that needs no waiting, and the rest when it can be sent. Call
+        `Mesh.flushed` whenever the session has given all that leaves at the time."""
 
     def close(self, session: Session) -> None:
         """Send what the session still has, as far as that needs no waiting, then close its connection."""

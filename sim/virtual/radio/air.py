@@ -7,7 +7,8 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 from services.mesh.core.link.calls import UNKNOWN, Caller
-from services.mesh.core.link.session import BULK_WRITE, Session
+from services.mesh.core.link.flow import FRAGMENT
+from services.mesh.core.link.session import Session
 from services.mesh.links.radio_model import AirModel, DelayLine
 from services.mesh.mesh import CLOSED, Mesh
 from sim.slots.connections import CHUNK, SOCKET
@@ -125,6 +126,10 @@ class Station:
 
     # -- what the air calls ------------------------------------------------------------------------------------
 
+    def flushed(self, session: Session) -> None:
+        """A session has given all that leaves now."""
+        self._mesh.flushed(session)
+
     @property
     def running(self) -> bool:
         """False after the mesh's end."""
@@ -194,11 +199,13 @@ class Air:
         if self._model.bandwidth is None:
             while data := session.data_to_send(end.station.time.now, CHUNK):
                 self._plan(end, end.line.push(data, now))
-                if len(data) < BULK_WRITE:
+                if len(data) < FRAGMENT and not session.queue.bulk_waits:
                     break  # nothing more may leave now, which a second question would only confirm
+            end.station.flushed(session)
             return
         while sum(map(len, end.socket)) < SOCKET and (data := session.data_to_send(end.station.time.now, CHUNK)):
             end.socket.append(data)
+        end.station.flushed(session)
         self._send(end)
 
     def close(self, end: ConnectionEnd) -> None:

@@ -19,7 +19,12 @@ class SlotEnd(End):
         self.session: Session | None = None
 
     def take(self) -> bytes | None:
-        return b"" if self.session is None else self.session.data_to_send(self.station.time.now, CHUNK)
+        if self.session is None:
+            return b""
+        data = self.session.data_to_send(self.station.time.now, CHUNK)
+        if not data:
+            self.station.flushed(self.session)
+        return data
 
     def give(self, data: bytes) -> None:
         if self.session is not None:

@@ -35,6 +35,7 @@ class Side:
         self.inbox: list[tuple[float, Received]] = []
         self.written = 0
         self.wakes_at = -1.0
+        self.resumes = 0.0
 
 
 class Link(TimedWorld):
@@ -90,6 +91,9 @@ class Link(TimedWorld):
         if side.socket and side.wakes_at < self.now:
             side.wakes_at = line.free_at
             self.at(line.free_at, lambda: self.work(side))
+        if self.now < (at := session.resumes) < math.inf and at != side.resumes:
+            side.resumes = at
+            self.at(at, lambda: self.work(side))
         deadline = session.deadline
         if deadline < math.inf and deadline != self._timers[side]:
             self._timers[side] = deadline

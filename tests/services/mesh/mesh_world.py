@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
-from timed_world import TimedWorld, Timer
+from timed_world import NEVER, TimedWorld, Timer
 
 from services.mesh.core.actions import Close, Dial, LogLine, Write
 from services.mesh.core.link import Received
@@ -43,6 +43,8 @@ class End:
     """Writes that wait for the air."""
     waits: bool = False
     """Whether it will go on with them by itself."""
+    resumes: float = 0.0
+    """When it looks again for bulk that its pace held back."""
 
 
 @dataclass
@@ -272,6 +274,7 @@ class World(TimedWorld):
                 cut = self.random.randint(1, len(data))
                 self.send(end, data[:cut])
                 data = data[cut:]
+        self._resume(end)
 
     def _write(self, end: End) -> None:
         """From the session into the socket, from there onto the air at its own pace."""
@@ -290,6 +293,14 @@ class World(TimedWorld):
         if waited and not end.waits:
             end.waits = True
             self.at(line.free_at, lambda: self._go_on(end))
+        self._resume(end)
+
+    def _resume(self, end: End) -> None:
+        """Go on when the pace of what waits allows it, as `Mesh.data_to_send` does."""
+        assert end.session is not None
+        if self.now < (at := end.session.resumes) < NEVER and at != end.resumes:
+            end.resumes = at
+            self.at(at, lambda: self._flush(end) if end.alive else None)
 
     def _go_on(self, end: End) -> None:
         end.waits = False

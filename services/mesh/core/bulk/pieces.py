@@ -30,7 +30,7 @@ DONE, REFUSED, LATER = 0, 1, 2
 """What a STATE says."""
 
 SIZE = 1880
-"""Bytes of a message in one piece, the last one aside: with all headers four fragments of a quiet link."""
+"""Bytes of a message in one piece, the last one aside: with all headers six fragments of a link."""
 
 MAX_RANGES = 32
 MAX_WANTED = 128

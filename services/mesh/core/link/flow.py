@@ -12,10 +12,14 @@ under way are fewer than a window. Control is never held back; sync is let `SYNC
 of it cannot fill the queue either.
 
 The window looks for the knee (Jain 1989): the smallest one that still gives nearly all of the link's rate, since above
-it bytes only wait. While bulk keeps it full, a window of an eighth more and one of a tenth less are tried in turn, and
-the change is kept where the rate says so (as in PCC, Dong et al. 2015). Round trips are no guide here: with the thesis'
+it bytes only wait. While bulk keeps it full, a window of 6 % more and one of 10 % less are tried in turn, and the
+change is kept where the rate says so (as in PCC, Dong et al. 2015). Round trips are no guide here: with the thesis'
 jitter (10 ms each way, in order) they grow by half as soon as a link is busy, without a byte in any queue, and a window
 steered by them shrank to its floor.
+
+**Pace.** A window leaves evenly over a round trip (Aggarwal 2000; RFC 9002, section 7.7), write by write. On a robot
+that passes messages on, bulk comes by the piece of six fragments. Without a pace all six would stand in the socket at
+once, and a stop would wait for them on each link of its way.
 """
 
 import struct
@@ -27,12 +31,9 @@ from services.mesh.core.link.round_trips import RoundTrips
 from services.mesh.core.wire import frames
 from swarm.errors import FrameError
 
-LARGE_FRAGMENT = 488
-"""Bytes of a message in one fragment: 6.4 ms at Bluetooth's 78 kB/s. With all headers a packet of three slots (3-DH3,
-552 bytes) holds it."""
-
-SMALL_FRAGMENT = 256
-"""The same while synchronous apps talk on the link: 3.3 ms at Bluetooth's 78 kB/s, nothing waits longer for it."""
+FRAGMENT = 328
+"""Bytes of a message in one fragment, and of bulk in one write: 4.2 ms at Bluetooth's 78 kB/s. What is handed over
+cannot be overtaken, and smaller writes cost more work and more of the radio's time."""
 
 MAX_INCOMPLETE = 64
 """Messages of one peer that may be incomplete at the same time."""
@@ -148,7 +149,7 @@ class Reassembly:
             self.drop(channel)
 
 
-FIRST_WINDOW = 6144
+FIRST_WINDOW = 5632
 """Bytes; the bandwidth-delay product of the thesis' links, 78 kB/s x 60 ms, a write, and the delay of an ACK.
 Where several links in a row begin too small, none of them sees the backlog that would make it grow."""
 
@@ -158,16 +159,13 @@ MAX_WINDOW = 32 * 1024
 
 SYNC_EXTRA = 8 * 1024
 
-BUSY_FOR = 1.0
-"""Seconds after a sync message for which the link counts as busy."""
-
-LARGER, SMALLER = 1.12, 0.9
+LARGER, SMALLER = 1.06, 0.9
 """What is tried; a larger window has room for another fragment at least."""
 
 FASTER = 1.25
 """What is tried next where a larger window was kept."""
 
-GAIN, LOSS = 1.05, 0.95
+GAIN, LOSS = 1.03, 0.95
 """A larger window is kept where the rate becomes more than this times what it was, a smaller one likewise."""
 
 COLLAPSE = 0.6
@@ -175,7 +173,15 @@ COLLAPSE = 0.6
 
 SLACK = 0.07
 """Seconds by which a round trip may exceed twice the smallest one; above, bytes wait whatever the rate says, as on a
-link much slower than expected. Jitter stays far below it."""
+link much slower than expected. Jitter stays far below it. A longer round trip is not smoothed either: a link that was
+silent for seconds is not to keep a slow pace for seconds afterwards."""
+
+PACE = 0.9
+"""Share of the window that leaves in a smoothed round trip. It is below one so that bulk waits here, where a stop
+overtakes it, on a link that is a little slower than the one that it came by."""
+
+LATE = 0.001
+"""Seconds of pace that a write makes up for which leaves late."""
 
 RELIEF = 0.7
 """Factor of the window then, once a round trip."""
@@ -185,6 +191,9 @@ PERIOD = 0.1
 
 ROUND_TRIPS = 8
 """and in round trips."""
+
+FADES = 0.98
+"""Factor by which the highest rate is forgotten in a period."""
 
 REST = 4
 """Periods between two trials."""
@@ -248,47 +257,47 @@ class SendWindow:
         """Bytes that may be under way before bulk has to wait."""
         self.sent = 0
         self.acknowledged = 0
+        self.next_bulk = 0.0
+        """The time before which no bulk leaves, as the pace has it."""
         self._marks: list[tuple[int, float]] = []
         """Where writes with bulk in them ended, and when they were made."""
         self._round_trips = RoundTrips()
         self._relieved = 0.0
-        self._busy_until = 0.0
         self._since: float | None = None
         """Since when the window has been full, or since the last measurement of the rate."""
         self._from = 0
         self._trial = 0.0
         """The factor that is being tried; 0 = none."""
+        self._trial_until = 0.0
         self._next_trial = LARGER
         self._rest = FIRST_REST
         self._rate = 0.0
-        """Rate with the window as it was before the trial, bytes/s."""
+        """The highest rate of late with the window as it was before the trial, bytes/s. Not a mean: a gap between two
+        messages would lower it, and let a larger window look better than it is."""
 
     @property
     def in_flight(self) -> int:
         """Bytes written that the other end has not acknowledged."""
         return self.sent - self.acknowledged
 
-    def fragment(self, now: float) -> int:
-        """Bytes of a message that may be sent in one piece."""
-        return SMALL_FRAGMENT if now < self._busy_until else LARGE_FRAGMENT
-
-    def free(self, size: int) -> float:
+    def free(self, size: int, now: float) -> float:
         """Bytes that may still leave when `size` are about to be written. Bulk needs a positive number; sync may make
         it as low as -`SYNC_EXTRA`."""
-        return self.limit - (self.sent - self.acknowledged) - size
-
-    def busy(self, now: float) -> None:
-        """Note that a sync message leaves."""
-        self._busy_until = now + BUSY_FOR
+        free = self.limit - (self.sent - self.acknowledged) - size
+        return free if now >= self.next_bulk else min(free, 0.0)
 
     def wrote(self, size: int, now: float, *, bulk: bool, waits: bool) -> None:
         """So many bytes were written, `bulk` among them; `waits` = there is more bulk."""
         self.sent += size
         if bulk:
             self._marks.append((self.sent, now))
+            self.next_bulk = max(self.next_bulk, now - LATE) + size * self._round_trips.smoothed / (PACE * self.limit)
         if not waits:
             self._since = None
-        elif self._since is None and self.free(0) <= 0.0:
+            if self._trial and now >= self._trial_until:
+                # It would last for as long as the window is not full throughout a period.
+                self._end_trial(self._trial)
+        elif self._since is None and self.free(0, now) <= 0.0:
             self._begin(now)
 
     def on_ack(self, count: int, now: float) -> None:
@@ -307,13 +316,18 @@ class SendWindow:
                 marked = written
         if marked is not None:
             self._on_round_trip(now - marked, now)
-        if self._since is not None and now >= self._since + max(PERIOD, ROUND_TRIPS * self._round_trips.smoothed):
-            self._judge((self.acknowledged - self._from) / (now - self._since))
+        period = max(PERIOD, ROUND_TRIPS * self._round_trips.smoothed)
+        if self._since is not None and now >= self._since + period:
+            if now < self._since + 2.0 * period:  # else the radio was elsewhere, which says nothing of the window
+                self._judge((self.acknowledged - self._from) / (now - self._since))
             self._begin(now)
+            if self._trial:
+                self._trial_until = now + 2.0 * period
 
     def _on_round_trip(self, rtt: float, now: float) -> None:
-        self._round_trips.add(rtt, now)
-        if rtt > 2.0 * self._round_trips.least + SLACK and now >= self._relieved + rtt:
+        too_long = rtt > 2.0 * self._round_trips.least + SLACK
+        self._round_trips.add(rtt, now, usual=not too_long)
+        if too_long and now >= self._relieved + rtt:
             self._relieved = now
             self._set(self.limit * RELIEF)
             self._rest, self._trial, self._since = REST, 0.0, None
@@ -330,22 +344,27 @@ class SendWindow:
                 self._rate = rate
                 self._try(FASTER if self._trial > 1.0 else SMALLER)
                 return
-            self._set(self.limit / self._trial)
-            self._next_trial = SMALLER if self._trial > 1.0 else LARGER
-            self._trial = 0.0
-            self._rest = REST
+            self._end_trial(SMALLER if self._trial > 1.0 else LARGER)
             return
         if rate < COLLAPSE * self._rate:
             self._set(self.limit * rate / self._rate)
             self._rate = rate
-        self._rate += 0.5 * (rate - self._rate) if self._rate else rate
+        self._rate = max(rate, FADES * self._rate)
         self._rest -= 1
         if self._rest <= 0:
             self._try(self._next_trial)
 
+    def _end_trial(self, following: float) -> None:
+        """Go back to the window before a trial, if there is one; `following` is the factor of the next one."""
+        if self._trial:
+            self._set(self.limit / self._trial)
+            self._next_trial = following
+            self._trial = 0.0
+            self._rest = REST
+
     def _try(self, factor: float) -> None:
         before = self.limit
-        self._set(max(before * factor, before + LARGE_FRAGMENT) if factor > 1.0 else before * factor)
+        self._set(max(before * factor, before + FRAGMENT) if factor > 1.0 else before * factor)
         self._trial = self.limit / before if self.limit != before else 0.0
         if not self._trial:
             self._next_trial = SMALLER if factor > 1.0 else LARGER

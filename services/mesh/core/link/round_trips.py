@@ -50,11 +50,12 @@ class RoundTrips:
         """The shortest one of late; infinite while none was measured."""
         return min(self._least)
 
-    def add(self, rtt: float, now: float) -> None:
-        if self.smoothed:
+    def add(self, rtt: float, now: float, *, usual: bool = True) -> None:
+        """Note one; it is smoothed where it is `usual`, or the first one."""
+        if self.smoothed and usual:
             self.deviation += _DEVIATION_GAIN * (abs(rtt - self.smoothed) - self.deviation)
             self.smoothed += _RTT_GAIN * (rtt - self.smoothed)
-        else:
+        elif not self.smoothed:
             self.smoothed, self.deviation = rtt, rtt / 2
         if now >= self._least_until:
             self._least_until = now + LEAST_OVER

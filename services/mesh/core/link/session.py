@@ -29,14 +29,10 @@ from services.mesh.core.link.outbox import SENT, Channels, Outbox, OutgoingPart,
 from services.mesh.core.link.round_trips import Pulse
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.auth import Keys, newest_common
-from services.mesh.core.wire.frames import BULK, BYE_TEXT, SYNC, Frame, Hello
+from services.mesh.core.wire.frames import BULK, BYE_TEXT, Frame, Hello
 from swarm.errors import FrameError
 
 CONNECTING, UP, SUSPECT, DOWN = "connecting", "up", "suspect", "down"
-
-BULK_WRITE = 500
-"""Bytes at which a write with bulk in it ends: what is handed over cannot be overtaken, and smaller writes cost more
-work and more of the radio's time."""
 
 _NEVER = float("inf")
 
@@ -146,7 +142,14 @@ class Session:
         """Whether `data_to_send` has something."""
         if self._urgent or self._heartbeat_due or (self._receipts.due() and self.is_up):
             return True
-        return self.queue.waiting > 0 and self.queue.leaves(self.window.free(0))
+        return self.queue.waiting > 0 and self.queue.leaves(self.window.free(0, _NEVER))
+
+    @property
+    def resumes(self) -> float:
+        """The time at which bulk leaves that only its pace holds back; infinite where there is none."""
+        window = self.window
+        held = self.is_up and self.queue.bulk_waits and window.free(0, window.next_bulk) > 0
+        return window.next_bulk if held else _NEVER
 
     def events(self) -> list[LinkEvent]:
         """Return the events since the last call."""
@@ -226,9 +229,8 @@ class Session:
             if (count := receipts.take(at_once=beat)) is not None:
                 chunks.append(flow.encode_ack(count))
             window = self.window
-            fragment = window.fragment(now)
             while queue.waiting and size < max_bytes:
-                item = queue.pop(window.free(size), fragment)
+                item = queue.pop(window.free(size, now), flow.FRAGMENT)
                 if item is None:
                     break
                 part = item if isinstance(item, OutgoingPart) else None
@@ -250,11 +252,9 @@ class Session:
                 size += len(chunks[-1])
                 if part is None or part.last:
                     self._counters[SENT[message.priority]] += 1
-                if message.priority == SYNC:
-                    window.busy(now)
-                elif message.priority == BULK:
+                if message.priority == BULK:
                     bulk = True
-                    if size >= BULK_WRITE:
+                    if size >= flow.FRAGMENT:
                         break
         self.sent += len(chunks)
         data = b"".join(chunks) if self._auth is None else self._auth.seal(chunks, self._confirm)

@@ -11,6 +11,7 @@ from mesh_accidents import ACCIDENTS, recover, suffer
 from mesh_world import End, World
 from raw_hello import KEYS, hello
 
+from services.mesh.core.link import flow
 from services.mesh.core.link.outbox import LIMITS
 from services.mesh.core.relay import KeyRelay, matches
 from services.mesh.core.wire import frames, packets
@@ -291,7 +292,7 @@ def ask(world: World, name: str, count: int, size: int = 0) -> None:
 
 def fragmented(world: World, change: Callable[[End, bytes], bytes] | None = None) -> None:
     """The longest flood and the longest message that one packet holds, from r0 over r1 to r2, in the bulk class: both
-    are fragmented on their channels. Meanwhile r1 and r2 talk, so the fragments are small."""
+    are fragmented on their channels. Meanwhile r1 and r2 talk."""
     world.run(2.0)
     flood = FloodRequest("f", "x", bytes(range(256)) * 20, "bulk", False)
     flood = replace(flood, payload=flood.payload[: packets.MAX_SPREAD])
@@ -330,9 +331,9 @@ def test_a_large_flood_and_a_large_message_cross_authenticated_links_whole(tampe
     done: list[bytes] = []
 
     def flip(end: End, written: bytes) -> bytes:
-        if tampered and not done and end.robot == "r1" and world.now > 2.5 and len(written) > 900:
+        if tampered and not done and end.robot == "r1" and world.now > 2.5 and len(written) > flow.FRAGMENT:
             done.append(written)
-            return written[:500] + bytes((written[500] ^ 4,)) + written[501:]
+            return written[:200] + bytes((written[200] ^ 4,)) + written[201:]
         return written
 
     world.tap = flip

@@ -14,6 +14,11 @@ class FakeSession:
 
     def __init__(self):
         self.waiting = []
+        self.queue = self
+
+    @property
+    def bulk_waits(self):
+        return bool(self.waiting)
 
     def data_to_send(self, now, max_bytes):
         return self.waiting.pop(0) if self.waiting else b""
@@ -32,6 +37,9 @@ class FakeStation:
         self._take(end)
 
     accepted = _take
+
+    def flushed(self, session):
+        pass
 
     def dial_failed(self, peer, reason):
         self.failed.append((self.time.now, peer))

@@ -83,7 +83,7 @@ def test_no_small_message_waits_longer_than_the_window_and_a_write() -> None:
     note()
     transfer(link)
     assert link.now - start > 10.0
-    largest_write = flow.MIN_WINDOW + flow.LARGE_FRAGMENT + 20
+    largest_write = flow.MIN_WINDOW + flow.FRAGMENT + 20
     assert max(pings.delays()) <= 0.03 + (max(limits) + largest_write) / BANDWIDTH
     assert max(limits) < 10_000
 
@@ -224,6 +224,65 @@ def test_receipts_are_due_by_bytes() -> None:
     assert receipts.due(), "even without bulk"
 
 
+def test_what_a_robot_passes_on_by_the_piece_leaves_write_by_write() -> None:
+    """Without a pace a piece of six fragments stands in the socket at once, and takes 25 ms to leave it."""
+    link, size = Link(), 1924
+    standing: list[int] = []
+
+    def pass_on() -> None:
+        link.send(link.a, BULK, "piece", bytes(size))
+        link.at(link.now + size / (0.95 * BANDWIDTH), pass_on)
+
+    def note() -> None:
+        standing.append(sum(map(len, link.a.socket)))
+        link.at(link.now + 0.0017, note)
+
+    pass_on()
+    link.run(5.0)
+    note()
+    link.run(20.0)
+    write = flow.FRAGMENT + 40
+    assert statistics.quantiles(standing, n=100)[-1] <= write
+    assert max(standing) <= 2 * write
+    assert len(arrived(link.b, "piece")) >= 0.99 * 25.0 * 0.95 * BANDWIDTH / size
+
+
+def test_only_bulk_waits_for_the_pace() -> None:
+    window = SendWindow()
+    window.wrote(600, 0.0, bulk=True, waits=True)
+    assert window.free(0, 0.0) > 0, "no round trip is known yet"
+    window.on_ack(600, 0.06)
+    window.wrote(600, 0.1, bulk=True, waits=True)
+    assert window.next_bulk == pytest.approx(0.1 - flow.LATE + 600 * 0.06 / (flow.PACE * window.limit))
+    assert window.free(0, 0.1) == 0.0
+    assert window.free(0, window.next_bulk) > 0.0
+    outbox = Outbox(Counter())
+    outbox.push(SYNC, "s", b"", latest=False)
+    assert outbox.leaves(window.free(0, 0.1))
+    assert outbox.pop(window.free(0, 0.1)) is not None
+
+
+def test_a_link_that_was_silent_for_seconds_is_hardly_slower_afterwards() -> None:
+    link = Link()
+    link.send(link.a, BULK, "big", bytes(MIB))
+    link.run(3.0)
+    link.b.line.free_at = link.now + 2.5  # the other robot's radio is elsewhere
+    link.run(2.6)
+    taken = link.a.session.window.acknowledged
+    link.run(1.0)
+    assert link.a.session.window.acknowledged - taken >= 0.5 * BANDWIDTH
+
+
+def test_a_trial_ends_where_the_window_is_full_no_more() -> None:
+    link = Link()
+    link.send(link.a, BULK, "big", bytes(MIB))
+    assert link.run(10.0, lambda: link.a.session.window.limit > flow.FIRST_WINDOW)
+    link.a.session.queue.clear()
+    link.run(2.0)
+    link.send(link.a, BULK, "small", b"x")
+    assert link.a.session.window.limit == pytest.approx(flow.FIRST_WINDOW)
+
+
 def test_bulk_pushes_back_and_keeps_room_for_latest_values() -> None:
     counters: Counter[str] = Counter()
     outbox = Outbox(counters)
@@ -307,5 +366,5 @@ def test_control_is_never_held_back() -> None:
 
 
 def test_a_frame_of_a_fragment_fits_a_bluetooth_packet_of_three_slots() -> None:
-    first = encode_fragment(Fragment(1, 0, False, MIB, bytes(flow.LARGE_FRAGMENT)))
+    first = encode_fragment(Fragment(1, 0, False, MIB, bytes(flow.FRAGMENT)))
     assert len(first) + frames.TAG_SIZE <= 552 - 4 - 6, "3-DH3, without the headers of L2CAP and RFCOMM"

@@ -34,7 +34,7 @@ sizes = st.one_of(st.integers(0, 3000), st.integers(0, 100_000))
 @settings(deadline=None)
 @given(
     st.lists(st.tuples(st.sampled_from("abcde"), sizes), max_size=25),
-    st.lists(st.sampled_from((flow.SMALL_FRAGMENT, flow.LARGE_FRAGMENT)), min_size=1, max_size=7),
+    st.lists(st.sampled_from((100, flow.FRAGMENT, 488)), min_size=1, max_size=7),
 )
 def test_whatever_is_interleaved_comes_out_whole_and_in_the_order_of_its_key(
     messages: list[tuple[str, int]], cuts: list[int]
