@@ -262,9 +262,9 @@ class Mesh:
                     self._transport.flush(session)
             self.carry_out()
 
-    def flushed(self, session: Session) -> None:
-        """A session has given all that leaves now. Where its pace holds bulk back, it is flushed again in time."""
-        if self._surroundings.now < (at := session.resumes) < math.inf:
+    def flushed(self, session: Session, now: float) -> None:
+        """A session has given all that leaves at `now`. Where its pace holds bulk back, it is flushed again in time."""
+        if now < (at := session.resumes) < math.inf:
             self._paced[session] = at
             if self._deadline is None or at < self._deadline:
                 self._deadline = at

@@ -181,9 +181,10 @@ class Sockets:
     def _flush(self, session: Session, pipe: Pipe) -> None:
         calm = not pipe.restless
         while pipe.flush():
-            data = session.data_to_send(clock.now(), _CHUNK)
+            now = clock.now()
+            data = session.data_to_send(now, _CHUNK)
             if not data:
-                self._mesh.flushed(session)
+                self._mesh.flushed(session, now)
                 if self._blocked.pop(session, None) is not None:
                     self._other_pipes = True
                 break

@@ -128,7 +128,7 @@ class Station:
 
     def flushed(self, session: Session) -> None:
         """A session has given all that leaves now."""
-        self._mesh.flushed(session)
+        self._mesh.flushed(session, self.time.now)
 
     @property
     def running(self) -> bool:

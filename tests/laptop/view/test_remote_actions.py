@@ -250,23 +250,24 @@ def test_parameters_go_over_ssh_where_no_bus_is_near(far: Far) -> None:
             control.do(asked | bad)
 
 
+def show_link(far: Far, state: str) -> None:
+    """Let r0 tell its link with r1."""
+    with far.view.lock:
+        far.view.picture.put("r0", "mesh/links", {"links": [{"peer": "r1", "state": state}]}, 0.0)
+
+
 def test_a_link_that_stays_up_is_named_and_who_cannot_be_told(far: Far, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "CUT_S", 0.1)
     monkeypatch.setattr(module, "MEND_S", 0.1)
     far.add("r0")
     far.add("r1", up=False)
     far.begin("r0")
-
-    def link(state: str) -> None:
-        with far.view.lock:
-            far.view.picture.put("r0", "mesh/links", {"links": [{"peer": "r1", "state": state}]}, 0.0)
-
-    link("up")
+    show_link(far, "up")
     assert far.do("cut", robot="r1", peer="r0", seconds=60) == "r1 - r0: to be cut for 60 s"
     far.told("r1 the link to r0 is still up: is the release of its mesh older than this program?")
     published = far.view.buses["r0"].published
     assert ("swarm/r0/mesh/set/hold", HoldLink("r1", 60.0)) in published
-    link("down")
+    show_link(far, "down")
     assert far.do("cut", robot="r0", peer="r1", seconds=0) == "r0 - r1: to be mended"
     far.told("r1 it cannot be told to mend the link r0 - r1: it runs no ssh server")
     far.told("r0 the link to r1 is still down")
@@ -275,6 +276,28 @@ def test_a_link_that_stays_up_is_named_and_who_cannot_be_told(far: Far, monkeypa
     far.do("cut", robot="r0", peer="r1", seconds=60)
     far.told("r1 it cannot be told to cut the link r0 - r1: it runs no ssh server")
     assert last_sent(far, "/set/hold") == ("swarm/r0/mesh/set/hold", HoldLink("r1", 0.0))
+
+
+def test_a_cut_that_a_bus_has_lost_is_told_again_until_it_is_in_force(
+    far: Far, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "AGAIN_S", 0.0)
+    monkeypatch.setattr(module, "_LOOK_EVERY_S", 0.01)
+    monkeypatch.setattr(module, "CUT_S", 1e3)
+    far.add("r0")
+    far.add("r1", up=False)
+    far.begin("r0")
+    published = far.view.buses["r0"].published
+    order = ("swarm/r0/mesh/set/hold", HoldLink("r1", 60.0))
+    show_link(far, "up")
+    far.do("cut", robot="r0", peer="r1", seconds=60)
+    wait_until(lambda: published.count(order) >= 3)
+    show_link(far, "down")
+    wait_until(lambda: not far.actions._tasks)
+    count = published.count(order)
+    far.do("cut", robot="r0", peer="r1", seconds=0)
+    wait_until(lambda: published.count(("swarm/r0/mesh/set/hold", HoldLink("r1", 0.0))) >= 3)
+    assert published.count(order) == count
 
 
 def test_bad_orders_reach_no_robot(far: Far) -> None:

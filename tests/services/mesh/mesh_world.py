@@ -296,7 +296,7 @@ class World(TimedWorld):
         self._resume(end)
 
     def _resume(self, end: End) -> None:
-        """Go on when the pace of what waits allows it, as `Mesh.data_to_send` does."""
+        """Go on when the pace of what waits allows it, as `Mesh.flushed` does."""
         assert end.session is not None
         if self.now < (at := end.session.resumes) < NEVER and at != end.resumes:
             end.resumes = at

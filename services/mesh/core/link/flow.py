@@ -32,8 +32,9 @@ from services.mesh.core.wire import frames
 from swarm.errors import FrameError
 
 FRAGMENT = 328
-"""Bytes of a message in one fragment, and of bulk in one write: 4.2 ms at Bluetooth's 78 kB/s. What is handed over
-cannot be overtaken, and smaller writes cost more work and more of the radio's time."""
+"""Bytes of a message in one fragment. A write ends when it holds so many with bulk among them: 4.4 ms at Bluetooth's
+78 kB/s with all headers. What is handed over cannot be overtaken, and smaller writes cost more work and more of the
+radio's time."""
 
 MAX_INCOMPLETE = 64
 """Messages of one peer that may be incomplete at the same time."""
@@ -176,6 +177,9 @@ SLACK = 0.07
 link much slower than expected. Jitter stays far below it. A longer round trip is not smoothed either: a link that was
 silent for seconds is not to keep a slow pace for seconds afterwards."""
 
+RELIEF = 0.7
+"""Factor of the window then, once a round trip."""
+
 PACE = 0.9
 """Share of the window that leaves in a smoothed round trip. It is below one so that bulk waits here, where a stop
 overtakes it, on a link that is a little slower than the one that it came by."""
@@ -183,17 +187,14 @@ overtakes it, on a link that is a little slower than the one that it came by."""
 LATE = 0.001
 """Seconds of pace that a write makes up for which leaves late."""
 
-RELIEF = 0.7
-"""Factor of the window then, once a round trip."""
-
 PERIOD = 0.1
 """Seconds over which a rate is measured at least;"""
 
 ROUND_TRIPS = 8
 """and in round trips."""
 
-FADES = 0.98
-"""Factor by which the highest rate is forgotten in a period."""
+KEPT_RATES = 5
+"""Periods whose median rate a trial is compared with."""
 
 REST = 4
 """Periods between two trials."""
@@ -264,16 +265,15 @@ class SendWindow:
         self._round_trips = RoundTrips()
         self._relieved = 0.0
         self._since: float | None = None
-        """Since when the window has been full, or since the last measurement of the rate."""
+        """Since when bulk has waited for the window or its pace, or since the last measurement of the rate."""
         self._from = 0
         self._trial = 0.0
         """The factor that is being tried; 0 = none."""
         self._trial_until = 0.0
         self._next_trial = LARGER
         self._rest = FIRST_REST
-        self._rate = 0.0
-        """The highest rate of late with the window as it was before the trial, bytes/s. Not a mean: a gap between two
-        messages would lower it, and let a larger window look better than it is."""
+        self._rates: list[float] = []
+        """The last rates with the window as it was before the trial, bytes/s."""
 
     @property
     def in_flight(self) -> int:
@@ -281,8 +281,8 @@ class SendWindow:
         return self.sent - self.acknowledged
 
     def free(self, size: int, now: float) -> float:
-        """Bytes that may still leave when `size` are about to be written. Bulk needs a positive number; sync may make
-        it as low as -`SYNC_EXTRA`."""
+        """Bytes that may still leave when `size` are about to be written. Bulk needs a positive number, which there is
+        none of before its time has come; sync may make it as low as -`SYNC_EXTRA`."""
         free = self.limit - (self.sent - self.acknowledged) - size
         return free if now >= self.next_bulk else min(free, 0.0)
 
@@ -291,7 +291,9 @@ class SendWindow:
         self.sent += size
         if bulk:
             self._marks.append((self.sent, now))
-            self.next_bulk = max(self.next_bulk, now - LATE) + size * self._round_trips.smoothed / (PACE * self.limit)
+            # Bulk also leaves before its time, as its share beside sync: however much does, the next waits for one write.
+            due = max(min(self.next_bulk, now), now - LATE)
+            self.next_bulk = due + size * self._round_trips.smoothed / (PACE * self.limit)
         if not waits:
             self._since = None
             if self._trial and now >= self._trial_until:
@@ -325,8 +327,11 @@ class SendWindow:
                 self._trial_until = now + 2.0 * period
 
     def _on_round_trip(self, rtt: float, now: float) -> None:
-        too_long = rtt > 2.0 * self._round_trips.least + SLACK
-        self._round_trips.add(rtt, now, usual=not too_long)
+        round_trips = self._round_trips
+        too_long = rtt > 2.0 * round_trips.least + SLACK
+        round_trips.add(rtt, now, usual=not too_long)
+        if round_trips.smoothed > 2.0 * round_trips.least + SLACK:
+            round_trips.smoothed = rtt  # the first ones were too long, as is seen now
         if too_long and now >= self._relieved + rtt:
             self._relieved = now
             self._set(self.limit * RELIEF)
@@ -338,18 +343,20 @@ class SendWindow:
 
     def _judge(self, rate: float) -> None:
         """Once in a period during which the window was full."""
+        # Not the mean: a gap between two messages would let a larger window look better than it is.
+        usual = sorted(self._rates)[len(self._rates) // 2] if self._rates else 0.0
         if self._trial:
-            if rate > self._rate * (GAIN if self._trial > 1.0 else LOSS):
+            if rate > usual * (GAIN if self._trial > 1.0 else LOSS):
                 # As good as hoped, or not as bad as feared: keep it, and go on in that direction.
-                self._rate = rate
+                self._rates = [rate]
                 self._try(FASTER if self._trial > 1.0 else SMALLER)
                 return
             self._end_trial(SMALLER if self._trial > 1.0 else LARGER)
             return
-        if rate < COLLAPSE * self._rate:
-            self._set(self.limit * rate / self._rate)
-            self._rate = rate
-        self._rate = max(rate, FADES * self._rate)
+        if rate < COLLAPSE * usual:
+            self._set(self.limit * rate / usual)
+            self._rates = []
+        self._rates = [*self._rates, rate][-KEPT_RATES:]
         self._rest -= 1
         if self._rest <= 0:
             self._try(self._next_trial)

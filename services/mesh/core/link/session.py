@@ -139,7 +139,7 @@ class Session:
 
     @property
     def wants_to_send(self) -> bool:
-        """Whether `data_to_send` has something."""
+        """Whether `data_to_send` has something, now or when the pace of bulk allows it."""
         if self._urgent or self._heartbeat_due or (self._receipts.due() and self.is_up):
             return True
         return self.queue.waiting > 0 and self.queue.leaves(self.window.free(0, _NEVER))

@@ -273,6 +273,37 @@ def test_a_link_that_was_silent_for_seconds_is_hardly_slower_afterwards() -> Non
     assert link.a.session.window.acknowledged - taken >= 0.5 * BANDWIDTH
 
 
+@pytest.mark.parametrize("size", [100, 300, 1000])
+def test_bulk_does_not_stand_still_after_a_flood_of_sync(size: int) -> None:
+    """In the flood bulk leaves as sync's share for it, before its time; those writes must not add up to minutes."""
+    link = Link()
+    ends = link.now + 30.0
+
+    def flood() -> None:
+        link.send(link.a, SYNC, "flood", bytes(size))
+        if link.now < ends:
+            link.at(link.now + (size + 20) / (1.2 * BANDWIDTH), flood)
+
+    flood()
+    link.send(link.a, BULK, "big", bytes(MIB))
+    link.run(30.0)
+    assert link.a.session.window.next_bulk <= link.now + 1.0
+    link.run(2.0)
+    taken = link.a.session.window.acknowledged
+    link.run(1.0)
+    assert link.a.session.window.acknowledged - taken >= 5000
+
+
+def test_a_link_whose_first_round_trip_is_long_is_hardly_slower_afterwards() -> None:
+    link = Link()
+    link.b.line.free_at = link.now + 2.0
+    link.send(link.a, BULK, "big", bytes(MIB))
+    link.run(3.2)
+    taken = link.a.session.window.acknowledged
+    link.run(1.0)
+    assert link.a.session.window.acknowledged - taken >= 0.8 * BANDWIDTH
+
+
 def test_a_trial_ends_where_the_window_is_full_no_more() -> None:
     link = Link()
     link.send(link.a, BULK, "big", bytes(MIB))
