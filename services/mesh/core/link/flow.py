@@ -291,7 +291,7 @@ class SendWindow:
         self.sent += size
         if bulk:
             self._marks.append((self.sent, now))
-            # Bulk also leaves before its time, as its share beside sync: however much does, the next waits for one write.
+            # Bulk may leave before its time, as its share beside sync. The next one still waits for one write only.
             due = max(min(self.next_bulk, now), now - LATE)
             self.next_bulk = due + size * self._round_trips.smoothed / (PACE * self.limit)
         if not waits:
