@@ -180,7 +180,7 @@ def test_a_rebooted_robot_of_a_replay_is_taken_in_when_its_dwm_service_is_there(
     there.clear()
     for file in (rig.directory / "r2").glob("app.*"):
         file.unlink()
-    rig.progress.pop("r2")
+    rig.progress.pop("r2", None)  # it may have been killed before it told any
     rig.start("r2", "apps", "localization", *DROP, SWARM_STATE=states["r2"])
     rig.until(lambda: "r2" in rig.progress and rig.progress["r2"].phase == "waiting", "r2 waits")
     rig.until_k(rig.state["r0"].k + 50, "r0", "r1")
