@@ -222,16 +222,29 @@ def test_a_robot_drives_by_keyboard_and_stops_when_the_key_is_let_go(robot: Robo
     def demanded() -> float:
         return robot.states[-1].demanded_speed
 
+    def drives(key: bytes, sign: int) -> None:
+        """Press a key until the robot drives as it says: one that has just fallen stays where it is."""
+        since: list[BalancerState] = []
+
+        def driven() -> bool:
+            return any(sign * each.demanded_speed > 0.05 for each in since)
+
+        while not driven():
+            robot.wait_balancing()
+            heard = len(robot.states)
+            os.write(terminal, key)
+
+            def seen(heard: int = heard) -> bool:
+                since[:] = robot.states[heard:]
+                return driven() or any(each.mode == "fault" for each in since)
+
+            wait_until(seen, what=lambda: f"it drives by {key!r}: {robot.states[-1]}")
+
     with begun():
         assert not termios.tcgetattr(end)[3] & termios.ECHO
-        robot.wait_balancing()
-        heard = len(robot.states)
-        os.write(terminal, b"w")
-        wait_until(lambda: any(each.demanded_speed > 0.05 for each in robot.states[heard:]), what="it drives forward")
+        drives(b"w", 1)
         wait_until(lambda: demanded() == 0.0, what="it stops: no key has come again")
-        heard = len(robot.states)
-        os.write(terminal, b"\x1b[B")
-        wait_until(lambda: any(each.demanded_speed < -0.05 for each in robot.states[heard:]), what="it drives backward")
+        drives(b"\x1b[B", -1)
     assert termios.tcgetattr(end) == before
     wait_until(lambda: demanded() == 0.0, what="it stops: nobody drives it")
 
