@@ -113,14 +113,17 @@ def troubled(graph: str, seconds: float, seed: int, trouble: Trouble, *, links: 
     return watched.pace(CHOSEN), topology.hub.robot if topology.hub is not None else "r0"
 
 
+def overlays_of(run: VirtualRun, robot: str) -> Overlays:
+    """Return the client of the overlays on the bus of a robot."""
+    world = run.world
+    return Overlays(VirtualBus(world.robots[robot].router), robot, "bench", now=lambda: world.time.now, prefix=robot)
+
+
 def transfer(graph: str, seconds: float, seed: int, size: int) -> tuple[float, float, float]:
     """Return s an iteration in quiet and while r1 sends r2 a large message, and s that the message takes."""
     watched = Watched(graph, seconds, seed, "--links", "auto")
     world = watched.run.world
-    r1, r2 = (
-        Overlays(VirtualBus(world.robots[name].router), name, "bench", now=lambda: world.time.now, prefix=name)
-        for name in ("r1", "r2")
-    )
+    r1, r2 = (overlays_of(watched.run, name) for name in ("r1", "r2"))
     moments: list[float] = []
     payload = bytes(size)
     r2.on_message(lambda sender, data: moments.append(world.time.now))

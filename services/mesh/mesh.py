@@ -137,7 +137,7 @@ class Mesh:
         self._deadline: float | None = None
         """The deadline that the transport was told last; None after that time has come."""
         self._paced: dict[Session, float] = {}
-        """When sessions go on with bulk that their pace holds back."""
+        """The times at which sessions are flushed again, since the pace of their bulk holds it back until then."""
         self._changed = False
         """Whether a report is planned."""
         self._reporting, self._keeping = threading.Lock(), threading.Lock()
@@ -295,7 +295,7 @@ class Mesh:
                     outside(self._keep_topology)  # before the bus hears of it
                 elif kind is WriteStops:
                     outside(self._write_stops)
-        deadline = min(node.next_deadline(), *self._paced.values()) if self._paced else node.next_deadline()
+        deadline = min((node.next_deadline(), *self._paced.values()))
         if deadline != self._deadline:
             self._deadline = deadline
             transport.wake(deadline)

@@ -46,7 +46,7 @@ CUT_S, MEND_S = 8.0, 15.0
 the latest."""
 
 AGAIN_S = 3.0
-"""Seconds after which robots are told of a link again that is not cut or not up: a bus may lose what is said."""
+"""Seconds after which robots are told again to cut or mend a link that is not so yet: a bus may lose what is said."""
 
 APPS = "view/apps"
 """Topic of the apps that were started on a real robot, running or not. The laptop adds it."""
@@ -258,11 +258,12 @@ class RemoteActions:
         await _all(map(one, self._hosts.values()))
 
     async def _hold(self, ends: tuple[str, str], seconds: float, number: int) -> None:
-        """Have a link held down, or let up. One end suffices for the first; who holds it is to be told the second."""
+        """Have a link held down, or let up. One near end suffices to cut it. Both are told to mend it, since either may
+        hold it."""
         failed = f"it cannot be told to {'cut' if seconds else 'mend'} the link {' - '.join(ends)}"
         sides = [(self._hosts[robot], peer) for robot, peer in (ends, ends[::-1])]
         near = [side for side in sides if self._is_near(side[0])]
-        told: list[tuple[Host, str]] = []
+        told: set[tuple[Host, str]] = set()
 
         async def tell(host: Host, peer: str) -> str:
             async with self._turn(_link(peer), host):
@@ -272,26 +273,20 @@ class RemoteActions:
 
         async def one(host: Host, peer: str) -> None:
             if await self._try(host, tell(host, peer), failed) is not None:
-                told.append((host, peer))
+                told.add((host, peer))
 
         await _all(one(*side) for side in (near if near and seconds else sides))
         end = clock.now() + (CUT_S if seconds else MEND_S)
         again = clock.now() + AGAIN_S
         while told and self._is_up(*ends) == bool(seconds) and self._newest[ends[0], _link(ends[1])] == number:
             if clock.now() > again:
-                await _all(self._tell_again(host, tell(host, peer)) for host, peer in told)
+                await _all(one(*side) for side in tuple(told))
                 again = clock.now() + AGAIN_S
             if clock.now() > end:
                 wrong = "still up: is the release of its mesh older than this program?" if seconds else "still down"
                 self._note(ends[0], "warning", f"the link to {ends[1]} is {wrong}")
                 return
             await asyncio.sleep(_LOOK_EVERY_S)
-
-    async def _tell_again(self, host: Host, work: Awaitable[str]) -> None:
-        """Tell a robot once more what it was told before, since a bus may lose it."""
-        with contextlib.suppress(TimeoutError, SwarmError, *MISUNDERSTOOD):
-            async with asyncio.timeout(TIMEOUT_S):
-                await work
 
     async def _say(self, host: Host, name: str, message: object) -> None:
         """Something on a robot's bus, by the connection that there is, else by one of its own."""

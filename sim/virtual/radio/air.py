@@ -201,12 +201,11 @@ class Air:
                 self._plan(end, end.line.push(data, now))
                 if len(data) < FRAGMENT and not session.queue.bulk_waits:
                     break  # nothing more may leave now, which a second question would only confirm
-            end.station.flushed(session)
-            return
-        while sum(map(len, end.socket)) < SOCKET and (data := session.data_to_send(end.station.time.now, CHUNK)):
-            end.socket.append(data)
+        else:
+            while sum(map(len, end.socket)) < SOCKET and (data := session.data_to_send(end.station.time.now, CHUNK)):
+                end.socket.append(data)
+            self._send(end)
         end.station.flushed(session)
-        self._send(end)
 
     def close(self, end: ConnectionEnd) -> None:
         """Close an end: the other one hears of it as of everything else."""

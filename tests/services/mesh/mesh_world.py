@@ -266,6 +266,7 @@ class World(TimedWorld):
         assert end.session is not None
         if self.air.bandwidth is not None:
             self._write(end)
+            self._resume(end)
             return
         while data := end.session.data_to_send(self.now, 4096):
             if self.tap is not None:
@@ -293,7 +294,6 @@ class World(TimedWorld):
         if waited and not end.waits:
             end.waits = True
             self.at(line.free_at, lambda: self._go_on(end))
-        self._resume(end)
 
     def _resume(self, end: End) -> None:
         """Go on when the pace of what waits allows it, as `Mesh.flushed` does."""
@@ -305,7 +305,7 @@ class World(TimedWorld):
     def _go_on(self, end: End) -> None:
         end.waits = False
         if end.alive:
-            self._write(end)
+            self._flush(end)
 
     def send(self, end: End, data: bytes) -> None:
         """Put bytes on the way to the other end."""

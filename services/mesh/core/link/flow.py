@@ -181,11 +181,11 @@ RELIEF = 0.7
 """Factor of the window then, once a round trip."""
 
 PACE = 0.9
-"""Share of the window that leaves in a smoothed round trip. It is below one so that bulk waits here, where a stop
-overtakes it, on a link that is a little slower than the one that it came by."""
+"""Share of the window that leaves in a smoothed round trip. It is below one, so that bulk comes to the link no faster
+than the link carries it. What has to wait then waits here, where a stop overtakes it."""
 
 LATE = 0.001
-"""Seconds of pace that a write makes up for which leaves late."""
+"""Seconds by which a write may leave late without a delay of those after it."""
 
 PERIOD = 0.1
 """Seconds over which a rate is measured at least;"""
@@ -270,6 +270,7 @@ class SendWindow:
         self._trial = 0.0
         """The factor that is being tried; 0 = none."""
         self._trial_until = 0.0
+        """The time from which a trial ends when no bulk waits, since it cannot be judged then."""
         self._next_trial = LARGER
         self._rest = FIRST_REST
         self._rates: list[float] = []
@@ -281,8 +282,8 @@ class SendWindow:
         return self.sent - self.acknowledged
 
     def free(self, size: int, now: float) -> float:
-        """Bytes that may still leave when `size` are about to be written. Bulk needs a positive number, which there is
-        none of before its time has come; sync may make it as low as -`SYNC_EXTRA`."""
+        """Bytes that may still leave when `size` are about to be written. Bulk needs a positive number, and there is
+        none before `next_bulk`; sync may make it as low as -`SYNC_EXTRA`."""
         free = self.limit - (self.sent - self.acknowledged) - size
         return free if now >= self.next_bulk else min(free, 0.0)
 
@@ -291,13 +292,13 @@ class SendWindow:
         self.sent += size
         if bulk:
             self._marks.append((self.sent, now))
-            # Bulk may leave before its time, as its share beside sync. The next one still waits for one write only.
+            # Bulk may leave before its time, as its share beside sync. The next bulk then waits for the time of this
+            # write alone, not for that of all such writes.
             due = max(min(self.next_bulk, now), now - LATE)
             self.next_bulk = due + size * self._round_trips.smoothed / (PACE * self.limit)
         if not waits:
             self._since = None
             if self._trial and now >= self._trial_until:
-                # It would last for as long as the window is not full throughout a period.
                 self._end_trial(self._trial)
         elif self._since is None and self.free(0, now) <= 0.0:
             self._begin(now)
@@ -327,23 +328,26 @@ class SendWindow:
                 self._trial_until = now + 2.0 * period
 
     def _on_round_trip(self, rtt: float, now: float) -> None:
-        round_trips = self._round_trips
-        too_long = rtt > 2.0 * round_trips.least + SLACK
-        round_trips.add(rtt, now, usual=not too_long)
-        if round_trips.smoothed > 2.0 * round_trips.least + SLACK:
-            round_trips.smoothed = rtt  # the first ones were too long, as is seen now
+        too_long = self._is_too_long(rtt)
+        self._round_trips.add(rtt, now, usual=not too_long)
+        if self._is_too_long(self._round_trips.smoothed):
+            # The first round trips had nothing to be compared with. A shorter one shows now that they were too long.
+            self._round_trips.smoothed = rtt
         if too_long and now >= self._relieved + rtt:
             self._relieved = now
             self._set(self.limit * RELIEF)
             self._rest, self._trial, self._since = REST, 0.0, None
+
+    def _is_too_long(self, rtt: float) -> bool:
+        return rtt > 2.0 * self._round_trips.least + SLACK
 
     def _begin(self, now: float) -> None:
         """Measure the rate from now on."""
         self._since, self._from = now, self.acknowledged
 
     def _judge(self, rate: float) -> None:
-        """Once in a period during which the window was full."""
-        # Not the mean: a gap between two messages would let a larger window look better than it is.
+        """Once in a period during which bulk waited."""
+        # The median, not the mean: a gap between two messages would let a larger window look better than it is.
         usual = sorted(self._rates)[len(self._rates) // 2] if self._rates else 0.0
         if self._trial:
             if rate > usual * (GAIN if self._trial > 1.0 else LOSS):

@@ -51,7 +51,7 @@ class RoundTrips:
         return min(self._least)
 
     def add(self, rtt: float, now: float, *, usual: bool = True) -> None:
-        """Note one; it is smoothed where it is `usual`, or the first one."""
+        """Note a round trip. It is smoothed if it is `usual`, or if it is the first one."""
         if self.smoothed and usual:
             self.deviation += _DEVIATION_GAIN * (abs(rtt - self.smoothed) - self.deviation)
             self.smoothed += _RTT_GAIN * (rtt - self.smoothed)

@@ -146,7 +146,7 @@ class Session:
 
     @property
     def resumes(self) -> float:
-        """The time at which bulk leaves that only its pace holds back; infinite where there is none."""
+        """The time at which bulk may leave that only its pace holds back, s; infinite where there is none."""
         window = self.window
         held = self.is_up and self.queue.bulk_waits and window.free(0, window.next_bulk) > 0
         return window.next_bulk if held else _NEVER

@@ -2,11 +2,10 @@
 
 import pytest
 
+from bench.radio.swarm import overlays_of
 from sim.scenario.options import parse
 from sim.scenario.scenario import build
-from sim.virtual.bus import VirtualBus
 from sim.virtual.run import PLACE, VirtualRun
-from swarm.app.overlays import Overlays
 
 BANDWIDTH = 78_000.0
 SIZE = 300_000
@@ -19,10 +18,7 @@ def test_a_large_message_over_three_hops_uses_the_links_and_lockstep_goes_on(app
     options = parse([*arguments, "--virtual", "--seconds", "14"])
     run = VirtualRun(options, build(options, PLACE))
     time = run.world.time
-    r0, r3 = (
-        Overlays(VirtualBus(run.world.robots[name].router), name, "test", now=lambda: time.now, prefix=name)
-        for name in ("r0", "r3")
-    )
+    r0, r3 = (overlays_of(run, name) for name in ("r0", "r3"))
     arrived: list[tuple[float, bytes]] = []
     r3.on_message(lambda sender, data: arrived.append((time.now, data)))
     payload = bytes(range(250)) * (SIZE // 250)
