@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from laptop.fleet.ssh import robot_command
+from laptop.fleet.ssh.remote_text import copy_text
 from laptop.fleet.ssh.ssh import Host, HostError, Ssh, hosts
 from services.dwm.calibrate import __main__ as calibrate
 from swarm.config import Config, load
@@ -65,7 +66,12 @@ def _measure(ssh: Ssh, host: Host, options: argparse.Namespace, config: Config) 
     sys.stdout.flush()
     try:
         # The terminal stays ours, line by line: Enter, n, r and q go to the robot, or its own buttons are used.
-        code = subprocess.run(ssh.arguments(host, robot_command.words(host, words)), check=False).returncode
+        with subprocess.Popen(
+            ssh.arguments(host, robot_command.words(host, words)), stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+        ) as process:
+            assert process.stdout is not None
+            copy_text(process.stdout, sys.stdout)
+        code = process.returncode
     except FileNotFoundError:
         raise LocalError("there is no ssh here: sudo apt-get install openssh-client") from None
     try:

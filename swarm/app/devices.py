@@ -31,6 +31,8 @@ from swarm.messages.keys import key
 
 LED_CLAIM, LED_REPEAT = 3.0, 1.0
 """Seconds for which LEDs and display are claimed, and after which they are claimed again."""
+MOST_PRESSES = 100
+"""Presses between two messages of which the app is told."""
 DRIVE_CLAIM, DRIVE_REPEAT = 0.5, 0.2
 """The same for driving. A robot whose app has died stops within half a second."""
 SILENT = 2.0
@@ -259,5 +261,5 @@ class Devices:
         if any(new < old for old, new in zip(before, presses, strict=True)):
             before = (0, 0, 0)
         for name, old, new in zip(BUTTONS, before, presses, strict=True):
-            for _ in range(new - old):
+            for _ in range(min(new - old, MOST_PRESSES)):
                 self._on_button(name)

@@ -310,14 +310,15 @@ class Bus:
         """Runs in its own thread: `zenoh.open` waits without end, and no signal would interrupt it. So it is called
         when there is a socket."""
         socket = Path(self._endpoint.removeprefix(f"{ENDPOINT_PROTOCOL}/"))
-        while not socket.exists():
-            if self._ended.wait(_LOOK_S):
+        session = None
+        while session is None:
+            try:
+                if socket.exists():
+                    session = zenoh.open(zenoh.Config.from_json5(self._config))
+            except zenoh.ZError as error:
+                _log.error("the bus cannot be opened endpoint=%s error=%s", self._endpoint, text(error))
+            if session is None and self._ended.wait(_LOOK_S):
                 return
-        try:
-            session = zenoh.open(zenoh.Config.from_json5(self._config))
-        except zenoh.ZError as error:
-            _log.error("the bus cannot be opened endpoint=%s error=%s", self._endpoint, text(error))
-            return
         while True:
             with self._lock:
                 pending, self._pending = self._pending, []

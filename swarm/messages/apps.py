@@ -45,7 +45,7 @@ class AppEpoch:
     k: int
     """The iteration at which it began."""
     members: tuple[str, ...]
-    links: tuple[tuple[str, ...], ...]
+    links: tuple[tuple[str, str], ...]
     """Pairs of members."""
     away: tuple[str, ...]
     """Robots that an operator has dropped."""

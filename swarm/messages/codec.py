@@ -49,6 +49,18 @@ def with_telemetry(topics: dict[tuple[str, str], type]) -> dict[tuple[str, str],
 
 
 @frozen
+class Letters:
+    """The most letters of a text, in the type of a message's field: see `Short`."""
+
+    most: int
+
+
+Short = Annotated[str, Letters(64)]
+"""A text that an answer or a log repeats, such as a name or a ticket: one without a bound would make the answer larger
+than the bus takes."""
+
+
+@frozen
 class Between:
     """The range of a whole number, in the type of a message's field: `Annotated[int, Between(0, 9)]` takes 0 to 9."""
 
@@ -152,9 +164,11 @@ def _checker(kind: Any, strict: bool) -> _Check:
         return _check_union(kind, strict)
     if origin is Annotated:
         (bounds,) = kind.__metadata__
-        return _check_range(bounds)
+        return _check_length(bounds) if isinstance(bounds, Letters) else _check_range(bounds)
     if origin is tuple and arguments[1:] == (...,):
         return _check_tuple(_checker(arguments[0], strict))
+    if origin is tuple:
+        return _check_places([_checker(each, strict) for each in arguments])
     if origin is dict and arguments[0] is str:
         return _check_dict(_checker(arguments[1], strict))
     if dataclasses.is_dataclass(kind):
@@ -195,6 +209,15 @@ def _check_range(bounds: Between) -> _Check:
         if type(value) is int and bounds.low <= value <= bounds.high:
             return value
         raise wrong(value, path, f"an integer from {bounds.low} to {bounds.high}")
+
+    return check
+
+
+def _check_length(bounds: Letters) -> _Check:
+    def check(value: object, path: str) -> str:
+        if type(value) is str and len(value) <= bounds.most:
+            return value
+        raise wrong(value, path, f"a text of at most {bounds.most} letters")
 
     return check
 
@@ -255,6 +278,19 @@ def _check_tuple(item: _Check) -> _Check:
         # Of a list: Python begins a tuple of unknown length with 10 places and cuts it, so that each one made of a
         # generator adds a block to the free list of its length, up to 2000 of every length.
         return tuple([item(entry, f"{path}[{index}]") for index, entry in enumerate(value)])
+
+    return check
+
+
+def _check_places(items: list[_Check]) -> _Check:
+    """Return the check of a tuple with a fixed number of entries."""
+
+    def check(value: object, path: str) -> tuple[Any, ...]:
+        if not isinstance(value, list) or len(value) != len(items):
+            raise wrong(value, path, f"a list of {len(items)}")
+        return tuple(
+            [item(entry, f"{path}[{index}]") for index, (item, entry) in enumerate(zip(items, value, strict=True))]
+        )
 
     return check
 

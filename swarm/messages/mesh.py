@@ -3,7 +3,7 @@
 from dataclasses import field
 
 from swarm.frozen import frozen
-from swarm.messages.codec import with_telemetry
+from swarm.messages.codec import Short, with_telemetry
 
 
 @frozen
@@ -100,7 +100,7 @@ class Arm:
     """Command on `mesh/set/arm`: take back every stop of the swarm that this robot knows of."""
 
     t: float
-    origin: str
+    origin: Short
     """The robot that takes them back."""
     age: float = 0.0
     """Seconds since the command was given first. A repeated command takes back only stops that the robot knew by then,
@@ -196,14 +196,14 @@ class Clock:
 class EchoRequest:
     """Measure a link: pings to a neighbour, on `mesh/set/echo`; each answer is an `Echo`."""
 
-    peer: str
+    peer: Short
     sequence: int
     """A number that the answers repeat."""
     size: int
     """Bytes of each ping's payload, at least 11."""
     count: int = 1
     """Pings sent at once."""
-    priority: str = "sync"
+    priority: Short = "sync"
     """sync or bulk."""
     short: bool = False
     """Whether the answers are short, to measure one direction, or as long as the pings."""
@@ -230,7 +230,7 @@ class HoldLink:
     """Command on `mesh/set/hold`: have no link with a neighbour for a while. One end suffices: it ends the connection
     and refuses others. `mesh/links` tells it."""
 
-    peer: str
+    peer: Short
     seconds: float
     """Seconds for which the link is held down, at most 600; 0: the link may come back now. A mesh that starts holds no
     link."""
@@ -240,11 +240,11 @@ class HoldLink:
 class TopologyRequest:
     """Command on `mesh/set/topology`: other links for the whole swarm; the answer is a `TopologySet`."""
 
-    ticket: str
+    ticket: Short
     """The name of this request. A repetition of it gets the same answer and is not carried out again."""
-    shape: str
+    shape: Short
     """line, loop, full, thesis-d, random:SEED or auto; empty if `edges` gives the links."""
-    edges: tuple[tuple[str, ...], ...]
+    edges: tuple[tuple[Short, Short], ...]
     """Pairs of robots."""
     after: int | None
     """The version that must be in force for the change; None = any."""
@@ -293,7 +293,7 @@ class Topology:
     """Whether the automatic rule changes it."""
     since: float
     """The time at which this robot took it over."""
-    edges: tuple[tuple[str, ...], ...]
+    edges: tuple[tuple[str, str], ...]
     """All neighbours of the swarm, each pair once."""
     wanted: tuple[str, ...]
     """The neighbours of this robot in this topology."""
@@ -304,7 +304,7 @@ class Topology:
     end."""
     missing: dict[str, str]
     """Robots out of reach that this robot has called, and why each call failed."""
-    links: tuple[tuple[str, ...], ...] = ()
+    links: tuple[tuple[str, str], ...] = ()
     """Links that carry the topology, where these are not its own."""
     hub: MeasuredHub | None = None
     """None where the hub is not chosen by measurement."""

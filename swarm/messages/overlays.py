@@ -1,7 +1,7 @@
 """Messages of the mesh's overlays for apps: floods, and messages to one robot."""
 
 from swarm.frozen import frozen
-from swarm.messages.codec import MAX_REQUEST, with_telemetry
+from swarm.messages.codec import MAX_REQUEST, Short, with_telemetry
 
 
 @frozen
@@ -12,11 +12,11 @@ class FloodRequest:
     """
 
     LIMIT = MAX_REQUEST
-    ticket: str
+    ticket: Short
     """The name of this request. A repetition of it gets the same answer and is not flooded again."""
-    app: str
+    app: Short
     payload: bytes
-    priority: str
+    priority: Short
     """control, sync or bulk."""
     announce: bool
     """Whether every robot is to learn that all have it."""
@@ -47,11 +47,11 @@ class SendRequest:
     """
 
     LIMIT = MAX_REQUEST
-    ticket: str
-    app: str
-    to: str
+    ticket: Short
+    app: Short
+    to: Short
     payload: bytes
-    priority: str
+    priority: Short
     timeout: float
     """Seconds after which the message is given up."""
 
@@ -60,7 +60,7 @@ class SendRequest:
 class Reminder:
     """Command on `mesh/set/remind`: tell the answer to a request again or, where there is none yet, a `Progress`."""
 
-    ticket: str
+    ticket: Short
 
 
 @frozen

@@ -25,6 +25,8 @@ DEFECT = 70
 """Exit code of a process that an unexpected error has ended (EX_SOFTWARE in sysexits.h). systemd starts it anew."""
 
 _ends_on_defects = threading.Event()
+_is_up = threading.Event()
+"""Set once this process has said that it does its work."""
 
 
 _SHOWN = 200
@@ -61,6 +63,8 @@ def notify(message: str, *, timeout_s: float = 1.0) -> None:
 
     Waits `timeout_s` at most for a systemd that hangs; 0 does not wait at all.
     """
+    if "READY=1" in message:
+        _is_up.set()
     address = os.environ.get("NOTIFY_SOCKET")
     if not address:
         return
@@ -94,17 +98,21 @@ def defect(error: BaseException, where: str) -> None:
 def run(main: Callable[[], int | None], about: str | None = None) -> None:
     """Run a process' main function: our own errors become one line on stderr and exit code 2.
 
-    Whatever else ends a thread of this process, the main one included, ends the process (see `defect`). `about` is what
-    `--help` prints of a service that takes no arguments.
+    Whatever else ends a thread of this process, the main one included, ends the process (see `defect`). So does one of
+    our own errors in a service that was ready: no wrong configuration, after which systemd would not start it again.
+    `about` is what `--help` prints of a service that takes no arguments.
     """
     guard()
     if about is not None and len(sys.argv) > 1:
         _refuse_arguments(about)
     threading.excepthook = _thread_ended
     end_on_defects(True)
+    _is_up.clear()
     try:
         code = main()
     except SwarmError as error:
+        if _is_up.is_set():
+            _main_thread_ended(error)
         path = Path(sys.argv[0])
         program = path.parent.name if path.name == "__main__.py" else path.name
         sys.stderr.write(f"{program}: {printable(str(error), None)}\n")
@@ -112,10 +120,14 @@ def run(main: Callable[[], int | None], about: str | None = None) -> None:
     except KeyboardInterrupt:
         code = 128 + signal.SIGINT
     except Exception as error:  # noqa: BLE001 - whatever it is, it is a defect
-        end_on_defects(True)  # the main thread comes back from nothing, whatever else is being stopped
-        code = DEFECT
-        defect(error, "the main thread")
+        _main_thread_ended(error)
     leave(code or 0)
+
+
+def _main_thread_ended(error: Exception) -> NoReturn:
+    end_on_defects(True)  # the main thread comes back from nothing, whatever else is being stopped
+    defect(error, "the main thread")
+    leave(DEFECT)
 
 
 def _refuse_arguments(about: str) -> NoReturn:

@@ -31,6 +31,7 @@ from pathlib import Path
 import swarm
 from laptop.fleet.release.install import pack
 from swarm.errors import LocalError
+from swarm.files import atomic_write
 from swarm.onboard.command_line import end_with
 from swarm.packages import HOME, PARTS
 
@@ -65,9 +66,7 @@ def build(folder: Path, machine: str, python: str, packages: Sequence[str] = (),
     files["ID"] = f"{identity}\n".encode()
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"balboa-swarm-{identity}.tar.gz"
-    new = path.with_name(path.name + ".new")
-    new.write_bytes(_archive(f"balboa-swarm-{identity}", files))
-    new.replace(path)
+    atomic_write(path, _archive(f"balboa-swarm-{identity}", files))
     return path
 
 

@@ -5,8 +5,10 @@ The far command has no terminal: its input is the keys' bytes and ends with the 
 
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 
+from laptop.fleet.ssh.remote_text import copy_text
 from laptop.fleet.ssh.ssh import Host, Ssh
 from swarm.errors import LocalError
 from swarm.onboard.body.keyboard import Keyboard
@@ -20,19 +22,26 @@ def run(ssh: Ssh, host: Host, command: str, on_line: Callable[[str], None]) -> i
     The terminal is as before afterwards. Raises `LocalError` where the robot is out of reach or the connection breaks.
     """
     try:
-        process = subprocess.Popen(ssh.arguments(host, command), stdin=None, stdout=subprocess.PIPE, text=True)
+        process = subprocess.Popen(
+            ssh.arguments(host, command), stdin=None, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        )
     except FileNotFoundError:
         raise LocalError("there is no ssh here: sudo apt-get install openssh-client") from None
     assert process.stdout is not None
+    assert process.stderr is not None
+    errors = threading.Thread(target=copy_text, args=(process.stderr, sys.stderr), daemon=True)
+    errors.start()
     try:
         with Keyboard(sys.stdin).raw():
             for line in process.stdout:
-                on_line(line.rstrip("\n"))
+                on_line(line.decode(errors="replace").rstrip("\n"))
             code = process.wait()
     finally:
         process.kill()  # where this was interrupted: the far command ends with its input
         process.wait()
         process.stdout.close()
+        errors.join()
+        process.stderr.close()
     if code == _CLIENT_FAILED:
         raise LocalError(f"{host.robot}: the connection is lost, or there was none; the robot stops by itself")
     return code

@@ -98,7 +98,7 @@ class EventHost:
         """Phase, robots waited for and reason that the observer was told last."""
         self._timer = Timer(runtime.at, self._handle_timer)
         self._closed = self._over = self._hung = False
-        self._edges: tuple[tuple[str, ...], ...] = ()
+        self._edges: tuple[tuple[str, str], ...] = ()
         self._sender = lru_cache(MOST_KEYS)(self._parse_key)
         record = None if observer is None else partial(observer.parameters, self.robot)
         self._changes = Changes(runtime, name, app, self._change, storage.parameters(name), place.run, record)

@@ -87,7 +87,7 @@ class RunLinks(NamedTuple):
 @frozen
 class _Kept:
     run: int
-    edges: tuple[tuple[str, ...], ...]
+    edges: tuple[tuple[str, str], ...]
 
 
 def of_run(service: Service, app: str, run: int) -> RunLinks | None:
@@ -124,7 +124,7 @@ def of_run(service: Service, app: str, run: int) -> RunLinks | None:
 
 def lacking(config: Config, topology: Topology, now: float) -> str:
     """Why a run cannot begin on a topology; empty where it can."""
-    reached = Graph(config.names, _pairs(topology.edges)).distances(config.names[0])
+    reached = Graph(config.names, topology.edges).distances(config.names[0])
     if len(reached) < len(config.names):
         missing = " ".join(name for name in config.names if name not in reached)
         return f"the automatic topology does not link all robots yet, not {missing}"
@@ -207,7 +207,7 @@ def _path(runtime: Path, app: str) -> Path:
     return runtime / f"app.{app}.topology"
 
 
-def _load(path: Path, run: int) -> tuple[tuple[str, ...], ...] | None:
+def _load(path: Path, run: int) -> tuple[tuple[str, str], ...] | None:
     try:
         kept = decode(_Kept, path.read_bytes(), str(path))
     except FileNotFoundError:
@@ -218,12 +218,8 @@ def _load(path: Path, run: int) -> tuple[tuple[str, ...], ...] | None:
     return kept.edges if kept.run == run else None
 
 
-def of_edges(config: Config, edges: tuple[tuple[str, ...], ...], *, kept: bool = False) -> RunLinks:
+def of_edges(config: Config, edges: tuple[tuple[str, str], ...], *, kept: bool = False) -> RunLinks:
     """Return the links of a run from the links in force."""
-    pairs = Graph(config.names, _pairs(edges)).edges
+    pairs = Graph(config.names, edges).edges
     epoch = CONFIGURED if pairs == config.edges else zlib.crc32(repr(pairs).encode()) or 1
     return RunLinks(replace(config, edges=pairs), epoch, kept)
-
-
-def _pairs(edges: tuple[tuple[str, ...], ...]) -> list[tuple[str, str]]:
-    return [(a, b) for a, b in edges]

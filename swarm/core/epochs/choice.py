@@ -14,7 +14,7 @@ def choose(
     request: EpochRequest,
     notes: Mapping[str, EpochNote],
     roster: Roster,
-    wanted: Iterable[tuple[str, ...]],
+    wanted: Iterable[tuple[str, str]],
     now: float,
 ) -> Epoch | None:
     """Return the epoch to offer: what may have been decided already, else what the proposer would have.
@@ -34,7 +34,8 @@ def choose(
     there = {**notes, **roster.newcomers(now, *request.add)}
     there = {n: note for n, note in there.items() if note.well and n not in away and roster.is_there(n, now)}
     deaf = {frozenset((n, other)) for n, note in there.items() for other in note.deaf}
-    edges = [(a, b) for a, b in wanted if a in there and b in there and frozenset((a, b)) not in deaf]
+    pairs = {(min(edge), max(edge)) for edge in wanted}
+    edges = sorted((a, b) for a, b in pairs if a != b and {a, b} <= there.keys() and frozenset((a, b)) not in deaf)
     parts = Graph(tuple(sorted(there)), edges).components()
     largest = max(parts, key=lambda part: (len(set(part) & set(members)), roster.me in part), default=())
     chosen = tuple(sorted(largest))
@@ -44,7 +45,7 @@ def choose(
         return None
     carried = tuple(n for n in chosen if n in notes and notes[n].k >= 0)
     k = min((notes[n].k for n in carried), default=epoch.k)
-    links = tuple(sorted(tuple(sorted(edge)) for edge in edges if edge[0] in chosen))
+    links = tuple(edge for edge in edges if edge[0] in chosen)
     restored = tuple(sorted({there[n].lost for n in chosen if there[n].lost}))
     return following(epoch, roster.me, k, chosen, carried, links, away, restored, forced=offer.forced)
 

@@ -154,7 +154,7 @@ class Epochs:
 
     # What the host tells
 
-    def take_links(self, edges: tuple[tuple[str, ...], ...]) -> None:
+    def take_links(self, edges: tuple[tuple[str, str], ...]) -> None:
         """The links of the topology in force."""
         if edges != self._edges:
             self._edges = edges

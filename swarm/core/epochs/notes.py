@@ -56,7 +56,7 @@ class Epoch:
     """The names of the members, sorted."""
     carried: tuple[str, ...]
     """The members that go on from x(k) of the epoch before; the others come with a value of their own."""
-    edges: tuple[tuple[str, ...], ...]
+    edges: tuple[tuple[str, str], ...]
     """Links among the members."""
     away: tuple[str, ...]
     """Robots that only the operator lets in again."""
@@ -68,7 +68,7 @@ class Epoch:
     @property
     def graph(self) -> Graph:
         """The members and their links: neighbours and weights follow from it."""
-        return Graph(self.members, [(a, b) for a, b in self.edges])
+        return Graph(self.members, self.edges)
 
     def supersedes(self, other: "Epoch") -> bool:
         """Whether robots of `other` leave it for this one. Where operators have made two of one counter, one of them
@@ -78,7 +78,7 @@ class Epoch:
         return (self.counter, self.number) > (other.counter, other.number)
 
 
-def first(members: tuple[str, ...], edges: tuple[tuple[str, ...], ...], number: int) -> Epoch:
+def first(members: tuple[str, ...], edges: tuple[tuple[str, str], ...], number: int) -> Epoch:
     """The epoch that a run begins with: nobody has agreed on it, `number` stands for the links."""
     names = tuple(sorted(members))
     return Epoch(number, 0, "", 0, 0, names, (), edges, (), (), forced=False)
@@ -90,7 +90,7 @@ def following(
     k: int,
     members: tuple[str, ...],
     carried: tuple[str, ...],
-    edges: tuple[tuple[str, ...], ...],
+    edges: tuple[tuple[str, str], ...],
     away: tuple[str, ...],
     restored: tuple[int, ...],
     *,
@@ -198,7 +198,7 @@ def _check(epoch: Epoch) -> None:
         members
         and epoch.members == tuple(sorted(members))
         and set(epoch.carried) <= members
-        and all(len(edge) == 2 and edge[0] != edge[1] and members.issuperset(edge) for edge in epoch.edges)
+        and all(edge[0] != edge[1] and members.issuperset(edge) for edge in epoch.edges)
         and len({frozenset(edge) for edge in epoch.edges}) == len(epoch.edges)
         and max(Counter(end for edge in epoch.edges for end in edge).values(), default=0) <= MAX_NEIGHBOURS
         and (epoch.counter == 0 or len(encode(epoch)) <= MAX_EPOCH)

@@ -54,7 +54,7 @@ class CollectedMesh:
         return max(told, key=lambda each: (each.version, each.step, each.issuer), default=None)
 
     @property
-    def carried(self) -> tuple[tuple[str, ...], ...]:
+    def carried(self) -> tuple[tuple[str, str], ...]:
         """The neighbours of the swarm where the links are not theirs."""
         return self.topology.edges if self.topology is not None and self.topology.links else ()
 

@@ -100,7 +100,7 @@ def table(answers: Answers[Topology]) -> list[str]:
     return [*columns(rows), "", *end]
 
 
-def _wish(words: list[str]) -> tuple[str, tuple[tuple[str, ...], ...]]:
+def _wish(words: list[str]) -> tuple[str, tuple[tuple[str, str], ...]]:
     """Parse a shape or a list of links."""
     if len(words) == 1 and is_name(words[0].partition(":")[0]) and _pair(words[0]) is None:
         return words[0], ()
@@ -121,7 +121,7 @@ def _pair(word: str) -> tuple[str, str] | None:
     return (a, b) if mark and is_name(a) and is_name(b) and (mark == ":" or "-" not in b) else None
 
 
-def _set(found: Mapping[str, Bus], shape: str, edges: tuple[tuple[str, ...], ...], after: int | None) -> int:
+def _set(found: Mapping[str, Bus], shape: str, edges: tuple[tuple[str, str], ...], after: int | None) -> int:
     """Ask the first robot whose bus is there; the version that is then in force, `LocalError` where it is refused."""
     name = next(name for name, bus in found.items() if bus.connected)
     wish = TopologyRequest(new_ticket(), shape, edges, after)

@@ -5,7 +5,17 @@ from typing import Any
 
 import pytest
 
-from swarm.app.devices import DRIVE_CLAIM, DRIVE_REPEAT, LED_CLAIM, LED_REPEAT, POSE_LOST, SILENT, Devices, PoseView
+from swarm.app.devices import (
+    DRIVE_CLAIM,
+    DRIVE_REPEAT,
+    LED_CLAIM,
+    LED_REPEAT,
+    MOST_PRESSES,
+    POSE_LOST,
+    SILENT,
+    Devices,
+    PoseView,
+)
 from swarm.errors import AppError
 from swarm.messages import BalancerState, Battery, Buttons, Pose, SetDisplay, SetLeds, SetMode, SetVelocity
 from swarm.messages.codec import encode
@@ -123,6 +133,8 @@ def test_presses_are_counted_held_buttons_are_seen(rig: Rig) -> None:
     assert presses == ["a", "a", "a", "b"]
     rig.bus.come("balancer/buttons", Buttons(0, False, False, True, 0, 0, 1))  # the balancer was started anew
     assert presses == ["a", "a", "a", "b", "c"]
+    rig.bus.come("balancer/buttons", Buttons(0, False, False, True, 2**62, 0, 1))
+    assert len(presses) == 5 + MOST_PRESSES
 
 
 def test_leds_are_claimed_again_and_what_is_left_out_stays(rig: Rig) -> None:

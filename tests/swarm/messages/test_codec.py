@@ -11,7 +11,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from swarm.errors import LocalError, PayloadError
-from swarm.messages.codec import MAX_PAYLOAD, Value, decode, encode, unpack
+from swarm.messages.codec import MAX_PAYLOAD, Short, Value, decode, encode, unpack
 
 KEY = "swarm/r0/test/thing"
 
@@ -177,7 +177,20 @@ def test_too_large_is_refused() -> None:
 
 @dataclass
 class Fixed:
-    pair: tuple[float, float]
+    pair: tuple[Short, float]
+
+
+def test_a_fixed_tuple_has_its_number_of_entries_and_a_short_text_its_letters() -> None:
+    assert decode(Fixed, msgpack.packb({"pair": ["a" * 64, 1]}), KEY) == Fixed(("a" * 64, 1.0))
+    for pair, error in (
+        (["a"], "pair: expected a list of 2"),
+        (["a", 1, 2], "pair: expected a list of 2"),
+        (["a", "b"], r"pair\[1\]: expected a finite number"),
+        (["a" * 65, 1], r"pair\[0\]: expected a text of at most 64 letters"),
+        ([1, 1], r"pair\[0\]: expected a text of at most 64 letters"),
+    ):
+        with pytest.raises(PayloadError, match=error):
+            decode(Fixed, msgpack.packb({"pair": pair}), KEY)
 
 
 @dataclass
@@ -190,7 +203,7 @@ class Unclear:
     either: tuple[int, ...] | tuple[str, ...]
 
 
-@pytest.mark.parametrize("kind", [Fixed, Loose, Unclear])
+@pytest.mark.parametrize("kind", [Loose, Unclear])
 def test_types_a_message_cannot_hold(kind: type) -> None:
     with pytest.raises(LocalError, match="messages cannot"):
         decode(kind, b"\x80", KEY)

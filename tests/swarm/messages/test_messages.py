@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from swarm.errors import PayloadError
 from swarm.messages import AppState, SetLeds, SetMode, Status, Stop, read, topics, type_of
-from swarm.messages.codec import decode, encode
+from swarm.messages.codec import Short, decode, encode
 from swarm.messages.keys import STOP, key
 from swarm.messages.service import MAX_STOP_TEXT, stop_payload
 
@@ -33,6 +33,8 @@ def strategy(kind: Any) -> st.SearchStrategy[Any]:
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):
         return st.one_of(*map(strategy, arguments))
+    if origin is tuple and arguments[-1] is not ...:
+        return st.tuples(*map(strategy, arguments))
     if origin is tuple:
         return st.lists(strategy(arguments[0]), max_size=4).map(tuple)
     if origin is dict:
@@ -48,6 +50,15 @@ def strategy(kind: Any) -> st.SearchStrategy[Any]:
         bytes: st.binary(max_size=12),
         type(None): st.none(),
     }[kind]
+
+
+def test_every_text_of_a_command_to_the_mesh_is_short() -> None:
+    """Answers and logs repeat it: a long one made an answer that the bus does not take."""
+    commands = {kind for (service, topic), kind in topics().items() if service == "mesh" and topic.startswith("set/")}
+    assert len(commands) >= 8
+    for kind in commands:
+        for name, hint in typing.get_type_hints(kind, include_extras=True).items():
+            assert str not in (hint, *typing.get_args(hint)) or hint is Short, f"{kind.__name__}.{name}"
 
 
 @given(st.sampled_from(TYPES).flatmap(strategy))

@@ -142,7 +142,7 @@ def test_what_fails_while_a_service_stops_is_logged_and_does_not_change_its_end(
     ("statement", "code", "reason"),
     [
         ("raise KeyError('injected')", DEFECT, "ended by a defect in the main thread: KeyError('injected')"),
-        ("raise PayloadError('one line')", 2, "-c: one line"),
+        ("raise PayloadError('one line')", DEFECT, "ended by a defect in the main thread: PayloadError('one line')"),
     ],
 )
 def test_a_main_thread_that_ends_by_an_error_does_not_wait_for_other_threads(
@@ -152,3 +152,12 @@ def test_a_main_thread_that_ends_by_an_error_does_not_wait_for_other_threads(
     found, text = ended(processes.start("-c", SERVICE.format(main=main)))
     assert found == code
     assert reason in text
+
+
+@pytest.mark.usefixtures("router")
+def test_one_of_our_errors_before_a_service_is_ready_is_one_line_and_no_reason_to_start_it_anew(
+    processes: Processes,
+) -> None:
+    service = SERVICE.replace("service.ready()", "raise PayloadError('one line')")
+    code, text = ended(processes.start("-c", service.format(main=WAIT)))
+    assert (code, text.strip().splitlines()[-1]) == (2, "-c: one line")

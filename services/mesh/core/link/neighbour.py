@@ -165,6 +165,9 @@ MAX_COUNT = 256
 FORGET = 30.0
 """Seconds after which an answer is no longer waited for."""
 
+MAX_AWAITED = 4096
+"""Answers that are waited for at most; then the oldest is given up."""
+
 _HEAD = struct.Struct("<QHB")
 _SHORT = 1
 
@@ -207,23 +210,28 @@ class Prober:
         elif session is None:
             reason = f"the link to {request.peer} is down"
         elif not reason:
-            for ping in self._pings_of(request, now):
+            self._forget(now)
+            for index, ping in enumerate(_pings_of(request)):
                 if not session.queue.push(CLASSES[request.priority][0], self._key, ping, latest=False):
                     reason = f"the queue of the link to {request.peer} is full"
+                    break
+                self._await(request, index, now)
         return Echo(now, request.peer, request.sequence, 0, request.size, None, reason) if reason else None
 
     def told(self, echo: Echo) -> Received:
         """Return an echo as a message for the own bus."""
         return Received(self._echo_key, encode(echo), SYNC)
 
-    def _pings_of(self, request: EchoRequest, now: float) -> list[bytes]:
-        for name in [name for name, sent in self._sent.items() if now >= sent.at + FORGET]:
-            del self._sent[name]
-        flags = _SHORT if request.short else 0
-        padding = bytes(request.size - MIN_SIZE)
-        for index in range(request.count):
-            self._sent[request.peer, request.sequence, index] = _Sent(now, request.size)
-        return [_HEAD.pack(request.sequence, index, flags) + padding for index in range(request.count)]
+    def _await(self, request: EchoRequest, index: int, now: float) -> None:
+        name = request.peer, request.sequence, index
+        self._sent.pop(name, None)  # so that the newest stand last
+        self._sent[name] = _Sent(now, request.size)
+        if len(self._sent) > MAX_AWAITED:
+            del self._sent[next(iter(self._sent))]
+
+    def _forget(self, now: float) -> None:
+        while self._sent and now >= self._sent[oldest := next(iter(self._sent))].at + FORGET:
+            del self._sent[oldest]
 
     def receive(self, key: str, payload: bytes, now: float) -> bytes | Echo | None:
         """Take a neighbour's ping or answer. Return the answer to send, or the echo of our own ping; None where
@@ -248,6 +256,12 @@ def fault(request: EchoRequest) -> str:
     if not 0 <= request.sequence < 1 << 63:
         return f"sequence {request.sequence}: expected 0 to 2^63 - 1"
     return ""
+
+
+def _pings_of(request: EchoRequest) -> list[bytes]:
+    flags = _SHORT if request.short else 0
+    padding = bytes(request.size - MIN_SIZE)
+    return [_HEAD.pack(request.sequence, index, flags) + padding for index in range(request.count)]
 
 
 def _answer(payload: bytes) -> bytes:

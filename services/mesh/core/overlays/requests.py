@@ -185,14 +185,17 @@ class OverlayRequests:
             if not isinstance(known, _Ticket):
                 self._tell(known)
             return True
-        if len(self._tickets) >= MAX_TICKETS:
-            self._tickets.popitem(last=False)
-        self._tickets[token.ticket] = token
+        self._remember(token)
         return False
 
     def _end(self, answer: Answer) -> None:
-        self._tickets[answer.ticket] = answer
+        self._remember(answer)
         self._tell(answer)
+
+    def _remember(self, known: Answer | _Ticket) -> None:
+        if known.ticket not in self._tickets and len(self._tickets) >= MAX_TICKETS:
+            self._tickets.popitem(last=False)
+        self._tickets[known.ticket] = known
 
     def _tell(self, answer: Answer) -> None:
         self._to_bus(self._keys[type(answer)], encode(answer), CONTROL)

@@ -37,8 +37,8 @@ FULL_EVERY = 8
 LARGEST = 1000
 """bytes of a view; what does not fit is left out."""
 
-MAX_REASON = 60
-"""Letters of why a service is degraded."""
+MAX_STATE = 80
+"""Letters of a service's state and its reason."""
 
 _LINK = ("peer", "state", "rtt", "sent_rate", "reason")
 
@@ -140,7 +140,8 @@ class Viewing:
             status = decode(Status, payload, key)
         except PayloadError:
             return
-        self._states[service] = f"{status.state}: {status.reason[:MAX_REASON]}" if status.reason else status.state
+        told = f"{status.state}: {status.reason}" if status.reason else status.state
+        self._states[service] = told[:MAX_STATE]
 
     def _view(self, now: float) -> bytes:
         services = {
@@ -150,10 +151,13 @@ class Viewing:
             self._told.clear()
             self._told_services.clear()
         self._number += 1
-        news = {name: text for name, text in services.items() if self._told_services.get(name) != text}
-        self._told_services.update(news)
+        news: dict[str, str] = {}
         values: dict[str, bytes] = {}
-        size = sum(len(name) + len(text) for name, text in news.items())
+        size = 0
+        for name, text in services.items():
+            if self._told_services.get(name) != text and size + len(name) + len(text.encode()) <= LARGEST:
+                news[name] = self._told_services[name] = text
+                size += len(name) + len(text.encode())
         found = sorted((_ORDER[kind], topic) for topic in self._values if (kind := _kind(topic)) is not None)
         for _, topic in found:
             data = _shortened(topic, self._values[topic])

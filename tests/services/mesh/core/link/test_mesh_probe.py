@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from mesh_world import World
 
 from services.mesh.core.link import neighbour
-from services.mesh.core.link.neighbour import Prober
+from services.mesh.core.link.neighbour import MAX_AWAITED, Prober
 from services.mesh.core.wire.frames import SYNC
 from swarm.config.types import RelayRule
 from swarm.errors import FrameError
@@ -46,6 +46,17 @@ def test_many_pings_are_numbered_and_short_answers_are_short() -> None:
     found = ping(world, "r0", EchoRequest("r1", 1, 1000, count=20, priority="bulk", short=True))
     assert [echo.index for echo in found] == list(range(20))
     assert world.link("r1", "r0").sent_bytes - before < 3000
+
+
+def test_requests_without_end_leave_a_bounded_number_of_awaited_answers() -> None:
+    world = World([("r0", "r1")])
+    world.run(1.0)
+    node = world.bots["r0"].node
+    for number in range(100):
+        world.step(
+            "r0", lambda node, number=number: node.connections.ping(EchoRequest("r1", number, 11, 256), world.now)
+        )
+    assert len(node.connections.prober._sent) <= MAX_AWAITED
 
 
 @pytest.mark.parametrize(
