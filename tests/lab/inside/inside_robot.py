@@ -26,6 +26,7 @@ from swarm.messages import BalancerFault, BalancerState, Pose, SetMode
 from swarm.messages.codec import decode
 
 SERVICES = ("swarm-bus", "swarm-mesh", "swarm-balancer", "swarm-dwm")
+APP = "swarm-app@led_sync"
 FOR_GOOD = 10**9
 """Spoilt messages that do not end."""
 
@@ -245,8 +246,10 @@ def told_in_the_log(unit: str, text: str) -> bool:
 def a_limit_of_memory_is_reached() -> dict[str, float]:
     """That service is ended and started anew, nothing else is, the robot stands, and the log says why."""
     robot.stand()
+    subprocess.run(["systemctl", "start", "--no-block", APP], check=True)
+    wait(lambda: show(APP, "ActiveState") == "active", f"{APP} has begun", 60.0)
     measured = {}
-    for unit in ("swarm-mesh", "swarm-dwm", "swarm-bus"):
+    for unit in ("swarm-mesh", "swarm-dwm", "swarm-bus", APP):
         group = group_of(unit)
         measured[f"{unit.removeprefix('swarm-')}_mib"] = int((group / "memory.current").read_text()) / (1 << 20)
         others = {other: show(other, "MainPID") for other in SERVICES if other != unit}
@@ -256,6 +259,7 @@ def a_limit_of_memory_is_reached() -> dict[str, float]:
         wait(lambda unit=unit: show(unit, "ActiveState") == "active", f"{unit} is up", 30.0)
         wait(lambda unit=unit: told_in_the_log(unit, "oom-kill"), f"the log of {unit} says why", 5.0)
         expect(others == {other: show(other, "MainPID") for other in others}, f"others were started anew with {unit}")
+    subprocess.run(["systemctl", "stop", APP], check=True)
     return {**measured, **heard_again()}
 
 
