@@ -146,7 +146,7 @@ def _mixed(sizes: Sizes) -> Iterator[Row]:
     missing = sum(k not in path.rows for path in paths.values() for k in range(path.last + 1))
     yield Row(f"faults played, seed {sizes.seed}", float(played.total()), "", float(sizes.count), None)
     for kind, count in sorted(played.items()):
-        yield Row(f"  {kind}", float(count), "", float(played.total()), None)
+        yield Row(f"of these, {kind}", float(count), "", float(played.total()), None)
     yield Row("values compared", float(len(compared)), "", float(len(names) * (last + 1)), None)
     yield Row("values that differ", float(sum(found != right for found, right in compared)), "", 1.0, 0.0)
     yield Row("values that are missing", float(missing), "", 1.0, 0.0)
