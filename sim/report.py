@@ -10,6 +10,7 @@ from swarm.core.percentile import percentile
 from swarm.frozen import frozen
 from swarm.messages import BalancerState
 from swarm.recording import trajectory
+from swarm.recording.thesis_ranges import early_ends
 from swarm.recording.trajectory import Trajectory
 
 Json = dict[str, object]
@@ -138,7 +139,10 @@ def summary(outcome: RunOutcome) -> Json:
             deviation = end_deviation_cm(scenario, paths)
             problems = _other_end(deviation)
         report["replay_deviation_cm"] = deviation
-        report["problems"] = [*outcome.problems, *problems]
+        report["problems"] = [*outcome.problems, *scenario.mismatches, *problems]
+        # A run that ended before them says nothing of its files' ends.
+        whole = iterations >= min(recording.steps for recording in scenario.recorded.values())
+        report["early_ends"] = early_ends(list(scenario.recorded.values())) if whole else []
     return report
 
 

@@ -116,6 +116,9 @@ def _sentences(report: Json, outcome: RunOutcome) -> list[str]:
     if "replay_deviation_cm" in report:
         of = "trajectory at most" if outcome.scenario.algorithm == "thesis" else "last estimates at most"
         lines.append(f"deviation   {_short(report['replay_deviation_cm'])} cm from the recorded {of}")
+        early = report["early_ends"]
+        assert isinstance(early, list)
+        lines += [f"early end   {each}" for each in early]
     if outcome.missing:
         lines.append(f"missing     {', '.join(outcome.missing)}: the others have gone on without")
     lines += [f"never       {each}" for each in outcome.never]

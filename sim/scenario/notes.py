@@ -4,8 +4,10 @@ that it waits for, states that will be lost.
 A state or message too large for a frame is refused by simulations, too, where the app is loaded.
 """
 
+import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,9 @@ from swarm.recording.thesis_ranges import ThesisRecording
 
 BEGUN_BY_BUTTON = ("flooding_demo", "stand_up", "unicast_demo")
 
+STANDS_M = 0.25
+"""So near to a robot's place its recording has it: the thesis' own are up to 9 cm off."""
+
 
 def notes(
     config: Config,
@@ -34,6 +39,9 @@ def notes(
 
     `recordings` are those that are replayed, by robot.
     """
+    # Where nobody has named the places, the table's need not be those of the recording.
+    if not given.simulation.places:
+        yield from (f"warning: {each}" for each in exchanged(config.simulation.places, recordings))
     if not config.auto:
         yield from too_many_links(config.names, config.edges, links_of(config, bluetooth=True))
     for app in apps:
@@ -45,6 +53,20 @@ def notes(
         yield from _buttons(app, options)
         yield from _forgetting(config, app, options)
         yield from _clocks(app, options)
+
+
+def exchanged(
+    places: Mapping[str, tuple[float, float, float]], recordings: Mapping[str, ThesisRecording]
+) -> Iterator[str]:
+    """Yield which recordings were made at each other's place, of two robots that `places` gives one."""
+    for one, other in combinations([name for name in recordings if name in places], 2):
+        own, theirs = (recordings[name].rows[0][1:] for name in (one, other))
+        here, there = (places[name][:2] for name in (one, other))
+        if max(math.dist(own, there), math.dist(theirs, here)) <= STANDS_M < math.dist(own, here):
+            yield (
+                f"{recordings[one].path} was recorded at the place of {other}, {recordings[other].path} at that of "
+                f"{one}: likely the files were exchanged; <index>.csv is of the robot with that number"
+            )
 
 
 def too_many_links(names: Sequence[str], edges: Sequence[Edge], links: str) -> Iterator[str]:

@@ -18,7 +18,7 @@ from sim.core import noise
 from sim.core.module_line import SOURCE, module_address
 from sim.disturbances import Disturbance, Kill, Off, drawn
 from sim.scenario import commission_report
-from sim.scenario.notes import algorithm_of, notes
+from sim.scenario.notes import algorithm_of, exchanged, notes
 from sim.scenario.options import Options
 from swarm import config as configuration
 from swarm.app.event_app import EventApp, PeriodicApp
@@ -32,7 +32,7 @@ from swarm.errors import ConfigError, LocalError
 from swarm.frozen import frozen
 from swarm.messages.codec import Value
 from swarm.process.paths import socket_path
-from swarm.recording.thesis_ranges import ThesisRecording, read_folder
+from swarm.recording.thesis_ranges import ThesisRecording, mismatches, read_folder
 
 TARGET = "C933"
 ANCHORS = (Anchor("D001", 0.0, 0.0), Anchor("D002", 1.94, 0.0), Anchor("D003", 1.0, 1.94))
@@ -98,6 +98,8 @@ class Scenario:
     """The recordings by robot, with those that --noise makes up."""
     synthetic: bool
     """Whether they were made up: then there are no estimates to compare with."""
+    mismatches: tuple[str, ...]
+    """What is wrong with recordings that can be replayed all the same, with file and likely reason."""
 
     beside: tuple["Beside", ...]
     """The other apps that each robot runs."""
@@ -205,6 +207,7 @@ def build(options: Options, run_dir: Path, app: loader.LoadedApp | None = None) 
         run_options=replace(options.run_options, last=iterations),
         recordings=recorded,
         synthetic=options.noise is not None,
+        mismatches=(*mismatches(recordings), *exchanged(base.simulation.places, recorded)) if recordings else (),
         beside=tuple(Beside(each.name, _program(each), each) for each in apps[1:]),
         steps=app is not None and not _reacts_only(config, app),
         disturbances=disturbances,

@@ -15,7 +15,7 @@ from pathlib import PurePosixPath
 from typing import NamedTuple
 
 from swarm.errors import RecordingError
-from swarm.recording.thesis_ranges import cost, finite
+from swarm.recording.thesis_ranges import LATEST_S, cost, finite
 
 FOLDERS = ("consensus", "led_sync", "localization", "flooding", "unicast", "async", "standup", "latency", "calibration")
 """Names of the thesis' folders: what was measured."""
@@ -24,8 +24,6 @@ TRUTHS = {"flooding": "ready", "unicast": "ready", "standup": "standing", "async
 CHANNELS = ("frequency", "phase")
 """Folders within one of LEDs."""
 
-LATEST_S = 9e9
-"""The latest time that a recording holds, s since 1970: its times are ns in 64 bits."""
 _CM = 100.0
 _LOCALIZATION = ("x", "y", "zx", "zy", "gx", "gy")
 

@@ -18,7 +18,11 @@ state is zero at k = 0), and it enters only through the last line:
 """
 
 import math
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
+from statistics import median, median_low
 from typing import NamedTuple
 
 from swarm.errors import RecordingError
@@ -31,6 +35,15 @@ FARTHEST_CM = 1e5
 
 LARGEST = 1e22
 """More than any cell holds, in use or not: the cost of such lengths, in cm^4."""
+
+LATEST_S = 9e9
+"""The latest time that a recording holds, s since 1970: its times are ns in 64 bits."""
+
+SLOWEST_S = 10.0
+"""Half of a run's iterations are quicker: with links as slow as this one no lockstep gets far."""
+
+ODD_PACE = 10.0
+"""In lockstep robots do equally many iterations in a time; by this factor they differ only if their times do."""
 
 SHORT_M = 0.05
 """Distances that are all below are none of UWB modules, whose error is as large."""
@@ -63,6 +76,10 @@ class ThesisRecording:
     """When row k was written, s after the file's first line."""
     estimates: tuple[tuple[float, float], ...]
     """Estimated place of the target in state k, m: one more than there are rows, the first is the start."""
+    began: float = 0.0
+    """The time of the file's first line, s."""
+    lines: tuple[int, ...] = ()
+    """The number of each row's line in the file."""
 
     @property
     def steps(self) -> int:
@@ -86,7 +103,83 @@ def read_folder(directory: Path) -> list[ThesisRecording]:
             f"{directory}: no distance is above {farthest * _CM:.3g} cm: the lengths are not in cm; multiply lengths "
             "in m by 100 (costs by 1e8)"
         )
+    for index, one in enumerate(found):
+        made_up = len(set(one.estimates)) == 1  # by hand, without estimates: two robots may be told the same
+        for other in () if made_up else found[:index]:
+            if (one.rows, one.estimates) == (other.rows, other.estimates):
+                raise RecordingError(
+                    f"{one.path}:1: the measurements and estimates of {other.path.name}: it is a copy; put there the "
+                    "robot's own file"
+                )
+        _once(one, max((other.steps for other in found if other is not one), default=one.steps))
     return found
+
+
+def _once(recording: ThesisRecording, steps: int) -> None:
+    """Raise `RecordingError` where rows are there again that make a file longer than the others, which have `steps`."""
+    first: dict[object, int] = {}
+    again: list[tuple[int, int]] = []
+    for row in zip(recording.times, recording.rows, recording.estimates[1:], recording.lines, strict=True):
+        before = first.setdefault(row[:3], row[3])
+        if before != row[3]:
+            again.append((before, row[3]))
+    # Without latency a swarm that has settled does equal iterations at one time; then every file has as many.
+    if 0 < len(again) <= recording.steps - steps:
+        raise RecordingError(
+            f"{recording.path}:{again[0][1]}: the state of line {again[0][0]} once more, and {recording.steps} "
+            f"iterations where the other files have {steps}: rows were repeated, take them away"
+        )
+
+
+def mismatches(recordings: Sequence[ThesisRecording]) -> list[str]:
+    """Return what files that can be read say of each other, with line and likely reason: they are not of one run, or
+    not whole."""
+    found = []
+    paces = [_pace(one) for one in recordings]
+    usual = median_low(paces)
+    for one, pace in zip(recordings, paces, strict=True):
+        if pace > SLOWEST_S or (usual and not usual / ODD_PACE <= pace <= usual * ODD_PACE):
+            found.append(
+                f"{one.path}:{one.lines[0]}: from here on an iteration takes {pace:.3g} s, the median of all files is "
+                f"{usual:.3g} s: likely its times are in another unit, expected s"
+            )
+            continue
+        longest, later = _later(one, recordings)
+        theirs, own = ([each.began + t for t in each.times] for each in (longest, one))
+        between = [bisect_left(theirs, after) - bisect_right(theirs, before) for before, after in pairwise(own)]
+        most = max(between, default=0)
+        lost = longest.steps - one.steps - later
+        if min(lost, most) > 1:  # clocks differ and robots take turns: one more or less says nothing
+            found.append(
+                f"{one.path}:{one.lines[between.index(most) + 1]}: {longest.path.name} has {most} iterations between "
+                f"this line and the one before it, and {lost} more in all: likely rows are missing, or the robot was "
+                "away; from here on it is fed with measurements of later iterations"
+            )
+    return found
+
+
+def early_ends(recordings: Sequence[ThesisRecording]) -> list[str]:
+    """Return in words which files end well before the longest one; in lockstep robots are fewer iterations apart than
+    they are many."""
+    return [
+        f"{one.path}: it ends with iteration {one.steps}, in line {one.lines[-1]}; {longest.path.name} has {later} "
+        "later ones"
+        for one in recordings
+        for longest, later in (_later(one, recordings),)
+        if later >= len(recordings)
+    ]
+
+
+def _pace(recording: ThesisRecording) -> float:
+    """Return how long an iteration takes, s: of two at a time, since one robot's may come in pairs."""
+    apart = [after - before for before, after in zip(recording.times, recording.times[2:], strict=False)]
+    return median(apart) / 2 if apart else 0.0
+
+
+def _later(one: ThesisRecording, recordings: Sequence[ThesisRecording]) -> tuple[ThesisRecording, int]:
+    """Return the longest recording, and how many iterations it has after the end of this one."""
+    longest = max(recordings, key=lambda each: each.steps)
+    return longest, sum(longest.began + t > one.began + one.times[-1] for t in longest.times)
 
 
 def read_recording(directory: Path, index: int) -> ThesisRecording:
@@ -110,21 +203,28 @@ def read_recording(directory: Path, index: int) -> ThesisRecording:
     if lines and lines[0].startswith(_MARK):
         raise RecordingError(f"{path}:1: it begins with a byte-order mark: save it as UTF-8 or ASCII without one")
     rows: list[ThesisRow] = []
+    numbers: list[int] = []
     times: list[float] = []
     start: float | None = None
     before = ""
+    previous: list[float] = []
+    unsent = 0
     estimates: list[tuple[float, float]] = []
     for number, line in enumerate(lines, 1):
         try:
             values = _numbers(line)
+            _expect(values[0] <= LATEST_S, f"a time of {values[0]:g} s since 1970: divide times in ms by 1000")
             if before:
-                last = float(before.partition(",")[0])
+                last = previous[0]
                 _expect(line != before, "the same line as the one before: rows were repeated, take one away")
                 _expect(
                     values[0] >= last,
                     f"its time is {last - values[0]:.6g} s before the line before: rows are shuffled, sort by time",
                 )
-            before = line
+            sent = len(values) > 7 and values[7] == 1
+            if sent and not unsent and values[1:7] + values[8:] != previous[1:7] + previous[8:]:
+                unsent = number
+            before, previous = line, values
             if start is None:
                 _expect(len(values) == 7, f"{len(values)} columns, the first line has 7 (t,x,y,zx,zy,gx,gy)")
                 start = values[0]
@@ -143,6 +243,7 @@ def read_recording(directory: Path, index: int) -> ThesisRecording:
                 _expect(far <= FARTHEST_CM, f"a length of {far:g} cm: expected at most {FARTHEST_CM:g}")
                 _fits(values)
                 rows.append(ThesisRow(values[9] / _CM, values[10] / _CM, values[11] / _CM))
+                numbers.append(number)
                 times.append(values[0] - start)
                 estimates.append((values[1] / _CM, values[2] / _CM))
         except ValueError as error:
@@ -152,7 +253,12 @@ def read_recording(directory: Path, index: int) -> ThesisRecording:
             f"{path}:{len(lines) + 1}: the file ends before the first measurement: expected a first line of 7 columns, "
             "then rows of 12 (8 in line 2)"
         )
-    return ThesisRecording(path, tuple(rows), tuple(times), tuple(estimates))
+    if unsent:
+        raise RecordingError(
+            f"{path}:{unsent}: marked as sent by the 1 in column 8, but not the state of the line before: rows are "
+            "shuffled or changed"
+        )
+    return ThesisRecording(path, tuple(rows), tuple(times), tuple(estimates), start or 0.0, tuple(numbers))
 
 
 def cost(distance: float, x: float, y: float, own_x: float, own_y: float) -> float:

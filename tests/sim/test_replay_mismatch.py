@@ -82,9 +82,121 @@ WRONG: dict[str, tuple[Callable[[dict[str, str]], dict[str, str]], str]] = {
 @pytest.mark.parametrize("kind", WRONG)
 def test_a_replay_that_leaves_its_recording_is_a_problem(tmp_path: Path, recorded: dict[str, str], kind: str) -> None:
     change, reason = WRONG[kind]
-    (problem,) = replay(written(tmp_path, change(recorded)))["problems"]
+    problem = replay(written(tmp_path, change(recorded)))["problems"][-1]
     assert "the replay leaves the recorded trajectory by" in problem
     assert reason in problem
+
+
+def iterations(text: str, begin: int, end: int) -> str:
+    """The lines of some iterations, two each; those of state 0 are not among them."""
+    return "".join(text.splitlines(keepends=True)[1 + 2 * begin : 1 + 2 * end])
+
+
+def late(text: str, seconds: float) -> str:
+    """The file by a clock that is fast."""
+    return "".join(
+        f"{float(t) + seconds!r},{rest}" for t, _, rest in (line.partition(",") for line in text.splitlines(True))
+    )
+
+
+def settled(place: Path, change: Callable[[dict[str, str]], dict[str, str]], *options: str) -> dict:
+    """Replay, with another algorithm, a changed recording whose robots' clocks differ."""
+    places, files = ((0.5, 1.5), (1.0, 0.5), (1.5, 1.5), (1.5, 0.5)), {}
+    for index, (x, y) in enumerate(places):
+        # Distances differ by 1 mm and ends by 1 cm, or each state would be the one before.
+        rows = [(k, 1e9 + 0.1 * k, 0.5 + 0.01 * (k % 2) if k else 0.0, 1.0 if k else 0.0) for k in range(101)]
+        measured = {k: (math.dist((x, y), (0.5, 1.0)) + 0.001 * (k % 7), x, y) for k in range(1, 101)}
+        files[f"{index}.csv"] = late(thesis_csv.localization(rows, measured), 0.03 * index)
+    options = ("localization", "--replay", written(place, change(files)), "--latency", "0ms", *options)
+    return simulate(*options)[0]
+
+
+def test_files_that_are_not_of_one_run_are_refused(tmp_path: Path) -> None:
+    def again(text: str) -> str:
+        return text.splitlines(True)[0] + "".join(iterations(text, k, k + 1) * (1 + (k == 30)) for k in range(100))
+
+    def other_order(text: str) -> str:
+        """The times stay, the rest of the lines does not."""
+        lines = [line.partition(",") for line in text.splitlines(True)]
+        rest = [line[2] for line in lines]
+        rest[60:70] = rest[69:59:-1]
+        return "".join(f"{t},{others}" for (t, _, _), others in zip(lines, rest, strict=True))
+
+    for changed, message in (
+        (lambda files: files["0.csv"], r"1\.csv:1: the measurements and estimates of 0\.csv: it is a copy"),
+        (lambda files: late(files["0.csv"], 0.02), r"1\.csv:1: the measurements and estimates of 0\.csv: it is a copy"),
+        (
+            lambda files: again(files["1.csv"]),
+            r"1\.csv:64: the state of line 62 once more, and 101 iterations where the",
+        ),
+        (lambda files: other_order(files["1.csv"]), r"1\.csv:62: marked as sent .* rows are shuffled or changed"),
+        (lambda files: divided(files["1.csv"], {0: 1e-3}), r"1\.csv:1: a time of 1e\+12 s since 1970: divide .* ms"),
+    ):
+        with pytest.raises(RecordingError, match=message):
+            settled(tmp_path, lambda files, changed=changed: files | {"1.csv": changed(files)})
+
+
+def test_rows_that_are_missing_are_a_problem_where_estimates_have_settled(tmp_path: Path) -> None:
+    def without(files: dict[str, str]) -> dict[str, str]:
+        text = files["1.csv"]
+        return files | {"1.csv": text.splitlines(True)[0] + iterations(text, 0, 50) + iterations(text, 55, 100)}
+
+    assert settled(tmp_path, lambda files: files)["problems"] == []
+    (problem,) = settled(tmp_path, without)["problems"]
+    assert re.search(
+        r"1\.csv:102: 0\.csv has . iterations between .* and 5 more in all: likely rows are missing", problem
+    )
+
+
+def test_times_in_another_unit_are_a_problem(tmp_path: Path) -> None:
+    def milliseconds(names: tuple[str, ...]) -> Callable[[dict[str, str]], dict[str, str]]:
+        def change(files: dict[str, str]) -> dict[str, str]:
+            files = {name: late(text, -1e9) for name, text in files.items()}
+            return files | {name: divided(files[name], {0: 1e-3}) for name in names}
+
+        return change
+
+    assert settled(tmp_path, milliseconds(()))["problems"] == []
+    (problem,) = settled(tmp_path, milliseconds(("2.csv",)))["problems"]
+    assert re.search(
+        r"2\.csv:2: .* an iteration takes 100 s, the median of all files is 0\.1 s: likely .* unit", problem
+    )
+    assert len(settled(tmp_path, milliseconds(("0.csv", "1.csv", "2.csv", "3.csv")))["problems"]) == 4
+
+
+def test_a_file_that_ends_early_is_named(tmp_path: Path) -> None:
+    def cut(files: dict[str, str]) -> dict[str, str]:
+        return files | {"1.csv": files["1.csv"].splitlines(True)[0] + iterations(files["1.csv"], 0, 50)}
+
+    report = settled(tmp_path, cut)
+    assert report["problems"] == []
+    (early,) = report["early_ends"]
+    assert re.search(r"1\.csv: it ends with iteration 50, in line 100; 0\.csv has 50 later ones", early)
+    assert settled(tmp_path, cut, "--iterations", "30")["early_ends"] == []
+    assert settled(tmp_path, lambda files: files)["early_ends"] == []
+
+
+def test_files_that_were_exchanged_are_named(tmp_path: Path) -> None:
+    def change(files: dict[str, str]) -> dict[str, str]:
+        return files | {"0.csv": files["1.csv"], "1.csv": files["0.csv"]}
+
+    assert settled(tmp_path, change)["problems"] == []  # nobody has said where the robots are
+    robots = "".join(f'[[robots]]\nname = "r{index}"\n' for index in range(4))
+    places = "[simulation.places]\nr0 = [0.5, 1.5, 0.0]\nr1 = [1.0, 0.5, 0.0]\n"
+    config = tmp_path / "swarm.toml"
+    config.write_text(f'network = "lab"\n{robots}[topology]\nshape = "line"\n{places}')
+    (problem,) = settled(tmp_path, change, "--config", str(config))["problems"]
+    assert re.search(r"0\.csv was recorded at the place of r1, .*1\.csv at that of r0: likely .* exchanged", problem)
+
+
+def test_an_export_of_robots_at_one_time_is_accepted(tmp_path: Path) -> None:
+    """Without latency and noise all iterations are at one time, and settled ones equal the ones before."""
+    run = tmp_path / "run"
+    options = ("--noise", "none", "--latency", "0ms", "--algorithm", "flood", "--iterations", "30")
+    simulate("localization", *options, "--record", str(run))
+    files = export._layouts(Run(run), [])
+    report = simulate("localization", "--replay", written(tmp_path, files), "--algorithm", "flood")[0]
+    assert report["problems"] == report["early_ends"] == []
 
 
 def test_what_is_wrong_with_a_file_is_named(tmp_path: Path, recorded: dict[str, str]) -> None:
