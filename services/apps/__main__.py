@@ -69,7 +69,7 @@ def main() -> int:
             instance = _make(service, app, links.config, seed)
         overlays = equip(instance.robot, service.bus, service.log)
         if metrics_of(type(instance)):
-            instance.robot.truth = TruthWatch(service.bus, service.robot, app.name, service.config)
+            instance.robot.truth = TruthWatch(service.bus, service.robot, app.name, type(instance), service.config)
         storage = FileStorage(service.runtime)
         claim = AppLock(service.runtime, app.name, state_dir())
         if not links.kept:

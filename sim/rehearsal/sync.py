@@ -80,7 +80,7 @@ class SyncRehearsal:
             equip(instance.robot, VirtualBus(self._world.robots[name].router), _SILENT, self._now)
             instance.robot.overlays = self.messages[name]  # type: ignore[assignment]
             instance.robot.mesh_clock = CommonClock(self.names[0], self._now)  # type: ignore[assignment]
-            instance.robot.truth = self._world.truth(name, app.name)
+            instance.robot.truth = self._world.truth(name, app.name, type(instance))
             self.runners[name] = runner(instance, app.source)
         self.private: dict[str, bytes] = {}
         self.states: dict[str, list[bytes]] = {}

@@ -2,7 +2,7 @@
 
 import logging
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import NamedTuple
@@ -42,7 +42,7 @@ from sim.virtual.robot.uwb import ModuleField, VirtualDwm
 from sim.virtual.runtime import VirtualRuntime
 from swarm.app.event_app import EventApp
 from swarm.app.run_options import RunOptions
-from swarm.app.sync_app import SyncApp
+from swarm.app.sync_app import BaseApp, SyncApp
 from swarm.app.truth import RobotTruth, told
 from swarm.config import Config
 from swarm.errors import LocalError
@@ -152,6 +152,8 @@ class VirtualWorld:
         self._scene_record = scene_record
         self._processes_end = processes_end
         self._launched: dict[tuple[str, str], Launch] = {}
+        self._told: dict[str, Mapping[str, Mapping[str, Value]]] = {}
+        """By app what all its robots' truth has in common: the values with which they begin."""
         self._begin_with: dict[tuple[str, int, int], topology.RunPlace] = {}
         self._common = Common(config)
         self.robots = {name: self._robot(name) for name in config.names}
@@ -294,7 +296,7 @@ class VirtualWorld:
         instance.robot.recording = RecordedValues(bus, robot, app.name, keep) if self.watched else keep
         let_speak(instance.robot, bus, None, *self.hearers.get((robot, app.name), ()))
         if metrics_of(type(instance)):
-            instance.robot.truth = self.truth(robot, app.name)
+            instance.robot.truth = self.truth(robot, app.name, type(instance))
         host: LockstepHost | EventHost
         if isinstance(instance, EventApp):
             events = (make_runner or EventRunner)(instance, app.source)
@@ -313,9 +315,11 @@ class VirtualWorld:
         there.apps[app.name], there.buses[app.name] = host, bus
         host.start()
 
-    def truth(self, robot: str, app: str) -> Callable[[], RobotTruth]:
-        """Return the function that gives the truth for an app on a robot."""
-        simulation, known = self.config.simulation, told(self.config, app)
+    def truth(self, robot: str, app: str, kind: type[BaseApp]) -> Callable[[], RobotTruth]:
+        """Return the function that gives the truth for an app of this class on a robot."""
+        if app not in self._told:
+            self._told[app] = told(self.config, app, kind)
+        simulation, known = self.config.simulation, self._told[app]
 
         def look() -> RobotTruth:
             body = self.robots[robot].balancer.look()

@@ -6,7 +6,10 @@ On real robots nobody knows, and nothing is measured.
 
 import logging
 from collections.abc import Mapping
+from typing import cast
 
+from swarm.app.event_app import channels_of
+from swarm.app.sync_app import BaseApp
 from swarm.bus.protocol import BusLike
 from swarm.config import Config
 from swarm.errors import PayloadError
@@ -31,16 +34,16 @@ class RobotTruth:
     target: tuple[float, float]
     """The target's place, m."""
     told: Mapping[str, Mapping[str, Value]]
-    """The parameters and first values that the configuration and `--set` give the app, by robot."""
+    """Parameters and first values by robot: those of the configuration and `--set`, else the class's own."""
 
 
 class TruthWatch:
     """Listens for the truth on one robot's bus, where a simulation tells it (10 times a second)."""
 
-    def __init__(self, bus: BusLike, robot: str, app: str, config: Config) -> None:
+    def __init__(self, bus: BusLike, robot: str, app: str, kind: type[BaseApp], config: Config) -> None:
         self._pose: TruePose | None = None
         self._target = config.simulation.target
-        self._told = told(config, app)
+        self._told = told(config, app, kind)
         bus.subscribe([key(robot, "sim", "truth"), key(robot, "sim", "target")], self._take)
 
     def __call__(self) -> RobotTruth | None:
@@ -59,7 +62,18 @@ class TruthWatch:
             _log.debug("%s", error)
 
 
-def told(config: Config, app: str) -> dict[str, Mapping[str, Value]]:
-    """Return by robot the values that the configuration gives an app."""
-    known = config.app(app)
-    return {name: known.of(name) for name in config.names}
+def told(config: Config, app: str, kind: type[BaseApp]) -> dict[str, Mapping[str, Value]]:
+    """Return by robot the values with which an app of this class begins, before its `start`."""
+    known, own = config.app(app), _own_values(kind)
+    return {name: {**own, **known.of(name)} for name in config.names}
+
+
+def _own_values(kind: type[BaseApp]) -> dict[str, Value]:
+    """Return the parameters and first values that a class itself gives; those of channels as `CHANNEL_NAME`."""
+    found = {name: parameter.default for name, parameter in kind.spec.parameters.items()}
+    for field in kind.spec.schema.fields:
+        found[field.name] = field.message_value(field.check(getattr(kind, field.name, field.zero)))
+    for part, declared in channels_of(kind).items():
+        inner = {**_own_values(declared.kind), **cast(Mapping[str, Value], declared.values)}
+        found |= {f"{part}_{name}": value for name, value in inner.items()}
+    return found

@@ -85,6 +85,35 @@ def test_only_methods_are_metrics() -> None:
     assert metrics_of(loader.load("consensus").algorithms["metropolis"]) == ()
 
 
+def test_the_truth_tells_first_values_of_the_class_where_nothing_else_is_given(tmp_path: Path) -> None:
+    told = """
+from swarm import Array, PeriodicApp, SyncApp, channel, parameter
+
+class Inner(SyncApp):
+    v: float
+
+    def step(self, neighbours):
+        pass
+
+class Told(PeriodicApp):
+    value: float
+    x: Array[2] = (1.0, 2.0)
+    own: float = parameter(0.25)
+    inner = channel(Inner, v=4.0)
+
+    def step(self, neighbours):
+        pass
+
+    def error(self, truth):
+        r0, r1 = truth.told["r0"], truth.told["r1"]
+        assert (r1["value"], r1["x"], r1["own"], r1["inner_v"]) == (0.0, (1.0, 2.0), 0.25, 4.0)
+        return r0["value"] + r0["own"]
+"""
+    given = ("--set", "r0.value=3", "--set", "r0.own=0.5")
+    report, _ = simulate(write(tmp_path, told), "--robots", "2", "--seconds", "1", *given)
+    assert (report["problems"], report["error"]) == ([], 3.5)
+
+
 def test_a_metric_that_raises_is_named_with_file_and_line(tmp_path: Path) -> None:
     app = write(tmp_path, OWN_PLACE.replace("return math.dist", "return 1 / 0 or math.dist"))
     report, _ = simulate(app, "--robots", "2", "--seconds", "2")
@@ -102,14 +131,15 @@ def test_without_a_simulation_there_is_no_error(tmp_path: Path) -> None:
 
 
 def test_a_process_hears_the_truth_from_its_bus() -> None:
-    config = rehearse("consensus", robots=2, values={"r1": {"value": 3.0}})._world.config
+    swarm = rehearse("consensus", robots=2, values={"r1": {"value": 3.0}})
+    config, kind = swarm._world.config, type(swarm.runners["r1"].app)
     heard: dict[str, object] = {}
 
     class Bus:
         def subscribe(self, keys: list[str], callback: object) -> None:
             heard.update(dict.fromkeys(keys, callback))
 
-    watch = TruthWatch(Bus(), "r1", "consensus", config)  # type: ignore[arg-type]
+    watch = TruthWatch(Bus(), "r1", "consensus", kind, config)  # type: ignore[arg-type]
     assert watch() is None
     take = heard["swarm/r1/sim/truth"]
     take("swarm/r1/sim/truth", b"nonsense")  # type: ignore[operator]
