@@ -18,13 +18,14 @@ from services.apps.equipment.measurements import source_of
 from services.apps.equipment.recorded_values import RecordedValues
 from services.apps.equipment.speaker import let_speak, prints_heard
 from services.apps.event_runner import EventRunner
+from services.apps.faults import line_of
 from services.apps.host import topology
 from services.apps.host.event_host import EventHost
 from services.apps.host.host import LockstepHost, Part
 from services.apps.persistence.claim import AppLock
 from services.apps.persistence.recording import AppRecording, place_of
 from services.apps.persistence.storage import FileStorage
-from services.apps.runner import Runner, line_of, metrics_of
+from services.apps.runner import Runner, metrics_of
 from swarm.app import run_options
 from swarm.app.event_app import EventApp
 from swarm.app.settings import Setting, parse, with_settings

@@ -15,7 +15,7 @@ from pathlib import Path
 from types import ModuleType
 
 from services.apps import sources
-from services.apps.runner import describe
+from services.apps.faults import describe
 from swarm import packages
 from swarm.app.event_app import EventApp, PeriodicApp, channels_of
 from swarm.app.robot import Robot

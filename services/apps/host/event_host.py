@@ -12,6 +12,7 @@ from functools import lru_cache, partial
 from services.apps.core.terms import Told
 from services.apps.equipment.device_claims import DeviceClaims
 from services.apps.event_runner import EventRunner, version
+from services.apps.faults import bounded
 from services.apps.host.app_status import LOOK_EVERY, AppStatus
 from services.apps.host.changes import Changes
 from services.apps.host.host import MOST_KEYS, LockstepHost, Part
@@ -19,7 +20,7 @@ from services.apps.host.lockstep_driver import CLOSE_WITHIN
 from services.apps.host.observer import Observer, StepRecord
 from services.apps.host.topology import RunPlace, of_edges
 from services.apps.persistence.storage import Storage
-from services.apps.runner import Runner, bounded
+from services.apps.runner import Runner
 from swarm.app.devices import Devices
 from swarm.app.event_app import ChannelView, channels_of
 from swarm.app.overlays import Message, Overlays

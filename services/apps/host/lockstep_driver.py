@@ -8,12 +8,13 @@ from functools import partial
 from services.apps.core.lockstep_run import ALONE, LockstepRun, Renew
 from services.apps.core.terms import AppAnswer, Terms
 from services.apps.equipment.measurements import Measurements
+from services.apps.faults import bounded
 from services.apps.host.app_status import LOOK_EVERY, REPEAT, AppStatus
 from services.apps.host.observer import Observer, StepRecord
 from services.apps.host.topology import RunPlace, TopologyWatch
 from services.apps.persistence.ballots import told
 from services.apps.persistence.storage import Storage
-from services.apps.runner import Runner, bounded
+from services.apps.runner import Runner
 from swarm.core.asynchronous import HANG
 from swarm.core.epochs.actions import EpochRequest, SaveEpochs, SendToNeighbours, SwitchEpoch
 from swarm.core.epochs.notes import LOST, Epoch, EpochNote

@@ -11,7 +11,8 @@ from typing import Annotated, Any
 import numpy as np
 import pytest
 
-from services.apps.runner import Runner, bounded
+from services.apps.faults import bounded
+from services.apps.runner import Runner
 from swarm import SyncApp, Vector, float32, parameter
 from swarm.app.robot import Robot
 from swarm.core.graph import Graph
