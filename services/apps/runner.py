@@ -14,7 +14,7 @@ from services.apps.core.terms import Told
 from services.apps.faults import called_from, describe, line_of, mend_of
 from swarm.app.run_options import TOLERANCE
 from swarm.app.sync_app import BaseApp, SyncApp
-from swarm.core.arrays import is_array
+from swarm.core.arrays import is_array, shape_of
 from swarm.core.graph import Graph
 from swarm.core.snapshot_fields import pack_private, unpack_private
 from swarm.core.state import Field
@@ -23,6 +23,9 @@ from swarm.messages import Measurement
 from swarm.messages.codec import Value, as_value
 
 T = TypeVar("T")
+
+Form = list[tuple[str, tuple[int, ...]]]
+"""Names of a result and their shapes."""
 
 ERROR = "error"
 """An app's method `error(self, truth)`, and the result of that name. Others are `error_heading` and the like."""
@@ -41,7 +44,8 @@ class AppRunner:
         self.schema = type(app).spec.schema
         self.k = 0
         self.source = source
-        self._columns: tuple[str, ...] | None = None
+        self._form: Form | None = None
+        """Names and shapes of the first result."""
         own = type(app).result is not BaseApp.result and not type(app).__module__.startswith(BUILT_IN)
         self._fields = {field.name: field for field in self.schema.fields} if own else {}
         """The shared state, where the author's own result could name other values alike."""
@@ -59,7 +63,7 @@ class AppRunner:
         return self.schema.message_values({name: getattr(self.app, name) for name in self.schema.names})
 
     def result(self) -> dict[str, Value]:
-        """Return the app's result. Its names never change."""
+        """Return the app's result. Its names and shapes never change, as the columns of a recording."""
         where = f"result() at iteration {self.k}"
         answer: object = self._call(where, self.app.result)
         if not isinstance(answer, dict | Mapping) or not all(isinstance(name, str) for name in answer):
@@ -67,14 +71,13 @@ class AppRunner:
         result = {name: self._value(where, name, value) for name, value in answer.items()}
         for name in self._fields.keys() & result.keys():
             self._check_same(where, self._fields[name], result[name])
+        form = [(name, form_of(value)) for name, value in answer.items()]
+        if self._form is None:
+            self._form = form
+        elif form != self._form:
+            raise AppError(f"{self._where(where)}: {self._from_line('result')}{other_form(form, self._form)}")
         for name in self.metrics:
             result[name] = self._measured(name, result)
-        if self._columns is None:
-            self._columns = tuple(result)
-        elif self._columns != tuple(result):
-            raise AppError(
-                f"{self._where(where)}: it gave {', '.join(result)}, first it was {', '.join(self._columns)}"
-            )
         return result
 
     def known(self, result: Mapping[str, Value]) -> dict[str, Value]:
@@ -145,8 +148,37 @@ class AppRunner:
             hint = mend_of(error, self.schema.fields)
             raise AppError(f"{self._where(where)}: {describe(error, self.source)}{hint}") from error
 
+    def _from_line(self, method: str) -> str:
+        """File and first line of a method of the author's, with a colon, where no line of its own is at fault; empty
+        for a method of ours."""
+        code = getattr(getattr(type(self.app), method, None), "__code__", None)
+        if code is None or code.co_filename != self.source:
+            return ""
+        return f"{self.source}, from line {code.co_firstlineno} on: "
+
     def _where(self, where: str) -> str:
         return f"{type(self.app).__name__} on {self.app.robot.name}, {where}"
+
+
+def form_of(value: object) -> tuple[int, ...]:
+    """Return the shape of a result: of an array, or of lists within lists by their first entries."""
+    if type(value) is float:
+        return ()
+    if isinstance(value, tuple | list):
+        return (len(value), *form_of(value[0])) if value else (0,)
+    return shape_of(value)
+
+
+def other_form(form: Form, first: Form) -> str:
+    """Return in words how the form of a result differs from that of the first one."""
+    names, known = [name for name, _ in form], dict(first)
+    if names != list(known):
+        return f"it gave {', '.join(names)}, first it was {', '.join(known)}"
+    name, shape = next((name, shape) for name, shape in form if shape != known[name])
+    return (
+        f"its {name!r} is of shape {shape}, first it was {known[name]}; a recording has the same entries in each "
+        "iteration: give a list or array of constant length"
+    )
 
 
 def metrics_of(kind: type[BaseApp]) -> tuple[str, ...]:

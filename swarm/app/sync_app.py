@@ -94,7 +94,7 @@ class BaseApp:
         """Set the first state. The host calls it once, before the first step. An app need not define it."""
 
     def result(self) -> Mapping[str, Value]:
-        """Return what the run reports: numbers, texts or lists by name, always with the same names.
+        """Return what the run reports: numbers, texts or lists by name, always of the same names and lengths.
 
         By default it is the shared state. The host calls it after each step or handler, before the new state goes to
         the neighbours: it must be cheap, since a slow one slows a lockstep's whole swarm."""

@@ -5,7 +5,7 @@ import enum
 import logging
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any
 
 import numpy as np
@@ -367,6 +367,23 @@ def test_a_result_keeps_its_names() -> None:
     assert runner.result() == {"a": 1}
     do_step(runner)
     with pytest.raises(AppError, match="it gave b, first it was a"):
+        runner.result()
+
+
+def grown(numbers: Sequence[float]) -> Callable[[Any], Any]:
+    return lambda self: {"a": 1, "h": numbers[: self.k + 1]}
+
+
+@pytest.mark.parametrize("numbers", [[1.0, 2.0], np.array([1.0, 2.0])])
+def test_a_result_keeps_its_shapes(numbers: Any) -> None:
+    kind = type("Grown", (Tracker,), {"result": grown(numbers)})
+    runner = Runner(kind(Robot("r1", LINE)), __file__)
+    runner.start(None)
+    assert runner.result() == {"a": 1, "h": (1.0,)}
+    do_step(runner)
+    line = grown(numbers).__code__.co_firstlineno
+    where = f"result() at iteration 1: {__file__}, from line {line} on: "
+    with pytest.raises(AppError, match=re.escape(f"{where}its 'h' is of shape (2,), first it was (1,);")):
         runner.result()
 
 
