@@ -82,11 +82,11 @@ class EventRunner(AppRunner):
         elif call.handler == "on_neighbour":
             arguments = [views[name] for name in call.arguments if name in views]
             if not arguments:
-                return self._packed(where)
-        answer: object = self._call(where, lambda: getattr(app, call.handler)(*arguments))
+                return self._packed(where, call.handler)
+        answer: object = self._call(where, lambda: getattr(app, call.handler)(*arguments), call.handler)
         if answer is not None:
             raise AppError(f"{self._where(where)}: it returned {shown(answer)}; a handler assigns to the state instead")
-        return self._packed(where)
+        return self._packed(where, call.handler)
 
     def _views(self, known: Sequence[NeighbourState]) -> dict[Any, Any]:
         view, unpack = type(self.app).spec.view, self.schema.unpack
@@ -98,12 +98,12 @@ class EventRunner(AppRunner):
                 self.unreadable += 1
         return views
 
-    def _packed(self, where: str) -> bytes:
+    def _packed(self, where: str, method: str) -> bytes:
         names = self.schema.names
         try:
             own = self.schema.pack({name: getattr(self.app, name) for name in names})
         except AppError as error:
-            raise AppError(f"{self._where(where)}: {error}") from None
+            raise AppError(f"{self._where(where)}: {self._from_line(method)}{error}") from None
         # What others see is what we go on with: float32 rounds, numbers become floats, lists tuples.
         self._set(own)
         return own

@@ -50,12 +50,13 @@ def line_of(thread: int | None, source: str) -> str:
     return "" if frame is None else f"{source}, line {frame.f_lineno}, in {frame.f_code.co_name}(): "
 
 
-def describe(error: BaseException, source: str) -> str:
-    """Describe an author's error in one line: file, line, kind, text. The line is the deepest one within `source`."""
+def describe(error: BaseException, source: str, otherwise: str = "") -> str:
+    """Describe an author's error in one line: file, line, kind, text. The line is the deepest one within `source`;
+    where there is none the place is `otherwise`, with a colon, or the deepest line of all."""
     if isinstance(error, SyntaxError) and error.lineno is not None:
         return f"{error.filename}, line {error.lineno}: {type(error).__name__}: {error.msg}"
     frames = traceback.extract_tb(error.__traceback__)
-    mine = [frame for frame in frames if frame.filename == source] or frames
-    place = f"{mine[-1].filename}, line {mine[-1].lineno}: " if mine else ""
+    mine = [frame for frame in frames if frame.filename == source] or ([] if otherwise else frames)
+    place = f"{mine[-1].filename}, line {mine[-1].lineno}: " if mine else otherwise
     kind = "" if isinstance(error, AppError) else f"{type(error).__name__}: "
     return f"{place}{kind}{error}"

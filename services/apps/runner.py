@@ -5,6 +5,7 @@ file, line and fault.
 """
 
 import copy
+import inspect
 import math
 import numbers
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -13,6 +14,7 @@ from typing import Any, TypeVar
 from services.apps.core.terms import Told
 from services.apps.faults import called_from, describe, line_of, mend_of
 from swarm.app.run_options import TOLERANCE
+from swarm.app.spec import PLATFORM_MODULES
 from swarm.app.sync_app import BaseApp, SyncApp
 from swarm.core.arrays import is_array, shape_of
 from swarm.core.graph import Graph
@@ -65,7 +67,7 @@ class AppRunner:
     def result(self) -> dict[str, Value]:
         """Return the app's result. Its names and shapes never change, as the columns of a recording."""
         where = f"result() at iteration {self.k}"
-        answer: object = self._call(where, self.app.result)
+        answer: object = self._call(where, self.app.result, "result")
         if not isinstance(answer, dict | Mapping) or not all(isinstance(name, str) for name in answer):
             raise AppError(f"{self._where(where)}: expected a dict by name, got {shown(answer)}")
         result = {name: self._value(where, name, value) for name, value in answer.items()}
@@ -110,9 +112,11 @@ class AppRunner:
             found = isinstance(x, float) and isinstance(y, float)
             return math.dist((x, y), truth.target) if found else math.nan  # type: ignore[arg-type]
         where = f"{name}() at iteration {self.k}"
-        answer: object = self._call(where, lambda: getattr(self.app, name)(truth))
+        answer: object = self._call(where, lambda: getattr(self.app, name)(truth), name)
         if isinstance(answer, bool) or not isinstance(answer, numbers.Real):  # numpy's numbers are such
-            raise AppError(f"{self._where(where)}: expected a number, got {shown(answer)}")
+            raise AppError(
+                f"{self._where(where)}: {self._from_line(name)}expected a number, got {shown(answer)}: return a float"
+            )
         return float(answer)
 
     def hangs(self, thread: int | None, limit: float) -> str:
@@ -135,7 +139,9 @@ class AppRunner:
         except LocalError as error:
             raise AppError(f"{self._where(where)}: {name}: {error}") from None
 
-    def _call(self, where: str, function: Callable[[], T]) -> T:
+    def _call(self, where: str, function: Callable[[], T], method: str = "") -> T:
+        """Call the author's code; `method`: which one of the app's it is, in the place of a line where none is known,
+        as of a method with other arguments than it is given."""
         self._running = where
         try:
             return function()
@@ -145,8 +151,9 @@ class AppRunner:
             # An author's sys.exit(), or a cancelled task of asyncio, would end this thread alone. Ctrl-C passes.
             if not isinstance(error, Exception | SystemExit) and type(error).__name__ != "CancelledError":
                 raise
-            hint = mend_of(error, self.schema.fields)
-            raise AppError(f"{self._where(where)}: {describe(error, self.source)}{hint}") from error
+            text = describe(error, self.source, self._from_line(method))
+            hint = mend_of(error, self.schema.fields) or self._arguments(error, method)
+            raise AppError(f"{self._where(where)}: {text}{hint}") from error
 
     def _from_line(self, method: str) -> str:
         """File and first line of a method of the author's, with a colon, where no line of its own is at fault; empty
@@ -155,6 +162,15 @@ class AppRunner:
         if code is None or code.co_filename != self.source:
             return ""
         return f"{self.source}, from line {code.co_firstlineno} on: "
+
+    def _arguments(self, error: BaseException, method: str) -> str:
+        """Explain which arguments a method of the author's must have, where our call of it has failed for them."""
+        if not method or not isinstance(error, TypeError) or f"{method}() " not in str(error):
+            return ""
+        platform = next(kind for kind in type(self.app).__mro__ if kind.__module__ in PLATFORM_MODULES)
+        ours = getattr(platform, method, None)
+        names = ", ".join(inspect.signature(ours).parameters) if ours is not None else "self, truth"
+        return f" (declare `def {method}({names})`)"
 
     def _where(self, where: str) -> str:
         return f"{type(self.app).__name__} on {self.app.robot.name}, {where}"
@@ -237,8 +253,8 @@ class Runner(AppRunner):
         """Let the app set its first state; returns it packed: shared, private."""
         self._be_at(0)
         self.app.robot.prepare("start", measurement)
-        self._call("start()", self.app.start)
-        return self._pack("start()")
+        self._call("start()", self.app.start, "start")
+        return self._pack("start()", "start")
 
     def step(
         self, k: int, own: bytes, values: Mapping[str, bytes], measurement: Measurement | None
@@ -263,10 +279,10 @@ class Runner(AppRunner):
         neighbours = [view(name, *unpack(values[name])) for name in sorted(values)]
         object.__setattr__(app, "neighbours", neighbours)
         where = f"iteration {k}"
-        answer: object = self._call(where, lambda: app.step(neighbours))
+        answer: object = self._call(where, lambda: app.step(neighbours), "step")
         if answer is not None:
             raise AppError(f"{self._where(where)}: it returned {shown(answer)}; a step assigns to the state instead")
-        packed = self._pack(where)
+        packed = self._pack(where, "step")
         self._be_at(k + 1)
         self._step = own, packed[0]
         return packed
@@ -289,8 +305,8 @@ class Runner(AppRunner):
         self.restore(k, own, private, graph)
         where = f"on_epoch() at iteration {k}"
         self.app.robot.prepare(f"epoch {k}", None)
-        self._call(where, lambda: self.app.on_epoch(graph.names))
-        return self._pack(where)
+        self._call(where, lambda: self.app.on_epoch(graph.names), "on_epoch")
+        return self._pack(where, "on_epoch")
 
     def entered(self, k: int) -> None:
         """The robot is in the epoch of the last `renew`. Inputs that it repeats are counted by its iterations, since a
@@ -300,7 +316,7 @@ class Runner(AppRunner):
 
     def content(self) -> bool:
         """Return whether the app says after its last step that it has converged, or has hardly moved."""
-        said: object = self._call(f"converged() at iteration {self.k}", self.app.converged)
+        said: object = self._call(f"converged() at iteration {self.k}", self.app.converged, "converged")
         if said is not None:
             return bool(said)
         before, after = (_numbers(self.schema.unpack(own)) for own in self._step)
@@ -314,13 +330,13 @@ class Runner(AppRunner):
             self._taken[name] = k, value
             setattr(self.app, name, copy.deepcopy(value))  # a step may change what it was given
 
-    def _pack(self, where: str) -> tuple[bytes, bytes]:
+    def _pack(self, where: str, method: str) -> tuple[bytes, bytes]:
         app, spec = self.app, type(self.app).spec
         try:
             own = self.schema.pack({name: getattr(app, name) for name in self.schema.names})
             private = pack_private({name: getattr(app, name) for name in spec.private if hasattr(app, name)})
         except AppError as error:
-            raise AppError(f"{self._where(where)}: {error}") from None
+            raise AppError(f"{self._where(where)}: {self._from_line(method)}{error}") from None
         bound = app.diverges_above
         # What others see is what we go on with: float32 rounds, numbers become floats, lists tuples.
         for name, value in zip(self.schema.names, self.schema.unpack(own), strict=True):

@@ -73,10 +73,12 @@ def read_spec(cls: Any) -> Spec:
             mark = typing.get_args(hint)[1] if typing.get_origin(hint) is Annotated else None
             if isinstance(mark, ArrayShape):
                 arrays[name] = array_field(name, mark)
+                _check_first(cls, arrays[name])
         else:
             if keyword.iskeyword(name):
                 raise AppError(f"{name}: a word of the Python language cannot be a field")
             fields.append(field_of(name, hint))
+            _check_first(cls, fields[-1])
     return Spec(
         Schema(cls.__name__, fields),
         tuple(private),
@@ -84,6 +86,15 @@ def read_spec(cls: Any) -> Spec:
         parameters,
         namedtuple("Neighbour", ["name", *(f.name for f in fields), *cls.view_extras]),
     )
+
+
+def _check_first(cls: type, field: Field) -> None:
+    """Raise `AppError` for a first value in the class that the field does not take: here the class's line is known."""
+    if hasattr(cls, field.name):
+        value = getattr(cls, field.name)
+        if field.kind != "array":
+            field.check_assigned(value)
+        checked(field, field.name, value)
 
 
 def _is_platform(kind: type) -> bool:

@@ -120,18 +120,20 @@ class BaseApp:
         step = getattr(cls, "step", None)
         if step is None or step.__module__ not in PLATFORM_MODULES:
             return
-        methods = [value for value in vars(cls).values() if inspect.isfunction(value)]
-        try:
-            place = f"{inspect.getsourcefile(cls)}, line {inspect.getsourcelines(cls)[1]}: "
-        except (OSError, TypeError):  # a class of a notebook's cell has no file, its methods do
-            code = methods[0].__code__ if methods else None
-            place = f"{code.co_filename}, line {code.co_firstlineno}: " if code is not None else ""
+        methods = _methods(cls)
         has = f"; it has {', '.join(method.__name__ for method in methods)}" if methods else ""
-        raise AppError(f"{place}class {cls.__name__} has no step: add `def step(self, neighbours):`{has}")
+        raise AppError(f"{_place(cls)}class {cls.__name__} has no step: add `def step(self, neighbours):`{has}")
 
     @classmethod
     def check_state(cls) -> None:
         """Raise `AppError` where the shared state cannot be sent."""
+        own = {name: value for name, value in vars(cls).items() if not hasattr(cls.__base__, name) and name[0] != "_"}
+        untyped = next(((name, kind) for name, value in own.items() if (kind := _type_of(value))), None)
+        if not cls.spec.schema.fields and untyped is not None:
+            name, kind = untyped
+            raise AppError(
+                f"{_place(cls)}class {cls.__name__} shares no state: {name} has no type: declare `{name}: {kind} = ...`"
+            )
         cls.spec.schema.check_size()
 
     @classmethod
@@ -197,8 +199,7 @@ class BaseApp:
         declared = (*spec.schema.names, *spec.private)
         near = difflib.get_close_matches(name, declared, n=1)
         mend = f"Is {near[0]!r} meant? Else declare" if near else "Declare"
-        shape = shape_of(value)
-        type_name = f"Array[{', '.join(map(str, shape))}]" if shape else type_of(value)
+        type_name = _type_of(value)
         shared = f"`{plain}: {type_name}` is shared with the neighbours, " if type_name else ""
         private = f"_{plain}: {type_name or type(value).__name__}"
         raise AttributeError(
@@ -258,6 +259,25 @@ class SyncApp(BaseApp):
     def regraph(self) -> None:
         """Called by the host when `robot.graph` is another one: the weights follow from it."""
         self._weigh()
+
+
+def _type_of(value: object) -> str:
+    """Return the type as which a shared field with this value is declared; empty where there is none."""
+    shape = shape_of(value)
+    return f"Array[{', '.join(map(str, shape))}]" if shape else type_of(value)
+
+
+def _methods(cls: type) -> list[Any]:
+    return [value for value in vars(cls).values() if inspect.isfunction(value)]
+
+
+def _place(cls: type) -> str:
+    """File and line of a class, with a colon; empty where they are unknown."""
+    try:
+        return f"{inspect.getsourcefile(cls)}, line {inspect.getsourcelines(cls)[1]}: "
+    except (OSError, TypeError):  # a class of a notebook's cell has no file, its methods do
+        code = next((method.__code__ for method in _methods(cls)), None)
+        return f"{code.co_filename}, line {code.co_firstlineno}: " if code is not None else ""
 
 
 def _mixed(own: Any, around: Sequence[tuple[float, Any]]) -> Any:

@@ -45,7 +45,7 @@ class Array:
 
     def __class_getitem__(cls, sizes: Any) -> Any:
         given = sizes if isinstance(sizes, tuple) else (sizes,)
-        single = bool(given) and given[-1] == float32
+        single = bool(given) and (given[-1] == float32 or getattr(given[-1], "__name__", "") == "float32")  # numpy's
         sizes = given[:-1] if single else given
         if not 0 < len(sizes) <= MAX_DIMENSIONS or any(type(size) is not int or size < 1 for size in sizes):
             kinds = ", ".join("float32" if each == float32 else repr(each) for each in given)

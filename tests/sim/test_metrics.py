@@ -120,7 +120,12 @@ def test_a_metric_that_raises_is_named_with_file_and_line(tmp_path: Path) -> Non
     assert f"error() at iteration 0: {app}, line 15: ZeroDivisionError" in report["problems"][0]
     app = write(tmp_path, OWN_PLACE.replace("return math.dist", "return str or math.dist"))
     report, _ = simulate(app, "--robots", "2", "--seconds", "2")
-    assert "error() at iteration 0: expected a number, got <class 'str'>" in report["problems"][0]
+    where = f"error() at iteration 0: {app}, from line 14 on: "
+    assert f"{where}expected a number, got <class 'str'>: return a float" in report["problems"][0]
+    app = write(tmp_path, OWN_PLACE.replace("error(self, truth)", "error(self)"))
+    report, _ = simulate(app, "--robots", "2", "--seconds", "2")
+    assert f"{where}TypeError: " in report["problems"][0]
+    assert "(declare `def error(self, truth)`)" in report["problems"][0]
 
 
 def test_without_a_simulation_there_is_no_error(tmp_path: Path) -> None:

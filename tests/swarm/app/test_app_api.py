@@ -13,7 +13,7 @@ import pytest
 
 from services.apps.faults import bounded
 from services.apps.runner import Runner
-from swarm import SyncApp, Vector, float32, parameter
+from swarm import Array, SyncApp, Vector, float32, parameter
 from swarm.app.robot import Robot
 from swarm.core.graph import Graph
 from swarm.errors import AppError
@@ -149,6 +149,12 @@ def test_a_parameter_cannot_be_assigned() -> None:
         ({"__annotations__": {"p": list}, "p": parameter(1.0)}, "class Bad: p: a parameter is of type"),
         ({"__annotations__": {"p": int}, "p": parameter(1.5)}, "class Bad: p: default: expected an integer, got 1.5"),
         ({"__annotations__": {"p": float}, "p": parameter(2.0, high=1)}, "expected a finite number of at most 1"),
+        (
+            {"__annotations__": {"x": float}, "x": np.zeros(2)},
+            "class Bad: x: it is declared as float, and is given an arr",
+        ),
+        ({"__annotations__": {"x": int}, "x": 1.5}, "class Bad: x: expected an integer of 64 bits, got 1.5"),
+        ({"__annotations__": {"_x": Array[2]}, "_x": (1.0,)}, "class Bad: _x: expected an array of shape (2,)"),
     ],
 )
 def test_classes_that_cannot_be_are_refused_when_made(body: dict[str, Any], message: str) -> None:
@@ -159,6 +165,8 @@ def test_classes_that_cannot_be_are_refused_when_made(body: dict[str, Any], mess
 def test_no_state_and_too_much_state_are_refused() -> None:
     with pytest.raises(AppError, match="Empty shares no state"):
         make(type("Empty", (SyncApp,), {}))
+    with pytest.raises(AppError, match=r"shares no state: x has no type: declare `x: Array\[2\] = ...`"):
+        make(type("Untyped", (SyncApp,), {"measured": True, "x": np.zeros(2)}))
     with pytest.raises(AppError, match="takes 800 bytes"):
         make(type("Big", (SyncApp,), {"__annotations__": {"x": Annotated[Vector, 100]}}))
 
@@ -275,6 +283,8 @@ def test_the_own_float32_is_rounded_as_the_neighbours_see_it() -> None:
 
 # Faults of a step
 
+LINE_OF_STEP = r"Tracker on r1, iteration 4: .*test_app_api.py, from line \d+ on: "
+
 
 @pytest.mark.parametrize(
     ("step", "message"),
@@ -285,16 +295,17 @@ def test_the_own_float32_is_rounded_as_the_neighbours_see_it() -> None:
         ),
         (
             lambda self, n: setattr(self, "value", float("nan")),
-            r"Tracker on r1, iteration 4: value: nan is not a finite number",
+            LINE_OF_STEP + r"value: nan is not a finite number",
         ),
         (
             lambda self, n: setattr(self, "count", 1.5),
-            r"Tracker on r1, iteration 4: count: expected an integer of 64 bits, got 1.5",
+            LINE_OF_STEP + r"count: expected an integer of 64 bits, got 1.5",
         ),
-        (lambda self, n: setattr(self, "place", (1.0,)), r"Tracker on r1, iteration 4: place: expected 2 numbers"),
-        (lambda self, n: setattr(self, "_last", object()), r"Tracker on r1, iteration 4: _last: .* cannot be saved"),
+        (lambda self, n: setattr(self, "place", (1.0,)), LINE_OF_STEP + r"place: expected 2 numbers"),
+        (lambda self, n: setattr(self, "_last", object()), LINE_OF_STEP + r"_last: .* cannot be saved"),
         (lambda self, n: setattr(self, "valeu", 1), r"iteration 4: .*AttributeError: Tracker declares no 'valeu'"),
         (lambda self, n: self.robot.measurement, r"iteration 4: .*no measurement: write `measured = True`"),
+        (lambda self: None, LINE_OF_STEP + r"TypeError: .* takes 1 positional argument"),
         (lambda self, n: 5.0, r"Tracker on r1, iteration 4: it returned 5.0; a step assigns to the state instead"),
     ],
 )

@@ -58,6 +58,7 @@ def test_an_array_comes_back_to_the_bit_and_cannot_be_written_to(array: np.ndarr
 
 @given(npst.arrays(np.float32, 3, elements=st.floats(allow_nan=False, allow_infinity=False, width=32)))
 def test_a_float32_array_comes_back_to_the_bit(array: np.ndarray) -> None:
+    assert Array[3, np.float32] == Array[3, float32]
     declared = schema(x=Array[3, float32])
     (back,) = declared.unpack(declared.pack({"x": array}))
     assert back.dtype == np.float32

@@ -273,8 +273,8 @@ def test_a_wrong_state_is_named_and_sigterm_gives_back_what_was_taken(make_rig: 
     for presses in ((1, 0, 0), (1, 0, 1)):
         bus.publish("swarm/r0/balancer/buttons", encode(Buttons(0.0, False, False, False, *presses)))
     rig.until_phase("fault", "r0")
-    wrong = "Hands on r0, on_button() at k = 0: presses: expected an integer of 64 bits, got 'many'"
-    assert rig.progress["r0"].reason == wrong
+    where = f"Hands on r0, on_button() at k = 0: {app}, from line 7 on"
+    assert rig.progress["r0"].reason == f"{where}: presses: expected an integer of 64 bits, got 'many'"
 
 
 HANGS = """
