@@ -14,6 +14,7 @@ from laptop.runs.progress import progress as shown_progress
 from laptop.runs.results import RunData
 from services.apps import loader
 from sim.processes.progress import said
+from sim.scenario.notes import forgetting
 from sim.scenario.options import EVENTS, parse, parser
 from sim.scenario.quantities import AppSetting
 from sim.scenario.scenario import build
@@ -44,7 +45,7 @@ def simulate(
     robots: int = 6,
     topology: str = "line",
     values: Mapping[str, Any] | None = None,
-    latency: float = 0.03,
+    latency: float | str = 0.03,
     faults: Sequence[str] = (),
     seed: int = 1,
     iterations: int | None = None,
@@ -58,10 +59,10 @@ def simulate(
 
     `app`: the class, the path of its file, or the name of a built-in app. The robots are r0, r1...; `topology` is line,
     loop, full, thesis-d, random:SEED, auto or a matrix file. `values` are first values of the state and parameters: for
-    all robots, as a list with one for each, or by robot (`{"x": {"r2": 3.0}}`). `latency` of the links: s, one way.
-    `faults` are written as on the command line, with times in s after the first iteration: "cut r0-r1@1s,2s",
-    "kill r2.app@5s", "off r3@5s,10s", "press r0.A@2s", "push r1@5s,0.2". The seed may draw robots and times, as in
-    "off any@2s..8s,10s".
+    all robots, as a list with one for each, or by robot (`{"x": {"r2": 3.0}}`). `latency` of the links: s, one way,
+    or a text such as "30ms". `faults` are written as on the command line, with times in s after the first iteration:
+    "cut r0-r1@1s,2s", "kill r2.app@5s", "off r3@5s,10s", "press r0.A@2s", "push r1@5s,0.2". The seed may
+    draw robots and times, as in "off any@2s..8s,10s".
 
     The run ends after `iterations` (100 if neither is given), or after `seconds` of virtual time. `devices`: record
     poses, tilt and links, too, as `swarm sim --record` does; that takes three times as long. `options` are all other
@@ -87,7 +88,7 @@ def simulate(
         raise
     weakref.finalize(run.recording, shutil.rmtree, held, ignore_errors=True)
     if check and run.problems:
-        raise AppError("; ".join(run.problems))
+        raise AppError("; ".join([*run.problems, *forgetting(plan.config, found, read)]))
     return run
 
 
@@ -113,21 +114,27 @@ def settings_for(
     return settings_of(kind, values or {}, names)
 
 
+def flags_of_options() -> dict[str, str]:
+    """Return the options of `swarm sim` that are `**options` of `simulate`, by their names there."""
+    flags = {}
+    for each in (action for action in parser()._actions if action.dest not in ELSEWHERE):
+        name = each.option_strings[0].removeprefix("--").replace("-", "_")
+        flags["run_for" if name == "for" else name] = each.option_strings[0]  # `for` is a word of Python
+    return flags
+
+
 def arguments_of(
     robots: int,
     topology: str,
-    latency: float,
+    latency: float | str,
     faults: Sequence[str],
     iterations: int | None,
     seconds: float | None,
     options: Mapping[str, Any],
 ) -> list[str]:
     """The command line of `swarm sim` that says the same. Raises `ConfigError`."""
-    flags = {}
-    for each in (action for action in parser()._actions if action.dest not in ELSEWHERE):
-        name = each.option_strings[0].removeprefix("--").replace("-", "_")
-        flags["run_for" if name == "for" else name] = each.option_strings[0]  # `for` is a word of Python
-    words = ["--latency", repr(float(latency))]
+    flags = flags_of_options()
+    words = [f"--latency={latency}"]
     if options.get("config") is None:
         words += ["--robots", str(robots), "--topology", topology]
     for name, value in (("iterations", iterations), ("seconds", seconds)):

@@ -10,7 +10,7 @@ from laptop.cli.runs import sweep_results
 from laptop.plotting.style import shown_figure
 from laptop.runs.progress import progress as shown_progress
 from laptop.runs.results import table_of
-from laptop.runs.simulation import App, app_of, arguments_of, settings_for
+from laptop.runs.simulation import App, app_of, arguments_of, flags_of_options, settings_for
 from sim.scenario.options import parse
 from sim.sweep.engines import here, local
 from sim.sweep.measure import Summary, SweptRun, check, summarize
@@ -24,6 +24,12 @@ if TYPE_CHECKING:
 
 WITHIN = 0.01
 """Distance from its last value within which a result counts as settled, in its unit."""
+
+OF_EACH_RUN = ("robots", "topology", "algorithm")
+"""Arguments that differ from run to run if `over` lists values of them."""
+
+OF_ALL_RUNS = ("latency", "faults", "iterations", "seconds", "seeds")
+"""Arguments of a sweep that hold for all its runs, beside the options of `swarm sim`."""
 
 
 class SweepTable:
@@ -71,7 +77,7 @@ def sweep(
     robots: int = 6,
     topology: str = "line",
     values: Mapping[str, Any] | None = None,
-    latency: float = 0.03,
+    latency: float | str = 0.03,
     faults: Sequence[str] = (),
     iterations: int | None = None,
     seconds: float | None = None,
@@ -94,7 +100,14 @@ def sweep(
         raise ConfigError(f"jobs: expected a number of processes above zero, got {jobs}")
     if jobs > 1 and by_class:
         raise ConfigError("jobs: a class cannot go to other processes; put it into a file, and give its path")
+    kinds = found.algorithms.values()
+    own = {name for kind in kinds for name in (*kind.spec.parameters, *kind.spec.schema.names)}
     for name, choices in over.items():
+        if name in {*flags_of_options(), *OF_ALL_RUNS} - own - {*OF_EACH_RUN}:
+            raise ConfigError(
+                f"over: {name} is an argument of all runs of a sweep: call sweep once for each value, with {name}=...; "
+                f"lists may be of {', '.join(OF_EACH_RUN)}, and of parameters and first values of the app"
+            )
         if isinstance(choices, str) or not hasattr(choices, "__iter__"):
             raise ConfigError(f"over: {name}: expected a list of values, got {choices!r}")
     points = points_of([(name, [_text(value) for value in choices]) for name, choices in over.items()])

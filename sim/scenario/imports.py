@@ -13,6 +13,9 @@ from swarm.errors import LocalError
 ROBOT_MODULES = frozenset({"eclipse_zenoh", "msgpack", "serial", "services", "smbus2", "swarm", "tomli_w", "zenoh"})
 """What robots carry beside Python's own modules: our two packages and those of `requirements-robot.lock`."""
 
+LAPTOP_MODULES = ("laptop", "sim")
+"""Our packages that robots do not carry."""
+
 
 def lacking(source: str, packages: Sequence[str] = ()) -> list[str]:
     """Return one sentence with file and line for each import of the app in the file `source` that robots lack.
@@ -28,10 +31,10 @@ def lacking(source: str, packages: Sequence[str] = ()) -> list[str]:
             here = top in sys.stdlib_module_names or top in ROBOT_MODULES or top.lower() in carried
             if here or sources.beside(folder, top) or sources.beside((folder / file).parent, top):
                 continue
-            found.append(
-                f"{folder / file}, line {line}: import of {name}: robots lack it, "
-                "if [robot] packages of swarm.toml does not name it"
-            )
+            mend = "if [robot] packages of swarm.toml does not name it"
+            if top in LAPTOP_MODULES:
+                mend = "which is for laptops alone: import it in a script beside the app"
+            found.append(f"{folder / file}, line {line}: import of {name}: robots lack it, {mend}")
     return found
 
 

@@ -51,7 +51,7 @@ def notes(
             yield from imports.lacking(app.source, (*given.packages, *imports.own_packages()))
         yield from _step_size(config, app, recordings)
         yield from _buttons(app, options)
-        yield from _forgetting(config, app, options)
+        yield from forgetting(config, app, options)
         yield from _clocks(app, options)
 
 
@@ -123,7 +123,7 @@ def _buttons(app: loader.LoadedApp, options: Options) -> tuple[str, ...]:
     return (f"{app.name} waits for a button: swarm hand press r0 A, from another terminal, or --press r0.A@2s",)
 
 
-def _forgetting(config: Config, app: loader.LoadedApp, options: Options) -> tuple[str, ...]:
+def forgetting(config: Config, app: loader.LoadedApp, options: Options) -> tuple[str, ...]:
     """Tell that a lockstep does not go on by itself with a robot that was switched off."""
     kind, _ = app.choose(config.app(app.name).of(config.names[0]))
     lockstep = not issubclass(kind, EventApp) or bool(channels_of(kind))
@@ -131,7 +131,8 @@ def _forgetting(config: Config, app: loader.LoadedApp, options: Options) -> tupl
     if off is None or options.run_options.drop or not lockstep:
         return ()
     return (
-        f"{off}: {app.name} has lost its state there afterwards, and the others wait for it; --absent drop goes on",
+        f"{off}: {app.name} has lost its state there afterwards, and the others wait for it; --absent drop goes on "
+        '(absent="drop" in a program)',
     )
 
 

@@ -132,6 +132,8 @@ def test_periodic_apps_and_channels_are_runs_too() -> None:
         ({"faults": ["cut r0-r1"]}, "--cut: 'r0-r1' is not a cut"),
         ({"topology": "ring"}, "--topology ring"),
         ({"iterations": 3, "seconds": 2.0}, "not allowed with"),
+        ({"latency": "soon"}, "--latency: 'soon'"),
+        ({"faults": ["off r3@200ms,1s"]}, 'has lost its state .*absent="drop" in a program'),
     ],
 )
 def test_a_wrong_argument_is_named(arguments: dict[str, object], message: str) -> None:
@@ -219,6 +221,11 @@ def test_a_sweep_refuses_what_no_run_can_be_made_of() -> None:
             sweep(Mean, {"gain": [1.0]}, seeds=none)
     with pytest.raises(ConfigError, match=r"over: gain: expected a list of values, got 0.5"):
         sweep(Mean, {"gain": 0.5})  # type: ignore[dict-item]
+    for name in ("latency", "jitter"):
+        with pytest.raises(
+            ConfigError, match=f"over: {name} is an argument of all runs .* lists may be of robots, top"
+        ):
+            sweep(Mean, {name: [0.01, 0.02]})
     with pytest.raises(ConfigError, match="over: topology: expected a list of values, got 'line'"):
         sweep(Mean, {"topology": "line"})
     with pytest.raises(ConfigError, match="there is no option 'sped'"):

@@ -52,6 +52,11 @@ def test_an_app_is_its_file_and_what_it_imports_from_beside_it_and_those_in_turn
         f"{tmp_path}/near/other.py, line 1: import of numpy.linalg: robots lack it, "
         "if [robot] packages of swarm.toml does not name it"
     ]
+    (tmp_path / "mine.py").write_text("import laptop.runs")
+    assert lacking(str(app)) == [
+        f"{tmp_path}/mine.py, line 1: import of laptop.runs: robots lack it, "
+        "which is for laptops alone: import it in a script beside the app"
+    ]
 
 
 def test_the_digest_of_an_app_changes_with_each_of_its_files_and_no_other(tmp_path: Path) -> None:
