@@ -8,6 +8,7 @@ from typing import Any
 
 from laptop.plotting import style
 from swarm.errors import LocalError
+from swarm.recording.axis import MESH_CLOCK
 from swarm.recording.run import Run
 
 PERIODS = 8
@@ -19,19 +20,20 @@ STANDING = "balancing"
 
 
 def leds(figure: Any, run: Run) -> None:
-    """Draw the flashes of robots: the end of the run in detail, and each flash relative to the first robot's, over
-    the whole run."""
-    flashes, lit = _flashes(run)
+    """Draw the flashes of robots: the end of the run in detail, and each flash relative to those of the first robot
+    that flashes to the end, over the whole run. Nobody knows when the LEDs of real robots shone in truth: the picture
+    says whose word and which clock it shows."""
+    flashes, lit, source = _flashes(run)
     robots = [name for name in run.robots if flashes.get(name)]
     if not robots:
         raise LocalError(f"{run.path}: no LED has been switched in this recording")
     figure.set_size_inches(7.0, 2.2 + 0.28 * len(robots) + 2.2)
     grid = figure.add_gridspec(2, 1, height_ratios=(0.6 + 0.28 * len(robots), 2.6))
     top, bottom = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
-    first = flashes[robots[0]]
-    periods = [b - a for a, b in pairwise(first)]
-    period = sorted(periods)[len(periods) // 2] if periods else 1.0
+    periods = sorted(b - a for times in flashes.values() for a, b in pairwise(times))
+    period = periods[len(periods) // 2] if periods else 1.0
     end = max(times[-1] for times in flashes.values())
+    first = next(name for name in robots if flashes[name][-1] > end - 2 * period)  # one that has not stopped
     begin = end - PERIODS * period
     farthest = 0.0
     for index, name in enumerate(robots):
@@ -39,10 +41,13 @@ def leds(figure: Any, run: Run) -> None:
         for on, off in lit[name]:
             if off >= begin and on <= end + period / 2:
                 top.barh(index, off - on, left=on, height=0.62, color=colour)
-        offsets = [(t, 1e3 * _nearest(first, t)) for t in flashes[name]]
+        apart = [(t, _nearest(flashes[first], t)) for t in flashes[name]]
+        # Half a period is the most while the first robot flashes.
+        offsets = [(t, 1e3 * offset) for t, offset in apart if abs(offset) < 0.75 * period]
         farthest = max([farthest, *(abs(offset) for _, offset in offsets)])
         bottom.plot(
-            *zip(*offsets, strict=True),
+            [t for t, _ in offsets],
+            [offset for _, offset in offsets],
             "." if len(offsets) > 60 else style.mark(index),
             color=colour,
             markersize=3.2,
@@ -52,7 +57,7 @@ def leds(figure: Any, run: Run) -> None:
     top.set(xlabel="time / s", xlim=(begin, end + period / 2), title="LED on, the last flashes")
     bottom.set(
         xlabel="time / s",
-        ylabel=f"flash after that of {robots[0]} / ms",
+        ylabel=f"flash after that of {first} / ms",
     )
     if farthest > FAR_MS:  # before they are together; afterwards milliseconds are to be seen
         bottom.set_yscale("symlog", linthresh=NEAR_MS, linscale=2.0)
@@ -61,6 +66,8 @@ def leds(figure: Any, run: Run) -> None:
         bottom.set_yticks(sorted(ticks), [f"{tick:g}" for tick in sorted(ticks)])
         bottom.minorticks_off()
     style.legend(bottom, len(robots))
+    doubt = " (the LEDs follow it too: its errors are not to be seen)" if run.basis == MESH_CLOCK else ""
+    figure.supxlabel(f"{source}, by the time of {run.basis}{doubt}", fontsize=8, color=style.GREY)
 
 
 def standup(figure: Any, run: Run) -> None:
@@ -101,10 +108,11 @@ def standup(figure: Any, run: Run) -> None:
     axes.set(xlabel="time / s", title="line: tilt (a row is ±110°), filled: it stands")
 
 
-def _flashes(run: Run) -> tuple[dict[str, list[float]], dict[str, list[tuple[float, float]]]]:
-    """Times at which each robot's flashing LED came on, and the stretches it was on: by the registers of the simulated
-    robots, or what the balancer says. The LED is the one that was switched most often."""
-    topic = "sim/leds" if any(name.endswith("/sim/leds") for name in run.topics) else "balancer/leds"
+def _flashes(run: Run) -> tuple[dict[str, list[float]], dict[str, list[tuple[float, float]]], str]:
+    """Times at which each robot's flashing LED came on, the stretches it was on, and who says so: the registers of the
+    simulated robots, or the balancers. The LED is the one that was switched most often."""
+    simulated = any(name.endswith("/sim/leds") for name in run.topics)
+    topic = "sim/leds" if simulated else "balancer/leds"
     changes: Counter[str] = Counter()
     states: dict[str, list[tuple[float, dict[str, Any]]]] = {}
     for sample in run.samples(f"swarm/*/{topic}"):
@@ -126,7 +134,8 @@ def _flashes(run: Run) -> tuple[dict[str, list[float]], dict[str, list[tuple[flo
                 lit.setdefault(robot, []).append((on, t))
                 on = None
         lit.setdefault(robot, [])
-    return (flashes if changes[led] else {}), lit
+    source = "registers of the simulated LEDs" if simulated else "LEDs as the balancers report them"
+    return (flashes if changes[led] else {}), lit, source
 
 
 def _nearest(times: list[float], t: float) -> float:

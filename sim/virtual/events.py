@@ -113,6 +113,11 @@ class LocalTime:
     def true(self) -> float:
         return self._world.now
 
+    @property
+    def relation(self) -> dict[str, float]:
+        """`offset` (s) and `rate`: the world's time is t + offset + rate t when this clock shows t."""
+        return {"offset": -self._offset / self._rate, "rate": 1.0 / self._rate - 1.0}
+
     def when(self, time: float) -> float:
         return self._offset + self._rate * self._true(time)
 

@@ -3,7 +3,9 @@ different rates.
 
 Recordings of one machine since one start of it share a clock. Others are brought together by the mesh clock, whose
 samples every robot records: C(t') = t' + offset + rate (t' - t), with robots of one root on one time
-(`swarm.app.mesh_clock`). Where a clock has no such sample, its time of day has to do, and a note says so.
+(`swarm.app.mesh_clock`). Where a clock has no such sample, its time of day has to do, and a note says so. A simulation
+knows how its robots' clocks relate to the world's time, which then is the common time: what follows the mesh clock, as
+LEDs do, would seem to be exact on an axis that follows it too.
 """
 
 from bisect import bisect_right
@@ -13,6 +15,10 @@ from typing import NamedTuple
 
 Axis = Callable[[float], float]
 """A function from a clock's time to the common time, s."""
+
+WORLD = "the simulated world"
+"""The root of relations to the world's time; no robot has this name."""
+ONE_CLOCK, MESH_CLOCK, DAY = "one clock", "the mesh clock", "the robots' time of day"
 
 
 class Relation(NamedTuple):
@@ -32,6 +38,8 @@ class Clocks:
         self._relations: dict[str, list[Relation]] = {}
         self.notes: list[str] = []
         """Doubts about the common time, in words; known after `axes`."""
+        self.basis = ONE_CLOCK
+        """What the common time is of: `ONE_CLOCK`, `WORLD`, `MESH_CLOCK` or `DAY`; known after `axes`."""
         self.epoch = 0.0
         """The time of day at the zero of common time, s since 1970, as well as it is known; after `axes`."""
 
@@ -49,7 +57,8 @@ class Clocks:
             self.epoch = next(iter(self._epochs.values()), 0.0)
             return dict.fromkeys(self._epochs, _shifted(0.0))
         counts = Counter(relation.root for each in self._relations.values() for relation in each)
-        root = min(counts, key=lambda name: (-counts[name], name), default="")
+        root = WORLD if WORLD in counts else min(counts, key=lambda name: (-counts[name], name), default="")
+        self.basis = WORLD if root == WORLD else MESH_CLOCK if counts else DAY
         axes: dict[str, Axis] = {}
         for clock, relations in self._relations.items():
             if chosen := sorted(relation for relation in relations if relation.root == root):

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from swarm.errors import RecordingError
 from swarm.recording import folder
-from swarm.recording.axis import Axis, Clocks, Relation
+from swarm.recording.axis import WORLD, Axis, Clocks, Relation
 from swarm.recording.core.mcap import McapSchema
-from swarm.recording.reader import SUFFIX, RecordedSample, RecordingReader, shapes_of
+from swarm.recording.reader import SUFFIX, WORLD_CLOCK, RecordedSample, RecordingReader, shapes_of
 from swarm.recording.trajectory import Builder, Trajectory, beside, is_state
 
 _NO_SCHEMA = McapSchema(0, "", "", b"{}")
@@ -46,6 +46,8 @@ class Run:
             self._look(file, clocks)
         self._axes = clocks.axes()
         self.damage += clocks.notes
+        self.basis = clocks.basis
+        """What the common time is of, see `Clocks`."""
         self.epoch = clocks.epoch
         """The time of day at the zero of common time, s since 1970, as well as it is known; 0 in virtual time."""
         self.robots = tuple(sorted({topic.split("/")[1] for topic in self.topics if topic.count("/") > 2}, key=natural))
@@ -143,6 +145,11 @@ class Run:
         for name, entries in reader.metadata:
             if name == "run":
                 self.info = {**{key: entries[key] for key in folder.KEYS if key in entries}, **self.info}
+            elif name == WORLD_CLOCK:
+                try:
+                    clocks.relate(reader.clock, Relation(0.0, float(entries["offset"]), float(entries["rate"]), WORLD))
+                except (KeyError, ValueError):
+                    self.damage.append(f"{file}: {WORLD_CLOCK}: expected numbers `offset` and `rate`, got {entries}")
 
     def _read(self, file: Path, wanted: Callable[[str], bool]) -> Iterator[RecordedSample]:
         reader = RecordingReader(file)

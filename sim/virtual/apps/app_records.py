@@ -9,10 +9,11 @@ from services.apps.host.observer import Source, StepRecord
 from services.apps.persistence.recorder import Recorder
 from sim.virtual.apps.trajectory_builder import TrajectoryBuilder
 from sim.virtual.bus import VirtualBus
+from sim.virtual.events import LocalTime
 from sim.virtual.world import VirtualWorld
 from swarm.messages import AppEpoch, AppParameters
 from swarm.recording import folder
-from swarm.recording.reader import OUTCOME, PLOTTED, SHAPES, SUFFIX
+from swarm.recording.reader import OUTCOME, PLOTTED, SHAPES, SUFFIX, WORLD_CLOCK
 from swarm.recording.recorded_topics import TopicRecorder
 from swarm.recording.trajectory import Trajectory
 from swarm.recording.virtual_file import DirectRecording
@@ -37,6 +38,9 @@ class AppRecords:
         if self._skewed:
             files = {name: DirectRecording(place / f"{name}.{app.name}{SUFFIX}", run, name) for name in world.robots}
             self._files = list(files.values())
+            for name, robot in world.robots.items():
+                assert isinstance(robot.time, LocalTime)
+                files[name].metadata(WORLD_CLOCK, {key: repr(it) for key, it in robot.time.relation.items()})
         else:
             self._files = [DirectRecording(place / f"{app.name}{SUFFIX}", run)]
             files = dict.fromkeys(world.robots, self._files[0])

@@ -11,12 +11,14 @@ import pytest
 from laptop.cli import main
 from laptop.cli.runs.plot import KINDS
 from laptop.plotting import style
+from laptop.plotting.events import _flashes
 from laptop.plotting.journeys import JourneyLeg, Pass, legs
 from laptop.plotting.mesh import layout, spots
 from laptop.plotting.mesh import mesh as mesh_plot
 from laptop.plotting.style import figure
 from sim.virtual.run import simulate
 from swarm.recording.run import Run
+from swarm.recording.virtual_file import DirectRecording
 
 pytest.importorskip("matplotlib")
 
@@ -241,3 +243,49 @@ def test_what_was_not_recorded_cannot_be_drawn(runs, tmp_path, capsys):
     assert "no app has sent a flood in this recording" in capsys.readouterr().err
     assert plot(tmp_path) == 2
     assert "there is no recording (*.mcap) in this folder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("skew", "basis"), [("100ppm", "the simulated world"), ("0ppm", "one clock")])
+def test_flashes_are_as_far_apart_as_the_world_saw_them(tmp_path, skew, basis):
+    """On an axis that follows the mesh clock the LEDs that follow it too would seem to be exact."""
+    words = ("--robots", "3", "--seconds", "8", "--jitter", "20ms", "--clock-skew", skew)
+    report, outcome = simulate("led_sync", *words, "--record", str(tmp_path))
+    run, seen = Run(tmp_path), outcome.scene_record
+    assert seen is not None
+    assert run.basis == basis
+    flashes, _, source = _flashes(run)
+    assert source == "registers of the simulated LEDs"
+    for name, times in seen.flashes.items():
+        assert flashes[name] == pytest.approx([t - run.origin for t in times], abs=1e-6)
+    with figure(tmp_path / "leds.svg", settings=style.RC) as made:
+        KINDS["leds"](made, run)
+    assert f"registers of the simulated LEDs, by the time of {basis}<" in (tmp_path / "leds.svg").read_text()
+    drawn = [abs(y) for line in made.axes[1].lines for x, y in zip(*line.get_data(), strict=True) if x > 4.0]
+    told = report["scene"]["apart_all_p95_ms"]
+    assert max(drawn) >= 0.5 * told
+
+
+def test_of_real_robots_the_picture_says_that_its_clock_is_that_of_the_leds(tmp_path):
+    for name, offset in (("r0", 0.0), ("r1", 50.0)):
+        file = DirectRecording(tmp_path / f"{name}.x.mcap", {"app": "x"}, name)
+        for k in range(20):
+            t = 100.0 + 0.5 * k - offset
+            file.write(f"swarm/{name}/mesh/clock", t, {"t": t, "offset": offset, "rate": 0.0, "root": "r0"}, "Clock")
+            lamps = {"t": t, "red": False, "yellow": k % 2 == 0, "green": False}
+            file.write(f"swarm/{name}/balancer/leds", t, lamps, "Leds")
+        file.close()
+    path = tmp_path / "leds.svg"
+    assert plot(tmp_path, "--kind", "leds", "-o", path) == 0
+    text = path.read_text()
+    assert "LEDs as the balancers report them, by the time of the mesh clock" in text
+    assert "its errors are not to be seen" in text
+
+
+def test_flashes_of_a_robot_that_others_went_on_without_are_compared_with_none(tmp_path):
+    simulate("led_sync", "--robots", "3", "--seconds", "9", "--push", "r0@4s,0.5", "--record", str(tmp_path / "run"))
+    with figure(tmp_path / "leds.svg", settings=style.RC) as made:
+        KINDS["leds"](made, Run(tmp_path / "run"))
+    below = made.axes[1]
+    assert below.get_ylabel() == "flash after that of r1 / ms"
+    assert max(abs(y) for line in below.lines for y in line.get_ydata()) < 500
+    assert max(below.lines[2].get_xdata()) > 8.0

@@ -9,6 +9,7 @@ from swarm.messages import AppState, Clock, Pose
 from swarm.recording.axis import Clocks, Relation
 from swarm.recording.core.writer import Writer
 from swarm.recording.run import Run, natural
+from swarm.recording.virtual_file import DirectRecording
 
 
 def write(path, robot, clock, epoch_s, *messages):
@@ -55,6 +56,27 @@ def test_robots_are_brought_together_by_the_mesh_clock(tmp_path):
     assert times[0] == pytest.approx(1.0 + 1e-4 * 10, abs=1e-9)
     assert times[1] == pytest.approx(41.0 + 1e-4 * 50, abs=1e-9)
     assert run.damage == []
+
+
+def test_the_worlds_time_of_a_simulation_counts_more_than_the_mesh_clock(tmp_path):
+    for name, offset in (("r0", "-1000.0"), ("r1", "-10.0")):
+        file = DirectRecording(tmp_path / f"{name}.x.mcap", {"app": "x"}, name)
+        file.metadata("world_clock", {"offset": offset, "rate": "1e-4"})
+        topic, t, sample = clock(5.0, 3.0)
+        file.write(f"swarm/{name}/{topic}", t, sample)
+        file.write(f"swarm/{name}/app/x/state", 2000.0, AppState(2000.0, 0, {"v": 0.5}, {}))
+        file.close()
+    run = Run(tmp_path)
+    assert run.basis == "the simulated world"
+    assert {name: path.times[0] for name, path in run.trajectories().items()} == pytest.approx({"r0": 0.0, "r1": 990.0})
+    assert run.origin == pytest.approx(1000.2)
+
+
+def test_a_relation_to_the_worlds_time_that_is_none_is_named(tmp_path):
+    file = DirectRecording(tmp_path / "r0.x.mcap", {"app": "x"}, "r0")
+    file.metadata("world_clock", {"offset": "soon"})
+    file.close()
+    assert "expected numbers `offset` and `rate`, got {'offset': 'soon'}" in Run(tmp_path).damage[0]
 
 
 def test_a_robot_without_mesh_clock_goes_by_its_time_of_day_and_is_named(tmp_path):
