@@ -36,7 +36,9 @@ def states(figure: Any, run: Run, columns: Sequence[str] = (), labels: Mapping[s
     if columns:  # in the order in which they are asked for
         panels = [panel for name in columns for panel in _named(run, name, every)]
     elif every:
-        panels = (_marked(run, every) or _chosen(every))[:PANELS]
+        panels = _marked(run, every) or _chosen(every)
+        _say_left_out(figure, run, every, panels[PANELS:])
+        panels = panels[:PANELS]
     else:
         raise LocalError(f"{run.path}: no column of states can be drawn")
     figure.set_size_inches(7.2, max(2.9, 2.3 * len(panels)))
@@ -83,12 +85,37 @@ def _named(run: Run, name: str, panels: Sequence[_Panel]) -> list[_Panel]:
 
 
 def _marked(run: Run, panels: Sequence[_Panel]) -> list[_Panel]:
-    """Return the panels that the author's `plotted` names, in that order."""
-    # Each robot's file has them.
-    names = list(dict.fromkeys(name for notes in run.notes(PLOTTED) for name in notes.get(run.app, "").split()))
+    """Return the panels that the author's `plotted` names, in that order: a vector or an entry of it."""
     shared = {panel[0] for panel in panels if not panel[1].startswith("result.")}
     once = [panel for panel in panels if panel[0].removeprefix("result.") not in shared or panel[0] in shared]
-    return [panel for name in names for panel in once if panel[1].removeprefix("result.").partition("[")[0] == name]
+    return [panel for name in _plotted(run) for panel in once if _is_named(panel, name)]
+
+
+def _plotted(run: Run) -> list[str]:
+    """Return the names in the author's `plotted`. Each robot's file has them."""
+    return list(dict.fromkeys(name for notes in run.notes(PLOTTED) for name in notes.get(run.app, "").split()))
+
+
+def _is_named(panel: _Panel, name: str) -> bool:
+    column = panel[1].removeprefix("result.")
+    return name in (column, column.partition("[")[0])
+
+
+def _say_left_out(figure: Any, run: Run, panels: Sequence[_Panel], beyond: Sequence[_Panel]) -> None:
+    """Write below the picture which columns are beyond its panels, and which names in `plotted` are none of `panels`,
+    those that can be drawn."""
+    unknown = [name for name in _plotted(run) if not any(_is_named(panel, name) for panel in panels)]
+    notes = [f"`plotted` names what cannot be drawn: {_listed(unknown)}"] if unknown else []
+    if beyond:
+        names = _listed([panel[0].removeprefix("result.") for panel in beyond])
+        notes.append(f"not shown, as {PANELS} rows are the most: {names} (ask for them by name)")
+    if notes:
+        figure.supxlabel("\n".join(notes), fontsize=8, color=style.GREY)
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = [f"and {len(names) - PANELS} more"] if len(names) > PANELS else []
+    return ", ".join([*names[:PANELS], *more])
 
 
 def _chosen(panels: Sequence[_Panel]) -> list[_Panel]:

@@ -26,7 +26,7 @@ from swarm.app.robot import Robot
 from swarm.app.spec import PLATFORM_MODULES, Spec, checked, read_spec
 from swarm.core.arrays import shape_of
 from swarm.core.state import type_of
-from swarm.errors import AppError
+from swarm.errors import AppError, shown
 from swarm.messages.codec import Value
 
 WEIGHTS = ("metropolis", "row")
@@ -47,7 +47,8 @@ class BaseApp:
     live: ClassVar[bool] = False
     """Whether parameters that do not declare `live` may be changed while the app runs."""
     plotted: ClassVar[Sequence[str]] = ()
-    """Names of states and results that pictures of a run show, in this order; if empty, the picture chooses."""
+    """Names of states and results, or of entries as `v[1]`, that pictures of a run show, in this order; if empty, the
+    picture chooses."""
     spec: ClassVar[Spec]
     robot: Robot
     neighbours: Sequence[Any]
@@ -61,6 +62,9 @@ class BaseApp:
             cls.spec = read_spec(cls)
         except AppError as error:
             raise AppError(f"class {cls.__name__}: {error}") from None
+        names = cls.plotted
+        if not isinstance(names, tuple | list) or not all(isinstance(name, str) for name in names):
+            raise AppError(f'class {cls.__name__}: plotted: expected names, e.g. ("x",), got {shown(names)}')
 
     def __init__(self, robot: Robot, values: Mapping[str, object] | None = None) -> None:
         """Make the app of one robot. `values`: parameters and first values by name.

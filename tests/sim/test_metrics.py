@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from laptop.cli.runs import plot, sweep_results
+from laptop.plotting import style
 from services.apps import loader
 from services.apps.event_runner import EventRunner
 from services.apps.runner import metrics_of
@@ -180,5 +181,10 @@ def test_a_sweep_has_each_metric_of_the_app(tmp_path: Path) -> None:
     summed = summarize([found[0], replace(found[0], metrics={"error_gain": 2.0})])
     assert summed.metrics == {"error_gain": 1.0, "error_gain_most": 2.0}
     sweep_results.draw("own", points, found, tmp_path / "sweep.png")
+    signed = [replace(run, metrics={"error_gain": 1e-3, "error_y": -0.1}) for run in found]
+    with style.figure(tmp_path / "sweep.png") as made:
+        sweep_results.draw_on(made, "own", points, signed)
+    scales = {axes.get_ylabel(): axes.get_yscale() for axes in made.axes[1:]}
+    assert scales == {"error": "log", "error_gain": "log", "error_y": "linear"}
     table = sweep(app, {"robots": [2]}, seconds=3)
     assert (table.rows[0]["error_gain"], table.rows[0]["error_gain_most"], table.runs[0]["error_gain"]) == (0, 0, 0)

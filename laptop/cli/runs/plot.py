@@ -79,9 +79,8 @@ def run(args: argparse.Namespace) -> int:
     path = args.output or Path(f"{name}.png")
     with style.figure(path, settings=style.RC, layout="constrained") as made:
         drawing(made, recorded)
-        for axes in made.axes if args.between else ():
-            if axes.get_xlabel() == TIME:
-                axes.set_xlim(*args.between)
+        if args.between:
+            _cut(made, *args.between)
     damage = list(recorded.damage)
     show(args, {"picture": str(path), "damage": damage}, [*(f"note: {each}" for each in damage), str(path)])
     return 0
@@ -108,6 +107,18 @@ def draw_on(made: Any, recorded: Run, kind: str | None, columns: Sequence[str]) 
         states.states(made, recorded, columns)
     else:
         KINDS[kind](made, recorded)
+
+
+def _cut(made: Any, begin: float, end: float) -> None:
+    """Show only the part of a figure from `begin` to `end`, s. Raises `LocalError` where nothing is drawn there."""
+    over_time = [axes for axes in made.axes if axes.get_xlabel() == TIME]
+    if not over_time:
+        raise LocalError("--between: nothing in this picture is drawn over time")
+    first, last = (choose(axes.dataLim.intervalx[i] for axes in over_time) for i, choose in enumerate((min, max)))
+    if not (begin < end and begin <= last and first <= end):
+        raise LocalError(f"--between {begin:g} {end:g}: expected FROM < TO within {first:.6g} s to {last:.6g} s")
+    for axes in over_time:
+        axes.set_xlim(begin, end)
 
 
 def _label(text: str) -> tuple[str, str]:

@@ -98,7 +98,7 @@ def draw_on(made: Any, app: str, points: Sequence[SweepPoint], found: Sequence[S
             "the app has no error: give it `def error(self, truth)` (docs/how-to/apps/measure-the-error.md)"
         )
     made.set_size_inches(4.5 * len(kinds), 4)
-    zeros = {"error": _zero(sums)} if any(y for each in sums for y in _drawn(each, "error")) else {}
+    zeros = {name: zero for name in kinds if name != "settled" and (zero := _zero(sums, name)) is not None}
     panels = dict(zip(kinds, made.subplots(1, len(kinds), squeeze=False)[0], strict=True))
     for index, (label, each_line) in enumerate(lines.items()):
         look = {"color": style.colour(index, len(lines)), "marker": style.mark(index), "markersize": 4}
@@ -123,10 +123,10 @@ def draw_on(made: Any, app: str, points: Sequence[SweepPoint], found: Sequence[S
         if numbers and not any(numbers):
             axes.set_ylim(-0.05, 1.0)
             axes.text(0.5, 0.5, "exactly 0 in all runs", transform=axes.transAxes, ha="center", color="0.4")
-    if "error" in zeros:
-        axes, zero = panels["error"], zeros["error"]
+    for name, zero in zeros.items():
+        axes = panels[name]
         axes.set_yscale("log")
-        if any(0.0 in _drawn(each, "error") for each in sums):
+        if any(0.0 in _drawn(each, name) for each in sums):
             axes.axhline(zero, color="0.6", linewidth=0.8, zorder=0)
             axes.text(1.0, zero, "exactly 0", transform=axes.get_yaxis_transform(), color="0.4")
     if any(lines) and along is not None:
@@ -144,10 +144,13 @@ def _drawn(each: Summary, name: str) -> tuple[float, ...]:
     return () if known.get(name) is None else (known[name], known[f"{name}_most"])
 
 
-def _zero(sums: Sequence[Summary]) -> float:
-    """Return where a logarithmic axis has the errors that are exactly 0: a decade below the smallest other one."""
-    least = min(y for each in sums for y in _drawn(each, "error") if y > 0.0)
-    return float(10.0 ** (math.floor(math.log10(least)) - 1))
+def _zero(sums: Sequence[Summary], name: str) -> float | None:
+    """Return where a logarithmic axis has the errors that are exactly 0: a decade below the smallest other one. None
+    where there is no such axis: all are 0, or one has a sign."""
+    values = [y for each in sums for y in _drawn(each, name)]
+    if not any(values) or min(values) < 0.0:
+        return None
+    return float(10.0 ** (math.floor(math.log10(min(y for y in values if y > 0.0))) - 1))
 
 
 def _metrics(sums: Sequence[Summary]) -> list[str]:

@@ -48,6 +48,32 @@ def test_what_the_author_marks_comes_first_and_counts_are_steps(skew: str | None
     assert [axes.lines[0].get_drawstyle() for axes in left] == ["default", "steps-post"]
 
 
+class ManyMarked(Marked):
+    """Names an entry of its vector, and something that is not there."""
+
+    plotted = ("p[1]", "speed", "count")
+
+
+class Large(Marked):
+    """Has more entries than a picture has rows."""
+
+    w: Annotated[Vector, 9] = (0.0,) * 9
+    plotted = ("w",)
+
+
+@pytest.mark.parametrize(
+    ("app", "rows", "said"),
+    [
+        (ManyMarked, ["p[1]", "count"], "`plotted` names what cannot be drawn: speed"),
+        (Large, [f"w[{i}]" for i in range(6)], "not shown, as 6 rows are the most: w[6], w[7], w[8] (ask for them by"),
+    ],
+)
+def test_a_picture_says_what_it_leaves_out(app: type[SyncApp], rows: list[str], said: str) -> None:
+    made = simulate(app, robots=2, iterations=5, progress=False).plot()
+    assert [axes.get_ylabel() for axes in made.axes[::2]] == rows
+    assert said in made.get_supxlabel()
+
+
 def test_the_line_of_a_robot_that_others_went_on_without_has_a_gap_in_both_panels() -> None:
     run = simulate("consensus", robots=3, topology="full", seconds=10, faults=["off r2@1s,5s"], absent="drop",
                    drop_after=1.0, progress=False)  # fmt: skip

@@ -146,6 +146,8 @@ def test_a_parameter_cannot_be_assigned() -> None:
         ({"__annotations__": {"lambda": float}}, "class Bad: lambda: a word of the Python language"),
         ({"__annotations__": {"ä": float}}, "class Bad: ä: a shared field's name is of letters a-z"),
         ({"__init__": lambda self: None}, "class Bad: an app has no __init__"),
+        ({"plotted": "value"}, "class Bad: plotted: expected names, e.g. (\"x\",), got 'value'"),
+        ({"plotted": 5}, "class Bad: plotted: expected names"),
         ({"__annotations__": {"p": list}, "p": parameter(1.0)}, "class Bad: p: a parameter is of type"),
         ({"__annotations__": {"p": int}, "p": parameter(1.5)}, "class Bad: p: default: expected an integer, got 1.5"),
         ({"__annotations__": {"p": float}, "p": parameter(2.0, high=1)}, "expected a finite number of at most 1"),

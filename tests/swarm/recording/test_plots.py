@@ -245,6 +245,22 @@ def test_what_was_not_recorded_cannot_be_drawn(runs, tmp_path, capsys):
     assert "there is no recording (*.mcap) in this folder" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("kind", "span", "said"),
+    [
+        ("states", (30, 60), r"--between 30 60: expected FROM < TO within 0 s to [\d.]+ s"),
+        ("states", (2, 1), "--between 2 1: expected FROM < TO within"),
+        ("mesh", (1, 2), "--between: nothing in this picture is drawn over time"),
+    ],
+)
+def test_a_part_of_the_run_in_which_nothing_is_drawn_is_refused(runs, tmp_path, capsys, kind, span, said):
+    path = tmp_path / "x.png"
+    assert plot(runs / "led_sync", "--kind", kind, "--between", *span, "-o", path) == 2
+    assert re.search(said, capsys.readouterr().err)
+    assert not path.exists()
+    assert plot(runs / "led_sync", "--kind", "states", "--between", 1, 60, "-o", path) == 0
+
+
 @pytest.mark.parametrize(("skew", "basis"), [("100ppm", "the simulated world"), ("0ppm", "one clock")])
 def test_flashes_are_as_far_apart_as_the_world_saw_them(tmp_path, skew, basis):
     """On an axis that follows the mesh clock the LEDs that follow it too would seem to be exact."""
