@@ -15,6 +15,8 @@ PERIODS = 8
 """Number of flashes that the panel of LEDs shows."""
 NEAR_MS, FAR_MS = 20.0, 60.0
 """If differences between flashes exceed FAR_MS, their scale is linear up to NEAR_MS and logarithmic beyond."""
+SILENT_S = 1.0
+"""Time without a state of the body after which its robot counts as switched off, s: five are recorded in a second."""
 STANDING = "balancing"
 """The balancer's mode when a robot stands."""
 
@@ -93,7 +95,7 @@ def standup(figure: Any, run: Run) -> None:
     axes = figure.add_subplot()
     for index, name in enumerate(robots):
         colour = style.colour(index, len(robots))
-        times, degrees, stands = zip(*tilts[name], strict=True)
+        times, degrees, stands = zip(*_with_silence(tilts[name]), strict=True)
         axes.fill_between(
             times, index + 0.4, index - 0.4, where=stands, step="post", color=colour, alpha=0.22, linewidth=0
         )
@@ -106,6 +108,16 @@ def standup(figure: Any, run: Run) -> None:
             )
     style.rows_of_robots(axes, robots)
     axes.set(xlabel="time / s", title="line: tilt (a row is ±110°), filled: it stands")
+
+
+def _with_silence(tilts: list[tuple[float, float, bool]]) -> list[tuple[float, float, bool]]:
+    """Insert, before each silence, that nothing is known from then on: a line has a gap there."""
+    found = tilts[:1]
+    for entry in tilts[1:]:
+        if entry[0] - found[-1][0] > SILENT_S:
+            found.append((found[-1][0], math.nan, False))
+        found.append(entry)
+    return found
 
 
 def _flashes(run: Run) -> tuple[dict[str, list[float]], dict[str, list[tuple[float, float]]], str]:

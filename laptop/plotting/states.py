@@ -17,6 +17,7 @@ _Panel = tuple[str, str, dict[str, Trajectory]]
 
 DOTS = 120
 """The most iterations that are drawn with a dot each."""
+STEPS: dict[str, Any] = {"drawstyle": "steps-post"}
 AWAY_S = 0.5
 """Least time without an iteration that is drawn as a gap in a line, s."""
 STOPS: dict[str, Any] = {"marker": "x", "linestyle": "", "markersize": 5}
@@ -51,12 +52,13 @@ def states(figure: Any, run: Run, columns: Sequence[str] = (), labels: Mapping[s
         left = figure.add_subplot(grid[row, 0])
         right = figure.add_subplot(grid[row, 1], sharey=left)
         whole = all(_is_whole(path, column) for path in paths.values() if path.rows)
+        held = whole or any(path.held for path in paths.values())
         most = max(len(path.rows) for path in paths.values())
         for index, (name, path) in enumerate(paths.items()):
-            look = _look(index, len(paths), most) | ({"drawstyle": "steps-post"} if whole else {})
-            left.plot(*_line(path, column, leaps(path)), label=name, **look)
+            look = _look(index, len(paths), most)
+            left.plot(*_line(path, column, leaps(path)), label=name, **look, **(STEPS if whole else {}))
             ks, values = _line(path, column, gaps(path))
-            right.plot([path.times[k] for k in ks], values, **look)
+            right.plot([path.times[k] for k in ks], values, **look, **(STEPS if held else {}))
         for index, path in enumerate(paths.values()):
             _mark_gaps(left, right, path, column, style.colour(index, len(paths)))
         left.set(xlabel="iteration", ylabel=title)
@@ -152,13 +154,13 @@ def iterations(figure: Any, run: Run) -> None:
 
 
 def leaps(path: Trajectory) -> tuple[int, ...]:
-    """The k before which a robot was away: it began anew there or had lost its state, or others went on without it and
-    its k leaps."""
+    """The k before which a robot was away: it began anew there, was started again or had lost its state, or others went
+    on without it and its k leaps."""
     ks = sorted(path.rows)
     steps = [after - k for k, after in itertools.pairwise(ks)]
     usual = sorted(steps)[len(steps) // 2] if steps else 0
     far = {after for step, after in zip(steps, ks[1:], strict=True) if step > 10 * usual}
-    return tuple(sorted({*path.breaks, *path.returns, *far}))
+    return tuple(sorted({*path.breaks, *path.returns, *path.restarts, *far}))
 
 
 def gaps(path: Trajectory) -> tuple[int, ...]:

@@ -47,6 +47,12 @@ class Trajectory:
     returns: tuple[int, ...] = ()
     """The k at which a synchronous app went on that had lost its state. Its k goes on with that of the others."""
 
+    held: bool = False
+    """Whether events or a clock of its own make the iterations: what they leave holds until the next one."""
+
+    restarts: tuple[int, ...] = ()
+    """The k at which a synchronous app went on whose process had ended in the midst of its steps; it kept its state."""
+
     @property
     def last(self) -> int:
         """The last iteration; -1 where there is none."""
@@ -94,11 +100,16 @@ class Builder:
         self._rows: dict[int, tuple[str, ...]] = {}
         self._breaks: list[int] = []
         self._returns: list[int] = []
+        self._restarts: list[int] = []
+        self._held = False
         self._lost = False
+        self._said: tuple[object, ...] = ()
+        """What the app has said of its progress last, unless the members have changed since."""
 
     def known(self) -> Trajectory:
         """Return the trajectory so far; it grows with further messages."""
-        return Trajectory(self._columns, self._times, self._rows, tuple(self._breaks), tuple(self._returns))
+        breaks, returns, restarts = map(tuple, (self._breaks, self._returns, self._restarts))
+        return Trajectory(self._columns, self._times, self._rows, breaks, returns, self._held, restarts)
 
     def add(self, message: Mapping[str, Any], path: Path) -> None:
         """Take the state in a message of the file `path`.
@@ -131,8 +142,13 @@ class Builder:
 
     def heed(self, topic: str, message: Mapping[str, Any]) -> None:
         """Take what an app has told beside its states: other members, that it begins anew, or has lost its state."""
+        before, self._said = self._said, tuple(message.get(name) for name in ("phase", "waiting_for", "reason"))
+        self._held = self._held or message.get("phase") == "starting"  # locksteps begin by running
         if topic.endswith("/epoch"):
+            self._said = ()
             self.go_back(message)
+        elif before == self._said and before[0] == "running" and self._rows:
+            self._restarts.append(max(self._rows) + 1)  # it says the same again only when it was started anew
         elif message.get("phase") == "starting" and self._rows:
             self._breaks.append(max(self._rows) + 1)
         elif message.get("phase") == "waiting" and message.get("k") == 0 and max(self._rows, default=0) > 0:

@@ -7,7 +7,7 @@ from typing import Annotated
 import pytest
 from numpy import isnan
 
-from swarm import PeriodicApp, SyncApp, Vector, simulate
+from swarm import EventApp, PeriodicApp, SyncApp, Vector, simulate
 
 figure = pytest.importorskip("matplotlib.figure")
 
@@ -95,6 +95,37 @@ def test_a_robot_that_was_away_is_marked_over_iterations(kind: str) -> None:
         assert own[-2:] == ["x", "o"]  # over time each also waits for the others at the start
     assert len([line for line in left.lines if line.get_linestyle() == "None"]) == 2
     assert [text.get_text() for text in right.get_legend().get_texts()] == ["stops", "goes on"]
+
+
+def test_a_lockstep_that_was_killed_is_marked_however_short_it_was_away() -> None:
+    run = simulate("consensus", robots=4, iterations=60, faults=["kill r2.app@1s", "kill r2.app@1.55s"], progress=False)
+    for axes in run.plot().axes[:2]:
+        marks = [line for line in axes.lines if line.get_linestyle() == "None" and len(line.get_xdata())]
+        assert [line.get_marker() for line in marks] == ["x", "o", "x", "o"]
+        assert {line.get_color() for line in marks} == {axes.lines[2].get_color()}
+
+
+class Ticks(EventApp):
+    """Counts in halves, at times that differ."""
+
+    x: float
+
+    def start(self) -> None:
+        """Begin."""
+        self.robot.after(0.3, "tick")
+
+    def on_timer(self, name: str) -> None:
+        """Count."""
+        self.x += 0.5
+        self.robot.after(0.3 * self.x, "tick")
+
+
+@pytest.mark.parametrize(("app", "style"), [(Ticks, "steps-post"), (Steady, "steps-post"), ("consensus", "default")])
+def test_what_an_event_leaves_holds_until_the_next(app: type[EventApp] | str, style: str) -> None:
+    run = simulate(app, robots=2, seconds=4, progress=False)
+    left, right = run.plot().axes[:2]
+    assert left.lines[0].get_drawstyle() == "default"
+    assert right.lines[0].get_drawstyle() == style
 
 
 def test_names_keep_clear_of_each_other() -> None:

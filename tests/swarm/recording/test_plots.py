@@ -6,6 +6,7 @@ from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from laptop.cli import main
@@ -158,6 +159,17 @@ def test_the_moment_a_robot_stands_is_the_apps_own(runs, tmp_path):
     assert set(stood) == {"r0", "r1"}
     assert plot(runs / "stand_up", "-o", tmp_path / "x.svg") == 0
     assert all(f"{t:.1f} s" in (tmp_path / "x.svg").read_text() for t in stood.values())
+
+
+def test_no_tilt_is_drawn_while_a_robot_is_off(tmp_path):
+    simulate("stand_up", "--robots", "2", "--seconds", "14", "--press", "r1.A@1s", "--off", "r0@5s,4s",
+             "--record", str(tmp_path / "run"))  # fmt: skip
+    with figure(tmp_path / "x.svg", settings=style.RC) as made:
+        KINDS["standup"](made, Run(tmp_path / "run"))
+    r0, r1 = made.axes[0].lines
+    assert [int(np.isnan(line.get_ydata()).sum()) for line in (r0, r1)] == [1, 0]
+    filled = [len(each.get_paths()) for each in made.axes[0].collections]
+    assert filled == [2, 1]
 
 
 def test_a_messages_way_is_that_of_the_robots_that_tell_of_it():
