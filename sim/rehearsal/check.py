@@ -23,8 +23,8 @@ PI_FACTOR = 10.0
 STEP_BUDGET = 0.010
 """s on a Pi: a third of what a message takes over Bluetooth, so that a step does not set the pace of the lockstep."""
 
-PATIENCE = 120.0
-"""Seconds after which a rehearsal is ended from outside: it hangs where Python cannot be interrupted."""
+PATIENCE = 240.0
+"""Seconds after which a rehearsal is ended from outside: five graphs of an app that waits take half as long."""
 
 SEEDS = ("1", "2")
 """Of Python's hashing, one for each process: sets and dicts of text come in another order."""
@@ -160,10 +160,13 @@ def _rehearse(options: argparse.Namespace, seed: str) -> list[Json]:
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment, text=True) as child:
         try:
             output, errors = child.communicate(timeout=PATIENCE)
+            ended = f"the app's process ended with code {child.returncode}"
         except subprocess.TimeoutExpired:
             child.kill()
             output, errors = child.communicate()
-            errors += f"\nit hangs: nothing within {PATIENCE:g} s, and Python could not be interrupted"
+            ended = (
+                f"the rehearsal was ended after {PATIENCE:g} s: likely the app hangs where Python is not interrupted"
+            )
     found = []
     for line in output.splitlines():
         with contextlib.suppress(PayloadError):  # it was ended within a line
@@ -172,9 +175,7 @@ def _rehearse(options: argparse.Namespace, seed: str) -> list[Json]:
                 found.append(entry)
     if child.returncode != 0:
         last = f"; the last line it wrote: {errors.strip().splitlines()[-1]}" if errors.strip() else ""
-        found.append(
-            {"fault": f"{options.app}: the app's process ended with code {child.returncode}{last}", "line": None}
-        )
+        found.append({"fault": f"{options.app}: {ended}{last}", "line": None})
     return found
 
 

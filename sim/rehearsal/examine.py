@@ -377,7 +377,8 @@ def _said(there: Sequence[bool]) -> str:
 
 
 def _cut_short(finding: _Finding, done: str) -> str:
-    return f"graph {finding.graph}: broken off after {limits.TIME_LIMIT:g} s of computing: {done}"
+    spent = f"{limits.TIME_LIMIT:g} s of computing, or {limits.WAIT_LIMIT:g} s by the clock"
+    return f"graph {finding.graph}: broken off after {spent}: {done}"
 
 
 def _where(runner: Runner, k: int) -> str:
