@@ -24,7 +24,7 @@ STEP_BUDGET = 0.010
 """s on a Pi: a third of what a message takes over Bluetooth, so that a step does not set the pace of the lockstep."""
 
 PATIENCE = 240.0
-"""Seconds after which a rehearsal is ended from outside: five graphs of an app that waits take half as long."""
+"""Seconds after which a rehearsal is ended from outside. An app that only waits needs 20 s for each of five graphs."""
 
 SEEDS = ("1", "2")
 """Of Python's hashing, one for each process: sets and dicts of text come in another order."""

@@ -19,7 +19,7 @@ from swarm import clock
 from swarm.app.run_options import RunOptions
 from swarm.config import Config
 from swarm.core.epochs.notes import Epoch, first
-from swarm.core.graph import Graph
+from swarm.core.graph import Edge, Graph
 from swarm.core.lockstep.frames import Channel
 from swarm.errors import LocalError, PayloadError
 from swarm.files import atomic_write
@@ -87,7 +87,7 @@ class RunLinks(NamedTuple):
 @frozen
 class _Kept:
     run: int
-    edges: tuple[tuple[str, str], ...]
+    edges: tuple[Edge, ...]
 
 
 def of_run(service: Service, app: str, run: int) -> RunLinks | None:
@@ -207,7 +207,7 @@ def _path(runtime: Path, app: str) -> Path:
     return runtime / f"app.{app}.topology"
 
 
-def _load(path: Path, run: int) -> tuple[tuple[str, str], ...] | None:
+def _load(path: Path, run: int) -> tuple[Edge, ...] | None:
     try:
         kept = decode(_Kept, path.read_bytes(), str(path))
     except FileNotFoundError:
@@ -218,7 +218,7 @@ def _load(path: Path, run: int) -> tuple[tuple[str, str], ...] | None:
     return kept.edges if kept.run == run else None
 
 
-def of_edges(config: Config, edges: tuple[tuple[str, str], ...], *, kept: bool = False) -> RunLinks:
+def of_edges(config: Config, edges: tuple[Edge, ...], *, kept: bool = False) -> RunLinks:
     """Return the links of a run from the links in force."""
     pairs = Graph(config.names, edges).edges
     epoch = CONFIGURED if pairs == config.edges else zlib.crc32(repr(pairs).encode()) or 1

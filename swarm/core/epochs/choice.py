@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from swarm.core.epochs.actions import EpochRequest
 from swarm.core.epochs.notes import Ballot, Epoch, EpochNote, Offer, following
 from swarm.core.epochs.roster import Roster
-from swarm.core.graph import Graph
+from swarm.core.graph import Edge, Graph
 from swarm.messages.codec import MAX_COUNT
 
 
@@ -14,7 +14,7 @@ def choose(
     request: EpochRequest,
     notes: Mapping[str, EpochNote],
     roster: Roster,
-    wanted: Iterable[tuple[str, str]],
+    wanted: Iterable[Edge],
     now: float,
 ) -> Epoch | None:
     """Return the epoch to offer: what may have been decided already, else what the proposer would have.

@@ -33,6 +33,7 @@ from swarm.core.epochs.actions import Action, EpochRequest, SaveEpochs, SendToNe
 from swarm.core.epochs.choice import choose, decided
 from swarm.core.epochs.notes import NONE, Ballot, Epoch, EpochNote, Offer, SavedEpochs, Vote
 from swarm.core.epochs.roster import Roster
+from swarm.core.graph import Edge
 from swarm.errors import PayloadError
 from swarm.messages.codec import MAX_COUNT
 
@@ -154,7 +155,7 @@ class Epochs:
 
     # What the host tells
 
-    def take_links(self, edges: tuple[tuple[str, str], ...]) -> None:
+    def take_links(self, edges: tuple[Edge, ...]) -> None:
         """The links of the topology in force."""
         if edges != self._edges:
             self._edges = edges

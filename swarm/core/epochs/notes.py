@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from hashlib import blake2b
 from typing import Annotated
 
-from swarm.core.graph import Graph
+from swarm.core.graph import Edge, Graph
 from swarm.core.lockstep.frames import MAX_ITERATION
 from swarm.errors import PayloadError
 from swarm.frozen import frozen
@@ -56,7 +56,7 @@ class Epoch:
     """The names of the members, sorted."""
     carried: tuple[str, ...]
     """The members that go on from x(k) of the epoch before; the others come with a value of their own."""
-    edges: tuple[tuple[str, str], ...]
+    edges: tuple[Edge, ...]
     """Links among the members."""
     away: tuple[str, ...]
     """Robots that only the operator lets in again."""
@@ -78,7 +78,7 @@ class Epoch:
         return (self.counter, self.number) > (other.counter, other.number)
 
 
-def first(members: tuple[str, ...], edges: tuple[tuple[str, str], ...], number: int) -> Epoch:
+def first(members: tuple[str, ...], edges: tuple[Edge, ...], number: int) -> Epoch:
     """The epoch that a run begins with: nobody has agreed on it, `number` stands for the links."""
     names = tuple(sorted(members))
     return Epoch(number, 0, "", 0, 0, names, (), edges, (), (), forced=False)
@@ -90,7 +90,7 @@ def following(
     k: int,
     members: tuple[str, ...],
     carried: tuple[str, ...],
-    edges: tuple[tuple[str, str], ...],
+    edges: tuple[Edge, ...],
     away: tuple[str, ...],
     restored: tuple[int, ...],
     *,

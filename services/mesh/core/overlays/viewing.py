@@ -155,9 +155,10 @@ class Viewing:
         values: dict[str, bytes] = {}
         size = 0
         for name, text in services.items():
-            if self._told_services.get(name) != text and size + len(name) + len(text.encode()) <= LARGEST:
+            more = len(name) + len(text.encode())
+            if self._told_services.get(name) != text and size + more <= LARGEST:
                 news[name] = self._told_services[name] = text
-                size += len(name) + len(text.encode())
+                size += more
         found = sorted((_ORDER[kind], topic) for topic in self._values if (kind := _kind(topic)) is not None)
         for _, topic in found:
             data = _shortened(topic, self._values[topic])

@@ -120,7 +120,7 @@ class Linking:
 
     # -- inputs ------------------------------------------------------------------------------------------------
 
-    def set(self, shape: str, edges: tuple[tuple[str, str], ...], after: int | None, now: float) -> str:
+    def set(self, shape: str, edges: tuple[Edge, ...], after: int | None, now: float) -> str:
         """Somebody on this robot wants another topology; what is wrong with that, empty where it is in force."""
         version = self.value.version
         if after is not None and after != version:
