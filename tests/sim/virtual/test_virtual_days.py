@@ -6,6 +6,7 @@ else that grows does so from hour to hour.
 """
 
 import ctypes
+import gc
 import os
 import sys
 from collections.abc import Callable
@@ -43,7 +44,11 @@ class MallInfo(ctypes.Structure):
 
 
 def given_out() -> float:
-    """Bytes that this process holds: Python's blocks, and what is larger and so comes from the C library."""
+    """Bytes that this process holds: Python's blocks, and what is larger and so comes from the C library.
+
+    What nothing refers to any more does not count: Python frees cycles of objects at a moment of its own choice.
+    """
+    gc.collect()
     mallinfo2 = ctypes.CDLL(None).mallinfo2
     mallinfo2.restype = MallInfo
     found = mallinfo2()
