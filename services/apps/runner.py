@@ -82,6 +82,11 @@ class AppRunner:
             result[name] = self._measured(name, result)
         return result
 
+    @property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """The shapes of results with several axes that are no states, by name; empty before the first result."""
+        return {name: shape for name, shape in self._form or () if len(shape) > 1 and name not in self._fields}
+
     def known(self, result: Mapping[str, Value]) -> dict[str, Value]:
         """Return a result without metrics that are not known: a message carries finite numbers alone."""
         metrics = self.metrics

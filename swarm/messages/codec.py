@@ -106,8 +106,8 @@ def decoded(
 
 
 def as_value(value: object) -> Value:
-    """Convert an author's value into one that a free-form map carries: lists to tuples of floats, numpy arrays row
-    by row. Raises `LocalError` for other values."""
+    """Convert an author's value into one that a free-form map carries: lists to tuples of floats; numpy arrays, and
+    lists of lists of one length, row by row. Raises `LocalError` for other values."""
     if type(value) is float and math.isfinite(value):
         return value
     if isinstance(value, bool | str):
@@ -116,8 +116,11 @@ def as_value(value: object) -> Value:
         return int(value)
     if isinstance(value, float) and math.isfinite(value):
         return float(value)
-    if isinstance(value, tuple | list) and all(map(_is_number, value)):
-        return tuple([float(x) for x in value])
+    if isinstance(value, tuple | list):
+        rows = all(isinstance(row, tuple | list) for row in value) and len({*map(len, value)}) == 1
+        entries = [x for row in value for x in row] if rows else value
+        if all(map(_is_number, entries)):
+            return tuple([float(x) for x in entries])
     if type(value).__module__ == "numpy" and hasattr(value, "tolist"):
         return as_value(value.ravel().tolist() if value.shape else value.item())  # type: ignore[attr-defined]
     raise LocalError(f"expected a finite number, bool, text or vector, got {shown(value)}")

@@ -179,6 +179,7 @@ class TrajectoryReader:
         self._topic = topic
         self._reader: RecordingReader | None = None
         self._builder = Builder(whole=whole)
+        self._shaped = False
 
     def read(self) -> Trajectory:
         """Return the trajectory so far; empty where there is no such file. Raises `RecordingError`."""
@@ -187,11 +188,12 @@ class TrajectoryReader:
                 return EMPTY
             self._reader = RecordingReader(self._path)
         for sample in self._reader.samples(_tells):
-            if not self._builder.shapes:
-                self._builder.shapes = shapes_of(self._reader.metadata)
             if not self._topic and is_state(sample.topic):
                 self._topic = sample.topic
             if sample.topic == self._topic:
+                if not self._shaped:  # those of results stand before the first state
+                    self._shaped = True
+                    self._builder.shapes = shapes_of(self._reader.metadata)
                 self._builder.add(sample.message, self._path)
             elif sample.topic in beside(self._topic):
                 self._builder.heed(sample.topic, sample.message)

@@ -7,10 +7,14 @@ from services.apps.host.observer import Source, StepRecord
 from swarm.messages import AppEpoch, AppLog, AppParameters, AppProgress, Measurement
 from swarm.messages.codec import Value
 from swarm.messages.keys import key
+from swarm.recording.reader import SHAPES
 
 
 class Sink(Protocol):
     """A destination of messages: a `RecordingFile`, or in virtual time a `DirectRecording`."""
+
+    def metadata(self, name: str, entries: Mapping[str, str]) -> None:
+        """Note something about the whole recording."""
 
     def write(self, topic: str, t: float, message: object, name: str = "") -> None:
         """Take a message recorded at `t`; `name` is what its schema is called."""
@@ -26,8 +30,13 @@ class Recorder:
         self._sink = sink
         self._prefix = key(robot, f"app/{app}")
         self._app = app
+        self._shaped = False
 
     def advanced(self, source: Source, line: StepRecord) -> None:
+        if not self._shaped and not source.part:  # only now it is known of which shapes the author's results are
+            self._shaped = True
+            if shapes := source.runner.shapes:
+                self._sink.metadata(SHAPES, {name: "x".join(map(str, shape)) for name, shape in shapes.items()})
         if line.measurement is not None:
             self.measurement(line.k - 1, line.t, line.measurement)
         self.state(line.k, line.t, line.state, line.result, source.part)

@@ -74,7 +74,7 @@ class TrajectoryBuilder:
             return EMPTY
         fields = self._source.runner.schema.fields
         shared = [column for field in fields for column in field.columns]
-        shapes = {field.name: field.shape for field in fields}
+        shapes = {field.name: field.shape for field in fields} | self._source.runner.shapes
         results: list[str] = []
         for name, value in next(iter(lines.values())).result.items():
             column = f"result.{name}"

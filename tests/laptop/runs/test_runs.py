@@ -12,9 +12,11 @@ import pytest
 from runs_apps import Beside, Light, Mean, Place, Raises
 
 import swarm
+from services.apps import loader
 from sim.virtual.run import simulate as by_command
-from swarm import load, rehearse, simulate, sweep
+from swarm import SyncApp, load, rehearse, simulate, sweep
 from swarm.errors import AppError, ConfigError, LocalError, RecordingError
+from swarm.recording import trajectory
 
 STARTS = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
 
@@ -292,3 +294,25 @@ def test_errors_that_are_exactly_zero_are_drawn_and_said(starts: object, said: s
     drawn = [y for line in error.lines for y in line.get_ydata()]
     assert np.isfinite(drawn).all()
     assert error.get_yscale() == ("linear" if "all" in said else "log")
+
+
+class Grids(SyncApp):
+    x: float
+
+    def step(self, neighbours: object) -> None:
+        self.x += 1.0
+
+    def result(self) -> dict[str, object]:  # type: ignore[override]
+        return {"v": np.array([[self.x, 1.0, 2.0], [3.0, 4.0, 5.0]]), "w": [[1, 2], [3, 4]]}
+
+
+def test_results_have_the_shapes_that_the_author_gives_them() -> None:
+    run = simulate(Grids, robots=2, iterations=3)
+    assert (run["v"].shape, run["w"].shape) == ((4, 2, 2, 3), (4, 2, 2, 2))
+    assert run["v"][3, 1].tolist() == [[3.0, 1.0, 2.0], [3.0, 4.0, 5.0]]
+    assert run["w"][0, 0].tolist() == [[1.0, 2.0], [3.0, 4.0]]
+    assert "v[1,2]" in run.to_pandas()
+    paths, (file,) = run.recording.trajectories(), run.path.glob("*.mcap")
+    found = loader.of_class(Grids)
+    _, outcome = by_command(found.name, "--robots", "2", "--iterations", "3", rows=True, app=found)
+    assert trajectory.read(file).columns == paths["r0"].columns == outcome.trajectories["r0"].columns

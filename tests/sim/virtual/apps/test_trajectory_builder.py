@@ -12,7 +12,7 @@ from swarm.core.percentile import percentile
 from swarm.recording.trajectory import iteration_times, median
 
 FIELD = SimpleNamespace(name="value", columns=("value",), shape=())
-SOURCE = SimpleNamespace(runner=SimpleNamespace(schema=SimpleNamespace(fields=(FIELD,))))
+SOURCE = SimpleNamespace(runner=SimpleNamespace(schema=SimpleNamespace(fields=(FIELD,)), shapes={}))
 
 
 def written(count, *, keep):
