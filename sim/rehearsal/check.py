@@ -23,8 +23,8 @@ PI_FACTOR = 10.0
 STEP_BUDGET = 0.010
 """s on a Pi: a third of what a message takes over Bluetooth, so that a step does not set the pace of the lockstep."""
 
-PATIENCE = 240.0
-"""Seconds after which a rehearsal is ended from outside. An app that only waits needs 20 s for each of five graphs."""
+PATIENCE = 120.0
+"""Seconds after which a rehearsal is ended from outside: it hangs where Python cannot be interrupted."""
 
 SEEDS = ("1", "2")
 """Of Python's hashing, one for each process: sets and dicts of text come in another order."""
@@ -165,7 +165,8 @@ def _rehearse(options: argparse.Namespace, seed: str) -> list[Json]:
             child.kill()
             output, errors = child.communicate()
             ended = (
-                f"the rehearsal was ended after {PATIENCE:g} s: likely the app hangs where Python is not interrupted"
+                f"the rehearsal was not over after {PATIENCE:g} s and was ended: likely the app hangs where Python "
+                "cannot be interrupted"
             )
     found = []
     for line in output.splitlines():

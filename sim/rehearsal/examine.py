@@ -10,7 +10,6 @@ import json
 import os
 import signal
 import sys
-import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,9 +20,9 @@ from typing import Any, TextIO
 from services.apps import loader
 from services.apps.event_runner import EventRunner
 from services.apps.runner import Runner
-from sim.rehearsal import limits, tracing, trends
+from sim.rehearsal import tracing, trends
 from sim.rehearsal.events import EventRehearsal
-from sim.rehearsal.limits import ALARMS, Hang, alarm, limited, may_go_on
+from sim.rehearsal.limits import ALARMS, Hang, Stopwatch, Waits, alarm, limited
 from sim.rehearsal.scene import scene
 from sim.rehearsal.sync import ITERATION_S, SyncRehearsal
 from sim.scenario import imports
@@ -90,6 +89,8 @@ class _Finding:
     warnings: list[str] = field(default_factory=list)
     seconds: float = 0.0
     """Virtual time that it was given."""
+    last: bool = False
+    """Whether the app hangs or mostly waits: each other graph would take as long again to say the same."""
     iterations: int = 0
     """Steps of the robot that has done the fewest; events, where the app has no steps."""
     poses: str = UNASKED
@@ -152,8 +153,7 @@ def describe(task: Task) -> dict[str, object]:
 
 
 def examine(task: Task) -> Iterator[_Finding]:
-    """Rehearse the app on each of the standard graphs, up to the first on which it hangs: on each other it would take
-    as long again to say the same."""
+    """Rehearse the app on each of the standard graphs, up to one that is the last."""
     one = _sync if issubclass(task.kind, SyncApp) else _events
     for graph in GRAPHS:
         if graph != "thesis-d" or task.robots == 6:
@@ -161,12 +161,12 @@ def examine(task: Task) -> Iterator[_Finding]:
             try:
                 one(task, finding)
             except Hang as hang:
-                finding.fault, finding.line = f"it hangs: a step {hang.why}", hang.line
-                yield finding
-                return
+                finding.fault, finding.line, finding.last = f"it hangs: a step {hang.why}", hang.line, True
             except AppError as error:
                 finding.fault = finding.fault or str(error)
             yield finding
+            if finding.last:
+                return
 
 
 def _make_all(app: loader.LoadedApp, config: Config) -> None:
@@ -193,13 +193,13 @@ def _sync(task: Task, finding: _Finding) -> None:
     times: list[float] = []
     orders: set[str] = set()
     sums: set[tuple[str, int]] = set()
-    go_on = may_go_on()
+    watch = Stopwatch()
 
     def step(swarm: SyncRehearsal, name: str) -> tuple[bytes, bytes]:
         return _one_step(task.app, swarm, name, finding, times, orders, sums)
 
     try:
-        while swarm.k < task.iterations and go_on():
+        while swarm.k < task.iterations and not watch.spent:
             finding.digests.append(_digest([swarm.states[name][swarm.k] for name in swarm.names]))
             swarm.run(1, step)
     finally:
@@ -208,7 +208,7 @@ def _sync(task: Task, finding: _Finding) -> None:
         if times:
             finding.step_mean, finding.step_worst = sum(times) / len(times), max(times)
     if swarm.k < task.iterations:
-        finding.warnings.append(_cut_short(finding, f"{swarm.k} of {task.iterations} iterations"))
+        _cut_short(finding, watch, f"{swarm.k} of {task.iterations} iterations")
     finding.trend = trends.judge({name: swarm.results[name] for name in swarm.names})
     if orders:
         finding.warnings.append(
@@ -236,7 +236,7 @@ def _one_step(
         runner.restore(k, own, before, runner.app.robot.graph)
         return runner.step(k, own, neighbours, measured)
 
-    begin = time.process_time()
+    watch = Stopwatch()
     try:
         done = limited(app.source, act)
     except AppError as error:
@@ -245,7 +245,7 @@ def _one_step(
             kind = type(runner.app)
             finding.line = tracing.bad_line(runner, app.source, act) or tracing.line_of(kind, "step")
         raise
-    times.append(time.process_time() - begin)
+    times.append(watch.computed)
     if swarm.messages[name].used:  # messages come once: a second call sees none, and that is no fault of the step
         return done
     with tracing.float_sums() as found:
@@ -290,19 +290,23 @@ def _events(task: Task, finding: _Finding) -> None:
     times: list[float] = []
     histories: dict[str, list[Any]] = {}
     began: dict[str, float] = {}
+    waits = Waits()
     first = "step" if issubclass(task.kind, PeriodicApp) else "start"
 
     class Examined(EventRunner):
         def call(self, call: HandlerCall, k: int, known: Sequence[NeighbourState]) -> bytes:
-            begin = time.process_time()
+            watch = Stopwatch()
             try:
                 own = limited(app.source, lambda: EventRunner.call(self, call, k, known))
             except AppError as error:
                 if f"{app.source}, line" not in str(error):
                     finding.line = tracing.line_of(type(self.app), call.handler)
                 raise
-            times.append(time.process_time() - begin)
+            times.append(watch.computed)
             name = self.app.robot.name
+            if call.handler == "step" and (fault := waits.judge(name, watch.waited, self.period)):
+                finding.line, finding.last = tracing.line_of(type(self.app), "step"), True
+                raise AppError(fault)
             if call.handler == first:
                 began.setdefault(name, self.app.robot.now)
             histories.setdefault(name, []).append(limited(app.source, self.result))
@@ -312,15 +316,14 @@ def _events(task: Task, finding: _Finding) -> None:
     config = task.scene(finding.graph)
     _make_all(app, config)
     swarm = EventRehearsal(app, config, Examined)
-    go_on = may_go_on()
+    watch = Stopwatch()
     while len(began) < len(swarm.units) and swarm.now < START_LIMIT:
         _pass(swarm, swarm.now + 0.1)
     # Of a grid that begins now the step at the very end is the first one of the time after it.
     begin, periods = max(began.values(), default=swarm.now), _periods(swarm)
     end = begin + SECONDS - 1e-6
-    presses = {1 + index: (name, "abc"[index % 3]) for index, name in enumerate(swarm.units)}
-    second = 0
-    while swarm.now < end and go_on():
+    presses, second = {1 + index: (name, "abc"[index % 3]) for index, name in enumerate(swarm.units)}, 0
+    while swarm.now < end and not watch.spent:
         second += 1
         if second in presses:
             name, button = presses[second]
@@ -333,14 +336,14 @@ def _events(task: Task, finding: _Finding) -> None:
         finding.step_mean, finding.step_worst = sum(times) / len(times), max(times)
     finding.trend = trends.judge(histories)
     if swarm.now < end:
-        finding.warnings.append(_cut_short(finding, f"{finding.seconds:g} of {SECONDS:g} s"))
+        _cut_short(finding, watch, f"{finding.seconds:g} of {SECONDS:g} s")
         return
     for name, unit in swarm.units.items():
         period, progress = periods[name], unit.host.progress
         promised = 0 if period is None or unit.host.runner.period != period else round(SECONDS / period)
         if progress.k < promised and progress.phase != "done":
-            waits = f"; it waits for {', '.join(progress.waiting_for)}" if progress.waiting_for else ""
-            raise AppError(f"{name} did {progress.k} of the {promised} steps that {SECONDS:g} s have{waits}")
+            why = f"; it waits for {', '.join(progress.waiting_for)}" if progress.waiting_for else ""
+            raise AppError(f"{name} did {progress.k} of the {promised} steps that {SECONDS:g} s have{why}")
 
 
 def _pass(swarm: EventRehearsal, until: float) -> None:
@@ -376,9 +379,10 @@ def _said(there: Sequence[bool]) -> str:
     return UNASKED if not there else YES if all(there) else NO
 
 
-def _cut_short(finding: _Finding, done: str) -> str:
-    spent = f"{limits.TIME_LIMIT:g} s of computing, or {limits.WAIT_LIMIT:g} s by the clock"
-    return f"graph {finding.graph}: broken off after {spent}: {done}"
+def _cut_short(finding: _Finding, watch: Stopwatch, done: str) -> None:
+    finding.last = watch.waited > watch.computed
+    rest = f" ({watch.waited:.2g} s of it waiting); no other graph is tried" if finding.last else ""
+    finding.warnings.append(f"graph {finding.graph}: broken off after {watch.spent}: {done}{rest}")
 
 
 def _where(runner: Runner, k: int) -> str:

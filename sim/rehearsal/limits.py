@@ -1,5 +1,6 @@
 """The time that an author's code may take while it is examined, and what ends it then."""
 
+import resource
 import signal
 import time
 from collections.abc import Callable
@@ -42,10 +43,49 @@ def limited(source: str, act: Callable[[], T]) -> T:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
-def may_go_on() -> Callable[[], bool]:
-    """Tells whether a graph that begins now may go on."""
-    computed, waited = time.process_time() + TIME_LIMIT, time.monotonic() + WAIT_LIMIT
-    return lambda: time.process_time() < computed and time.monotonic() < waited
+class Stopwatch:
+    """The time that something takes from now on."""
+
+    def __init__(self) -> None:
+        self._clock, self._computed, self._pauses = time.monotonic(), time.process_time(), _pauses()
+
+    @property
+    def computed(self) -> float:
+        """Seconds of CPU time."""
+        return time.process_time() - self._computed
+
+    @property
+    def waited(self) -> float:
+        """Seconds without computing. None where this thread has never given the processor away by itself: then it was
+        taken by others, which is no fault of the app."""
+        return time.monotonic() - self._clock - self.computed if _pauses() > self._pauses else 0.0
+
+    @property
+    def spent(self) -> str:
+        """The limit of a graph that is over; empty for none."""
+        if self.computed >= TIME_LIMIT:
+            return f"{TIME_LIMIT:g} s of computing"
+        return f"{WAIT_LIMIT:g} s by the clock" if time.monotonic() - self._clock >= WAIT_LIMIT else ""
+
+
+class Waits:
+    """The robots whose last step waited for longer than its period."""
+
+    def __init__(self) -> None:
+        self._robots: set[str] = set()
+
+    def judge(self, robot: str, waited: float, period: float | None) -> str:
+        """Say what is wrong where the robot's step before waited too long, too; else return an empty text."""
+        if period is None or waited <= period:
+            self._robots.discard(robot)
+            return ""
+        again = robot in self._robots
+        self._robots.add(robot)
+        return f"a step waits longer than its period of {period:g} s (for {waited:.2g} s)" if again else ""
+
+
+def _pauses() -> int:
+    return resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw
 
 
 def alarm(number: int, frame: FrameType | None) -> None:
