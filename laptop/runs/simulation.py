@@ -8,12 +8,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from laptop.runs.progress import progress as shown_progress
 from laptop.runs.results import RunData
 from services.apps import loader
-from sim.processes.progress import said
+from sim.processes.progress import say
 from sim.scenario.notes import forgetting
 from sim.scenario.options import EVENTS, parse, parser
 from sim.scenario.quantities import AppSetting
@@ -24,7 +24,6 @@ from swarm import config as configuration
 from swarm.app.settings import Setting
 from swarm.app.sync_app import BaseApp
 from swarm.errors import AppError, ConfigError
-from swarm.messages import AppLog
 from swarm.recording.recorded_topics import TOPICS
 
 App = type[BaseApp] | str | Path
@@ -81,7 +80,7 @@ def simulate(
     try:
         plan = build(read, PLACE, found)
         with shown_progress(f"{found.name}: {len(plan.config.names)} robots", shown=progress) as look:
-            VirtualRun(read, plan, topics=topics, look=look, said=partial(_say, sys.stdout)).go()
+            VirtualRun(read, plan, topics=topics, look=look, said=partial(say, sys.stdout)).go()
         run = RunData(place)
     except BaseException:
         shutil.rmtree(held)
@@ -90,11 +89,6 @@ def simulate(
     if check and run.problems:
         raise AppError("; ".join([*run.problems, *forgetting(plan.config, found, read)]))
     return run
-
-
-def _say(out: TextIO, robot: str, line: AppLog) -> None:
-    """Print what an app prints and logs where the program's own prints go."""
-    out.write(said(robot, line) + "\n")
 
 
 def app_of(app: App) -> loader.LoadedApp:

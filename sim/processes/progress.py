@@ -61,6 +61,11 @@ def said(robot: str, line: AppLog) -> str:
     return f"{line.t:9.3f} s  {robot}  {level}{line.text}"
 
 
+def say(out: TextIO, robot: str, line: AppLog) -> None:
+    """Print what an app has printed or logged."""
+    out.write(said(robot, line) + "\n")
+
+
 def _robot(scenario: Scenario, seen: Seen, missing: Sequence[str]) -> str:
     parts = []
     if missing:

@@ -7,11 +7,14 @@ swarm.run(100)                          # iterations; of an event-driven or peri
 swarm.result("r0")["value"]
 """
 
+import sys
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from services.apps import loader
+from sim.processes.progress import say
 from sim.rehearsal.events import EventRehearsal
 from sim.rehearsal.scene import scene
 from sim.rehearsal.sync import SyncRehearsal
@@ -34,7 +37,8 @@ def rehearse(
 
     `parameters` hold for all robots. `values` are parameters and first values as `swarm.simulate` takes them: for all,
     as a list with one for each robot, or by robot, `{"r2": {"value": 3.0}}`. Shared floats that neither these nor the
-    class give a first value begin with the thesis' 0.5, 1, 2, 3, 4, 5. Raises `AppError` for an app that cannot run.
+    class give a first value begin with the thesis' 0.5, 1, 2, 3, 4, 5. What a robot's app prints and logs goes to the
+    program's own output, with time and robot. Raises `AppError` for an app that cannot run.
     """
     found = loader.load(str(app)) if isinstance(app, str | Path) else loader.of_class(app)
     kind, _ = found.choose({name: value for name, value in (parameters or {}).items() if name == "algorithm"})
@@ -43,4 +47,5 @@ def rehearse(
         (common if setting.robot is None else single.setdefault(setting.robot, {}))[setting.name] = setting.value
     config = scene(found, robots, topology, common, single)
     found.check(config)
-    return SyncRehearsal(found, config) if issubclass(kind, SyncApp) else EventRehearsal(found, config)
+    rehearsal = SyncRehearsal if issubclass(kind, SyncApp) else EventRehearsal
+    return rehearsal(found, config, said=partial(say, sys.stdout))

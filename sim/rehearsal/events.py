@@ -1,9 +1,11 @@
 """A swarm of one event-driven or periodic app under virtual time, with links that take 30 ms and lose nothing."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from services.apps import loader
+from services.apps.equipment.speaker import prints_heard
 from services.apps.host.event_host import EventHost
 from services.mesh.links.radio_model import AirModel
 from sim.core import actions
@@ -13,6 +15,7 @@ from swarm.app.event_app import EventApp
 from swarm.app.run_options import RunOptions
 from swarm.config import Config
 from swarm.errors import AppError
+from swarm.messages import AppLog
 from swarm.messages.codec import Value
 
 LATENCY = 0.03
@@ -45,6 +48,7 @@ class RehearsedRobot:
         progress = self.host.progress
         return progress.reason if progress.phase == "fault" else ""
 
+    @prints_heard()
     def press(self, button: str) -> None:
         """Somebody presses "a", "b" or "c"."""
         self._world.act(self.name, actions.Press(button.upper(), PRESS_S))
@@ -57,13 +61,23 @@ class RehearsedRobot:
 class EventRehearsal:
     """Runs an app on all robots of a configuration."""
 
-    def __init__(self, app: loader.LoadedApp, config: Config, runner: MakeRunner | None = None) -> None:
-        """`runner(app, source)` makes what calls the app's handlers, in place of an `EventRunner`."""
+    @prints_heard()
+    def __init__(
+        self,
+        app: loader.LoadedApp,
+        config: Config,
+        runner: MakeRunner | None = None,
+        said: Callable[[str, AppLog], None] | None = None,
+    ) -> None:
+        """`runner(app, source)` makes what calls the app's handlers, in place of an `EventRunner`. `said(robot, line)`
+        is called with what apps print and log."""
         instance = app.make(config, config.names[0], seed=1)
         if not isinstance(instance, EventApp):
             raise AppError(f"{app.source}: {type(instance).__name__} is no EventApp or PeriodicApp")
         self.world = VirtualWorld(config, AirModel(LATENCY, 0.0, None, 1), 1, mesh=SETTLED)
         self.units = {name: RehearsedRobot(self.world, name, app.name) for name in config.names}
+        if said is not None:
+            self.world.hearers = {(name, app.name): [partial(said, name)] for name in config.names}
         launch = Launch(app, 1, RunOptions(), None, None, runner)
         for name in config.names:
             self.world.start_app(name, launch)
@@ -73,6 +87,7 @@ class EventRehearsal:
         """s since the start."""
         return self.world.time.now
 
+    @prints_heard()
     def run(self, until: float) -> None:
         """Let time pass, s since the start."""
         self.world.time.run(until)

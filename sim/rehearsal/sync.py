@@ -5,9 +5,11 @@ What a robot has besides, its body, LEDs, poses and ranges, is that of virtual t
 
 import logging
 from collections.abc import Callable, Mapping
+from functools import partial
 
 from services.apps import loader
 from services.apps.equipment.equipment import equip
+from services.apps.equipment.speaker import let_speak, prints_heard
 from services.apps.runner import Runner
 from services.mesh.links.radio_model import AirModel
 from sim.rehearsal.messages import RehearsalOverlays
@@ -19,7 +21,7 @@ from swarm.app.sync_app import SyncApp
 from swarm.config import Config
 from swarm.core.graph import Graph
 from swarm.errors import AppError
-from swarm.messages import Measurement
+from swarm.messages import AppLog, Measurement
 from swarm.messages.codec import Value
 
 Measure = Callable[[str, int], Measurement]
@@ -28,7 +30,7 @@ ITERATION_S = 0.1
 """Seconds of virtual time that an iteration takes."""
 
 _SILENT = logging.getLogger("rehearsal")
-"""What an app logs is for its robot."""
+"""What an app logs where nobody listens."""
 _SILENT.addHandler(logging.NullHandler())
 _SILENT.propagate = False
 
@@ -51,6 +53,7 @@ class CommonClock:
 class SyncRehearsal:
     """`results[name][k]` is what a robot reports at iteration k, `states[name][k]` its packed shared state."""
 
+    @prints_heard()
     def __init__(
         self,
         app: loader.LoadedApp,
@@ -59,9 +62,10 @@ class SyncRehearsal:
         seed: int = 1,
         measure: Measure = measurement,
         runner: type[Runner] = Runner,
+        said: Callable[[str, AppLog], None] | None = None,
     ) -> None:
         """`measure(robot, k)` gives the measurement of step k to an app that wants one. `runner` drives the app of each
-        robot."""
+        robot. `said(robot, line)` is called with what apps print and log."""
         self.k = 0
         self.names = config.names
         self.graph = config.graph
@@ -77,7 +81,10 @@ class SyncRehearsal:
             self.messages[name] = RehearsalOverlays(
                 name, self.names, lambda to, message: self.messages[to].receive(message)
             )
-            equip(instance.robot, VirtualBus(self._world.robots[name].router), _SILENT, self._now)
+            bus = VirtualBus(self._world.robots[name].router)
+            equip(instance.robot, bus, _SILENT, self._now)
+            if said is not None:
+                let_speak(instance.robot, bus, None, partial(said, name))
             instance.robot.overlays = self.messages[name]  # type: ignore[assignment]
             instance.robot.mesh_clock = CommonClock(self.names[0], self._now)  # type: ignore[assignment]
             instance.robot.truth = self._world.truth(name, app.name, type(instance))
@@ -98,6 +105,7 @@ class SyncRehearsal:
         """The neighbours' states of this iteration."""
         return {near: self.states[near][self.k] for near in self.graph.neighbours(name)}
 
+    @prints_heard()
     def run(
         self, iterations: int = 1, step: "Callable[[SyncRehearsal, str], tuple[bytes, bytes]] | None" = None
     ) -> None:
@@ -111,6 +119,7 @@ class SyncRehearsal:
                 self.private[name] = private
                 self.results[name].append(self.runners[name].result())
 
+    @prints_heard()
     def change(self, graph: Graph) -> None:
         """Go over to other members and links now, as a swarm does that drops a robot: `on_epoch` of the app."""
         self.graph, self.names = graph, graph.names

@@ -11,13 +11,12 @@ from functools import partial
 from pathlib import Path
 
 from sim import report, report_table
-from sim.processes.progress import said
+from sim.processes.progress import say
 from sim.scenario import options as arguments
 from sim.scenario import scenario
 from sim.scenario.options import Options
 from sim.scenario.scenario import Scenario
 from swarm.errors import LocalError
-from swarm.messages import AppLog
 from swarm.process import log, service
 from swarm.process.simulations import claim, default_run_dir
 from swarm.recording import folder
@@ -56,17 +55,13 @@ def _virtual(options: Options) -> int:
     plan = scenario.build(options, virtual.PLACE)
     for note in plan.notes:
         sys.stderr.write(note + "\n")
-    run = virtual.VirtualRun(options, plan, said=_say)
+    run = virtual.VirtualRun(options, plan, said=partial(say, sys.stderr))
     tell = partial(_tell, options, plan, options.record or Path())
     if options.view:
         from laptop.view import virtual_page  # the server is heavy, and of the extra `lab`
 
         return virtual_page.watched(run, plan, options, tell)
     return tell(run.go())
-
-
-def _say(robot: str, line: AppLog) -> None:
-    sys.stderr.write(said(robot, line) + "\n")
 
 
 def _run(options: Options, run_dir: Path) -> int:
