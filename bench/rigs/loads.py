@@ -2,7 +2,7 @@
 
 `flood` publishes 2000 messages of 200 bytes a second on the robot's bus, `listen` takes them, `handle` takes all
 messages and does something with each, `hog` computes, `commands` publishes 5000 velocity commands a second, 25 at a
-time.
+time, and writes each second how many a second there were so far.
 """
 
 import sys
@@ -47,7 +47,8 @@ def main() -> None:
         bus.subscribe(KEY, lambda _key, _payload: None)
     elif what == "handle":
         handle(bus)
-    due = time.monotonic()
+    began = due = told = time.monotonic()
+    sent = 0
     period = {"flood": 1.0 / RATE_HZ, "commands": 1.0 / COMMANDS_HZ}.get(what, 1.0)
     while True:
         if what == "flood":
@@ -55,6 +56,10 @@ def main() -> None:
         elif what == "commands":
             for _ in range(COMMANDS_AT_ONCE):
                 bus.publish("swarm/r0/balancer/set/velocity", SetVelocity(0.05, 0.0, 1.0))
+            sent += COMMANDS_AT_ONCE
+            if (now := time.monotonic()) > told + 1.0:
+                told = now
+                print(sent / (now - began), flush=True)
         due += period
         time.sleep(max(0.0, due - time.monotonic()))
 

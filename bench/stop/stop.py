@@ -47,11 +47,15 @@ STATE_S = 0.2
 
 QUIET = "quiet"
 UNKNOWN = "unknown fields"
+FLOOD_HZ = 5000
+FLOOD = f"{FLOOD_HZ} commands a second"
 
 FLOOD_SETTLES_S = 1.5
 """s of flood, hog or transfer before the first stop: what waits in queues by then is in its way."""
 PIPE_FULL_S = 1.0
 """s without growth after which a pipe is full."""
+
+LOADS = (sys.executable, "-m", "bench.rigs.loads")
 
 
 def _payload(*, newer: bool) -> tuple[float, bytes]:
@@ -113,17 +117,28 @@ def _replaced(module: object, name: str, value: object) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _loads(robots: RobotsOnALine, what: str, count: int = 1) -> Iterator[None]:
-    command = [sys.executable, "-m", "bench.rigs.loads", what]
+def _hogs(robots: RobotsOnALine) -> Iterator[list[Row]]:
     with contextlib.ExitStack() as stack:
-        for _ in range(count):
-            stack.enter_context(lasting(command, env=robots.environment("r0")))
+        for _ in range(os.cpu_count() or 1):
+            stack.enter_context(lasting([*LOADS, "hog"], env=robots.environment("r0")))
         time.sleep(FLOOD_SETTLES_S)
-        yield
+        yield []
 
 
 @contextlib.contextmanager
-def _transfer(robots: RobotsOnALine) -> Iterator[None]:
+def _flood(robots: RobotsOnALine) -> Iterator[list[Row]]:
+    """Its row tells whether there were as many commands as its name says."""
+    with lasting([*LOADS, "commands"], env=robots.environment("r0"), stdout=subprocess.PIPE) as process:
+        time.sleep(FLOOD_SETTLES_S)
+        rows: list[Row] = []
+        yield rows
+        assert process.stdout is not None
+        reached = float(os.read(process.stdout.fileno(), 1 << 16).split()[-1])
+        rows.append(Row(f"{FLOOD}: time between two", 1.0 / reached, "s", 1.0 / FLOOD_HZ, 1.05))
+
+
+@contextlib.contextmanager
+def _transfer(robots: RobotsOnALine) -> Iterator[list[Row]]:
     """A megabyte after the other from r3 to r0, so that one is under way at any time; none is, afterwards."""
     overlays, ended = Overlays(robots.buses["r3"], "r3", "bench"), threading.Event()
     Overlays(robots.buses["r0"], "r0", "bench").on_message(lambda sender, data: None)
@@ -142,7 +157,7 @@ def _transfer(robots: RobotsOnALine) -> Iterator[None]:
         transfers = threads.submit(run)
         try:
             time.sleep(FLOOD_SETTLES_S)
-            yield
+            yield []
         finally:
             ended.set()
         if not transfers.result():
@@ -150,7 +165,7 @@ def _transfer(robots: RobotsOnALine) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _full_pipe(robots: RobotsOnALine) -> Iterator[None]:
+def _full_pipe(robots: RobotsOnALine) -> Iterator[list[Row]]:
     """The operator's page takes nothing more of what r0 tells it, until the pipe between them is full."""
     with robots.view.lock:
         process = robots.view.buses["r0"]._process
@@ -162,19 +177,20 @@ def _full_pipe(robots: RobotsOnALine) -> Iterator[None]:
             (now_waiting,) = struct.unpack("i", fcntl.ioctl(process.stdout, termios.FIONREAD, bytes(4)))
             if now_waiting != waiting:
                 waiting, since = now_waiting, clock.now()
-        yield
+        yield []
         if process.poll() is not None:
             raise LocalError("bench stop: what fills the page's pipe ended, so there was no full pipe beside the stops")
 
 
-CONDITIONS: Mapping[str, Callable[[RobotsOnALine], contextlib.AbstractContextManager[None]]] = {
-    QUIET: lambda robots: contextlib.nullcontext(),
-    "5000 commands a second": lambda robots: _loads(robots, "commands"),
+CONDITIONS: Mapping[str, Callable[[RobotsOnALine], contextlib.AbstractContextManager[list[Row]]]] = {
+    QUIET: lambda robots: contextlib.nullcontext([]),
+    FLOOD: _flood,
     "1 MB over the mesh": _transfer,
-    "a CPU hog on each core": lambda robots: _loads(robots, "hog", os.cpu_count() or 1),
+    "a CPU hog on each core": _hogs,
     "a full telemetry pipe": _full_pipe,
-    UNKNOWN: lambda robots: contextlib.nullcontext(),
+    UNKNOWN: lambda robots: contextlib.nullcontext([]),
 }
+"""What is in the way of the stops; each yields its own rows, which are complete when it ends."""
 
 
 @dataclass
@@ -210,11 +226,12 @@ def rows(sizes: Sizes) -> Iterator[Row]:
     with RobotsOnALine() as robots:
         for condition, load in CONDITIONS.items():
             cells = {way: Cell() for way in WAYS}
-            with load(robots):
+            with load(robots) as about_load:
                 # One of each way in turn, so that whatever else happens on this machine meets all of them.
                 for _ in range(count):
                     for way, cell in cells.items():
                         _measure(robots, way, cell, newer=condition == UNKNOWN)
+            yield from about_load
             for way, cell in cells.items():
                 lost += cell.lost
                 if condition == QUIET:
