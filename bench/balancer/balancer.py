@@ -20,7 +20,6 @@ import statistics
 import struct
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -30,7 +29,7 @@ from pathlib import Path
 
 from bench.balancer.world import World
 from bench.costs.cpu import cpu_s
-from bench.rigs.running import lasting
+from bench.rigs.running import lasting, robots_folder
 from bench.rows import Row
 from services.balancer.realtime import PRIORITY
 from sim.processes import footprint
@@ -134,7 +133,7 @@ class Robot:
 
     def __init__(self, *, in_process: bool = False) -> None:
         self._stack = contextlib.ExitStack()
-        self.home = Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="swarm-")))
+        self.home = Path(self._stack.enter_context(robots_folder()))
         (self.home / "swarm.toml").write_text(CONFIG.format(home=self.home))
         self.ticks = self.home / "ticks"
         self.world = World(self.home)

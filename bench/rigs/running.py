@@ -1,7 +1,8 @@
-"""Processes of measurements and tests, none of which outlives what it was started for."""
+"""Processes of measurements and tests, none of which outlives what it was started for, and the folder of robots."""
 
 import signal
 import subprocess
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -12,6 +13,12 @@ PATIENCE_S = 30.0
 """What ends by SIGTERM has ended by then, on a busy machine, too."""
 
 Start = Callable[..., "subprocess.Popen[Any]"]
+
+
+def robots_folder() -> "tempfile.TemporaryDirectory[str]":
+    """A folder in memory, as a robot's `/run/swarm` is. Where it is on a disk, a control loop that makes a file there
+    waits for what other programs write."""
+    return tempfile.TemporaryDirectory(prefix="swarm-", dir="/dev/shm")
 
 
 @contextmanager

@@ -10,13 +10,13 @@ import random
 import shlex
 import socket
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TypeVar
 
+from bench.rigs.running import robots_folder
 from bench.stop.body import TRUTH
 from laptop.fleet.ssh.ssh import Host, Ssh
 from laptop.view.actions.control import Control
@@ -88,7 +88,7 @@ class RobotsOnALine:
 
     def __init__(self) -> None:
         self._stack = contextlib.ExitStack()
-        self.home = Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="swarm-")))
+        self.home = Path(self._stack.enter_context(robots_folder()))
         self._heard = threading.Condition()
         self._off: float | None = None
         self._driven = False
