@@ -16,7 +16,7 @@ from swarm.process.runtime import listen, refuse
 from swarm.process.service import Service
 
 MAX_OPEN = 16
-"""Tickets remembered."""
+"""Tickets remembered, and requests that may wait to be taken."""
 
 MAX_REQUEST = 255
 """Bytes: type, length and at most 253 of value."""
@@ -63,13 +63,17 @@ class ModuleRequests:
         if len(request.request) > MAX_REQUEST:
             refuse(self._service, f"a request of {len(request.request)} bytes: at most {MAX_REQUEST} are taken")
             return
+        full = self._queue.qsize() >= MAX_OPEN
         with self._lock:
             is_new = request.ticket not in self._answers
+            if is_new and full:  # whoever asks repeats it
+                refuse(self._service, f"request {request.ticket}: {MAX_OPEN} others wait")
+                return
             known = self._answers.setdefault(request.ticket, None)
             if len(self._answers) > MAX_OPEN:
                 self._answers.popitem(last=False)
         if known is not None:
             self._service.bus.publish(self._key, known)
-        elif is_new or self._repeats:
+        elif is_new or (self._repeats and not full):
             self._queue.put(request)
             self._wake()

@@ -1,5 +1,6 @@
 """Requests to a module over the bus, at a port and behind the ATmega; a module in shell mode."""
 
+import logging
 import threading
 import time
 from collections import Counter
@@ -13,7 +14,7 @@ from dwm_rig import ANCHORS, DWM, working
 from services.dwm.core.module.calls import CFG_GET, VER_GET
 from services.dwm.core.module.tlv import encode_refusal
 from services.dwm.line import BusLine, NoAnswerError
-from services.dwm.requests import ModuleRequests
+from services.dwm.requests import MAX_OPEN, ModuleRequests
 from swarm import config as configuration
 from swarm.bus.zenoh_bus import Bus
 from swarm.messages import ModuleAnswer, ModuleRequest, Ranges, Status, Uwb, UwbRange
@@ -173,16 +174,36 @@ def test_a_module_that_did_not_answer_its_service_is_asked_again(bus, runtime):
     assert len(set(asked)) == 3
 
 
-def test_all_requests_are_answered_when_the_module_is_gone() -> None:
-    """Also one that was taken already, to be sent to the module."""
+def asked_by_hand(*, repeats: bool = False):
+    """Requests, what takes a sample of them, the answers and the service's counters."""
     answers: list[ModuleAnswer] = []
     listeners = {}
     bus = SimpleNamespace(
         publish=lambda key, message: answers.append(message), subscribe=lambda key, take: listeners.update({key: take})
     )
-    service = SimpleNamespace(robot="r0", bus=bus, counters=Counter(), log=None)
-    requests = ModuleRequests(service, lambda: None)  # type: ignore[arg-type]
-    take = listeners["swarm/r0/dwm/set/module"]
+    service = SimpleNamespace(robot="r0", bus=bus, counters=Counter(), log=logging.getLogger("dwm"))
+    requests = ModuleRequests(service, lambda: None, repeats=repeats)  # type: ignore[arg-type]
+    return requests, listeners["swarm/r0/dwm/set/module"], answers, service.counters
+
+
+@pytest.mark.parametrize("repeats", [False, True])
+def test_requests_that_nobody_takes_do_not_pile_up(repeats: bool) -> None:
+    requests, take, answers, counters = asked_by_hand(repeats=repeats)
+    for number in range(1000):
+        take("key", encode(ModuleRequest(f"t{number}", VER_GET.request)))
+        take("key", encode(ModuleRequest("t0", VER_GET.request)))
+    waiting = [request.ticket for request in requests.new()]
+    assert len(waiting) == MAX_OPEN
+    assert counters["refused_payloads"] >= 900
+    take("key", encode(ModuleRequest("t999", VER_GET.request)))
+    assert [request.ticket for request in requests.new()] == ["t999"]
+    requests.answer("t999", b"yes", "")
+    assert answers[-1].ticket == "t999"
+
+
+def test_all_requests_are_answered_when_the_module_is_gone() -> None:
+    """Also one that was taken already, to be sent to the module."""
+    requests, take, answers, _ = asked_by_hand()
     for ticket in "ab":
         take("key", encode(ModuleRequest(ticket, VER_GET.request)))
     assert [request.ticket for request in requests.new()] == ["a", "b"]
