@@ -94,7 +94,8 @@ class Subscription:
         subscriber.undeclare()
 
     def close(self) -> None:
-        """Hear no more; safe to call twice, not from within a callback."""
+        """Hear nothing that is published from now on; what is under way may still come. Safe to call twice, not from
+        within a callback."""
         with self._lock:
             self._closed = True
             subscribers, self._subscribers = self._subscribers, []
