@@ -69,7 +69,7 @@ def leds(figure: Any, run: Run) -> None:
         bottom.minorticks_off()
     style.legend(bottom, len(robots))
     doubt = " (the LEDs follow it too: its errors are not to be seen)" if run.basis == MESH_CLOCK else ""
-    figure.supxlabel(f"{source}, by the time of {run.basis}{doubt}", fontsize=8, color=style.GREY)
+    style.say_below(figure, f"{source}, by the time of {run.basis}{doubt}")
 
 
 def standup(figure: Any, run: Run) -> None:

@@ -112,7 +112,7 @@ def _say_left_out(figure: Any, run: Run, panels: Sequence[_Panel], beyond: Seque
         names = _listed([panel[0].removeprefix("result.") for panel in beyond])
         notes.append(f"not shown, as {PANELS} rows are the most: {names} (ask for them by name)")
     if notes:
-        figure.supxlabel("\n".join(notes), fontsize=8, color=style.GREY)
+        style.say_below(figure, *notes)
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -5,6 +5,7 @@ import argparse
 import contextlib
 import itertools
 import math
+import textwrap
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +20,8 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#0
 MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")
 
 GREY = "0.45"
+NOTE_PT = 8.0
+"""Size of notes below a picture. A letter of usual text is less than 0.58 of that wide."""
 FEW = len(COLOURS)
 """The most robots that have a colour of their own and a line in the legend."""
 
@@ -59,6 +62,13 @@ def legend(axes: Any, count: int, **options: Any) -> None:
     if count <= FEW:
         place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": count, "borderaxespad": 0.2}
         axes.legend(**{**place, "handlelength": 1.4, "columnspacing": 1.0, **options})
+
+
+def say_below(figure: Any, *notes: str) -> None:
+    """Write notes below the picture, each in lines that fit its width."""
+    width = int(72.0 * figure.get_figwidth() / (0.58 * NOTE_PT))
+    lines = [line for note in notes for line in textwrap.wrap(note, width, break_on_hyphens=False)]
+    figure.supxlabel("\n".join(lines), fontsize=NOTE_PT, color=GREY)
 
 
 def name_points(

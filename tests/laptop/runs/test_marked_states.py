@@ -7,7 +7,7 @@ from typing import Annotated
 import pytest
 from numpy import isnan
 
-from swarm import EventApp, PeriodicApp, SyncApp, Vector, simulate
+from swarm import EventApp, Matrix, PeriodicApp, SyncApp, Vector, simulate
 
 figure = pytest.importorskip("matplotlib.figure")
 
@@ -61,17 +61,33 @@ class Large(Marked):
     plotted = ("w",)
 
 
+class Matrices(Marked):
+    """Has more entries than a picture has rows, with long names."""
+
+    inverse_of_p: Annotated[Matrix, 4, 4] = ((0.0,) * 4,) * 4
+    plotted = ("inverse_of_p",)
+
+
 @pytest.mark.parametrize(
     ("app", "rows", "said"),
     [
         (ManyMarked, ["p[1]", "count"], "`plotted` names what cannot be drawn: speed"),
         (Large, [f"w[{i}]" for i in range(6)], "not shown, as 6 rows are the most: w[6], w[7], w[8] (ask for them by"),
+        (
+            Matrices,
+            [f"inverse_of_p[{i // 4},{i % 4}]" for i in range(6)],
+            "inverse_of_p[2,3], and 4 more (ask for them by name)",
+        ),
     ],
 )
 def test_a_picture_says_what_it_leaves_out(app: type[SyncApp], rows: list[str], said: str) -> None:
     made = simulate(app, robots=2, iterations=5, progress=False).plot()
     assert [axes.get_ylabel() for axes in made.axes[::2]] == rows
-    assert said in made.get_supxlabel()
+    assert said in made.get_supxlabel().replace("\n", " ")
+    made.canvas.draw()
+    note = made._supxlabel.get_window_extent()  # type: ignore[attr-defined]
+    assert note.x0 >= 0.0
+    assert note.x1 <= made.bbox.width
 
 
 def test_the_line_of_a_robot_that_others_went_on_without_has_a_gap_in_both_panels() -> None:
