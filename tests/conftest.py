@@ -4,12 +4,10 @@ the test processes runs what."""
 import contextlib
 import gc
 import os
-import shutil
 import signal
 import socket
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 import warnings
@@ -19,6 +17,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+
+from bench.rigs.running import robots_folder
 
 if TYPE_CHECKING:
     from xdist.scheduler import LoadScopeScheduling
@@ -293,10 +293,9 @@ class Processes:
 
 @pytest.fixture
 def runtime() -> Iterator[Path]:
-    """A runtime directory with a path short enough for Unix sockets."""
-    path = Path(tempfile.mkdtemp(prefix="sw", dir="/tmp"))
-    yield path
-    shutil.rmtree(path)
+    """A runtime directory."""
+    with robots_folder() as path:
+        yield Path(path)
 
 
 @pytest.fixture

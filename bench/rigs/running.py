@@ -1,10 +1,12 @@
 """Processes of measurements and tests, none of which outlives what it was started for, and the folder of robots."""
 
+import shutil
 import signal
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from swarm.errors import LocalError
@@ -12,13 +14,16 @@ from swarm.errors import LocalError
 PATIENCE_S = 30.0
 """What ends by SIGTERM has ended by then, on a busy machine, too."""
 
+MEMORY, DISK, ROOM_B = "/dev/shm", "/tmp", 1 << 30  # noqa: S108
+
 Start = Callable[..., "subprocess.Popen[Any]"]
 
 
 def robots_folder() -> "tempfile.TemporaryDirectory[str]":
-    """A folder in memory, as a robot's `/run/swarm` is. Where it is on a disk, a control loop that makes a file there
-    waits for what other programs write."""
-    return tempfile.TemporaryDirectory(prefix="swarm-", dir="/dev/shm")
+    """A folder in memory if there is room, as a robot's `/run/swarm` is, with a path short enough for Unix sockets.
+    Where it is on a disk, a control loop that makes a file there waits for what other programs write."""
+    roomy = Path(MEMORY).is_dir() and shutil.disk_usage(MEMORY).free > ROOM_B
+    return tempfile.TemporaryDirectory(prefix="sw", dir=MEMORY if roomy else DISK)
 
 
 @contextmanager
