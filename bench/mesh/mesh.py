@@ -5,13 +5,13 @@ import json
 import queue
 import signal
 import statistics
-import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
+from bench.rigs.running import robots_folder
 from bench.rows import Row, possible
 from services.mesh.links.sim import AIR_SOCKET
 from sim.control import link_cuts
@@ -64,7 +64,7 @@ class Swarm:
         """`air` as of SWARM_SIM_LINK; with `wait` the context begins when every robot sees all others."""
         self._wait = wait
         self._stack = contextlib.ExitStack()
-        self._home = Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="swarm-")))
+        self._home = Path(self._stack.enter_context(robots_folder()))
         count = 1 + max(max(edge) for edge in edges)
         self.names = [f"r{number}" for number in range(count)]
         robots = "".join(

@@ -1,14 +1,13 @@
 """Runs `swarm sim` as a user does: start it, lay hands on it, read what it found."""
 
 import json
-import shutil
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from bench.rigs.running import robots_folder
 from laptop.cli.hand import end_service
 from swarm.errors import LocalError
 from swarm.recording.reader import SUFFIX
@@ -40,8 +39,8 @@ class Simulation:
     ) -> None:
         """`program`: module, and its first arguments, that does what `swarm sim` does; `run_dir`: another's; `start`
         starts it."""
-        # Short, and not below a test's own directory: sockets' paths have at most 107 bytes.
-        self._home = Path(tempfile.mkdtemp(prefix="swarm-"))
+        self._folder = robots_folder()
+        self._home = Path(self._folder.name)
         self.run_dir = run_dir or self._home / "run"
         self.records = self._home / "records"
         self._readers: dict[Path, TrajectoryReader] = {}
@@ -56,7 +55,7 @@ class Simulation:
     def __exit__(self, *_: object) -> None:
         self.stop()
         self._error.close()
-        shutil.rmtree(self._home, ignore_errors=True)
+        self._folder.cleanup()
 
     def stop(self) -> None:
         """End it; its recordings are complete then."""

@@ -6,12 +6,11 @@
 import os
 import socket
 import sys
-import tempfile
 import time
 from pathlib import Path
 
 from bench.rigs import socket_mesh, tcp_radio
-from bench.rigs.running import running
+from bench.rigs.running import robots_folder, running
 from laptop.cli.runs import sim
 from sim.processes import run
 from swarm.config.keyfile import new_key_file
@@ -22,7 +21,7 @@ ROBOTS = 6
 
 def main() -> int:
     """Start the radio, then the simulation with the other mesh in it."""
-    with tempfile.TemporaryDirectory(prefix="swarm-") as home, socket.create_server((tcp_radio.in_range(0), 0)) as free:
+    with robots_folder() as home, socket.create_server((tcp_radio.in_range(0), 0)) as free:
         key, port = Path(home) / "key", str(free.getsockname()[1])
         free.close()
         new_key_file(key, time.time())
