@@ -21,12 +21,12 @@ addopts = --strict-markers
 
 def furnish(machine: Machine) -> None:
     """Put the tests, the lab's tools and what robots do not carry into the machine's /share."""
-    for name in ("lab", "sim", "laptop", "tests/conftest.py", "tests/lab"):
+    for name in ("lab", "sim", "laptop", "bench/rigs/running.py", "tests/conftest.py", "tests/lab"):
         source, target = ROOT / name, machine.share / name
         if source.is_dir():
             shutil.copytree(source, target, ignore=shutil.ignore_patterns("__pycache__"), dirs_exist_ok=True)
         else:
-            target.parent.mkdir(exist_ok=True)
+            target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(source, target)
     (machine.share / "pytest.ini").write_text(INI)
 
