@@ -133,7 +133,8 @@ def _flood(robots: RobotsOnALine) -> Iterator[list[Row]]:
         rows: list[Row] = []
         yield rows
         assert process.stdout is not None
-        reached = float(os.read(process.stdout.fileno(), 1 << 16).split()[-1])
+        told = os.read(process.stdout.fileno(), 1 << 16).split()
+        reached = float(told[-1]) if told else math.nan
         rows.append(Row(f"{FLOOD}: time between two", 1.0 / reached, "s", 1.0 / FLOOD_HZ, 1.05))
 
 

@@ -19,6 +19,9 @@ TIME_LIMIT = 8.0
 WAIT_LIMIT = 20.0
 """Seconds by the clock after which a step hangs, and a graph ends, that waits for something instead of computing."""
 
+_THIS_THREAD = getattr(resource, "RUSAGE_THREAD", resource.RUSAGE_SELF)
+"""macOS counts for the whole process alone."""
+
 ALARMS = (signal.SIGPROF, signal.SIGALRM)
 """What ends a step: it has computed, or waited, for too long."""
 
@@ -85,7 +88,7 @@ class Waits:
 
 
 def _pauses() -> int:
-    return resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw
+    return resource.getrusage(_THIS_THREAD).ru_nvcsw
 
 
 def alarm(number: int, frame: FrameType | None) -> None:
