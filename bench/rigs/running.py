@@ -1,6 +1,6 @@
 """Processes of measurements and tests, none of which outlives what it was started for, and the folder of robots."""
 
-import shutil
+import os
 import signal
 import subprocess
 import tempfile
@@ -22,8 +22,15 @@ Start = Callable[..., "subprocess.Popen[Any]"]
 def robots_folder() -> "tempfile.TemporaryDirectory[str]":
     """A folder in memory if there is room, as a robot's `/run/swarm` is, with a path short enough for Unix sockets.
     Where it is on a disk, a control loop that makes a file there waits for what other programs write."""
-    roomy = Path(MEMORY).is_dir() and shutil.disk_usage(MEMORY).free > ROOM_B
-    return tempfile.TemporaryDirectory(prefix="sw", dir=MEMORY if roomy else DISK)
+    return tempfile.TemporaryDirectory(prefix="sw", dir=MEMORY if _is_fit(MEMORY) else DISK)
+
+
+def _is_fit(place: str) -> bool:
+    """Whether a file system has room, and runs programs: containers often have little memory, and none to run from."""
+    if not Path(place).is_dir():
+        return False
+    found = os.statvfs(place)
+    return found.f_bavail * found.f_frsize > ROOM_B and not found.f_flag & os.ST_NOEXEC
 
 
 @contextmanager
