@@ -75,7 +75,8 @@ def visit(browser: Any, view: View, **options: Any) -> Iterator[Any]:
     finally:
         page.close()
     # A server that the test has ended is complained of by the browser; nothing else may be.
-    assert [text for text in problems if "WebSocket" not in text] == []
+    others = [text for text in problems if "WebSocket" not in text]
+    assert others == [], others
 
 
 def row(page: Any, robot: str) -> Any:
