@@ -14,19 +14,26 @@ from swarm.errors import LocalError
 PATIENCE_S = 30.0
 """What ends by SIGTERM has ended by then, on a busy machine, too."""
 
-MEMORY, DISK, ROOM_B = "/dev/shm", "/tmp", 1 << 30  # noqa: S108
+MEMORY, DISK = "/dev/shm", "/tmp"  # noqa: S108
+ROOM_B = 1 << 30
+"""Bytes that must be free in memory; several tests run at once, and each robot reserves some megabytes."""
 
 Start = Callable[..., "subprocess.Popen[Any]"]
 
 
-def robots_folder() -> "tempfile.TemporaryDirectory[str]":
+def robots_folder(*, ignore_cleanup_errors: bool = False) -> "tempfile.TemporaryDirectory[str]":
     """A folder in memory if there is room, as a robot's `/run/swarm` is, with a path short enough for Unix sockets.
-    Where it is on a disk, a control loop that makes a file there waits for what other programs write."""
-    return tempfile.TemporaryDirectory(prefix="sw", dir=MEMORY if _is_fit(MEMORY) else DISK)
+    Where it is on a disk, a control loop that makes a file there waits for what other programs write.
+
+    `ignore_cleanup_errors`: for who ends while processes still write there.
+    """
+    place = MEMORY if _is_fit(MEMORY) else DISK
+    return tempfile.TemporaryDirectory(prefix="sw", dir=place, ignore_cleanup_errors=ignore_cleanup_errors)
 
 
 def _is_fit(place: str) -> bool:
-    """Whether a file system has room, and runs programs: containers often have little memory, and none to run from."""
+    """Whether a folder is there, has room, and can hold programs that run. Containers often have little room in memory,
+    and forbid programs there."""
     if not Path(place).is_dir():
         return False
     found = os.statvfs(place)

@@ -39,7 +39,7 @@ class Simulation:
     ) -> None:
         """`program`: module, and its first arguments, that does what `swarm sim` does; `run_dir`: another's; `start`
         starts it."""
-        self._folder = robots_folder()
+        self._folder = robots_folder(ignore_cleanup_errors=True)  # services of one that was killed end a moment later
         self._home = Path(self._folder.name)
         self.run_dir = run_dir or self._home / "run"
         self.records = self._home / "records"

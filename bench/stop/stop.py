@@ -22,6 +22,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 from bench.mesh.transfer import FULL as TRANSFER
+from bench.rigs import loads
 from bench.rigs.running import lasting
 from bench.rows import Row
 from bench.stop.estop import NewerStop
@@ -47,15 +48,15 @@ STATE_S = 0.2
 
 QUIET = "quiet"
 UNKNOWN = "unknown fields"
-FLOOD_HZ = 5000
-FLOOD = f"{FLOOD_HZ} commands a second"
+FLOOD_HZ = loads.COMMANDS_HZ * loads.COMMANDS_AT_ONCE
+FLOOD = f"{FLOOD_HZ:g} commands a second"
 
 FLOOD_SETTLES_S = 1.5
 """s of flood, hog or transfer before the first stop: what waits in queues by then is in its way."""
 PIPE_FULL_S = 1.0
 """s without growth after which a pipe is full."""
 
-LOADS = (sys.executable, "-m", "bench.rigs.loads")
+LOADS = (sys.executable, "-m", loads.__name__)
 
 
 def _payload(*, newer: bool) -> tuple[float, bytes]:

@@ -153,7 +153,7 @@ def describe(task: Task) -> dict[str, object]:
 
 
 def examine(task: Task) -> Iterator[_Finding]:
-    """Rehearse the app on each of the standard graphs, up to one that is the last."""
+    """Rehearse the app on each of the standard graphs. The first on which it hangs or mostly waits is the last one."""
     one = _sync if issubclass(task.kind, SyncApp) else _events
     for graph in GRAPHS:
         if graph != "thesis-d" or task.robots == 6:

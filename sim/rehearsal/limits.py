@@ -20,7 +20,7 @@ WAIT_LIMIT = 20.0
 """Seconds by the clock after which a step hangs, and a graph ends, that waits for something instead of computing."""
 
 _THIS_THREAD = getattr(resource, "RUSAGE_THREAD", resource.RUSAGE_SELF)
-"""macOS counts for the whole process alone."""
+"""Whose pauses are counted; macOS counts those of the whole process only."""
 
 ALARMS = (signal.SIGPROF, signal.SIGALRM)
 """What ends a step: it has computed, or waited, for too long."""
@@ -59,8 +59,8 @@ class Stopwatch:
 
     @property
     def waited(self) -> float:
-        """Seconds without computing. None where this thread has never given the processor away by itself: then it was
-        taken by others, which is no fault of the app."""
+        """Seconds without computing; 0 if this thread has not waited by itself. Then other programs have had the
+        processor, which is no fault of the app."""
         return time.monotonic() - self._clock - self.computed if _pauses() > self._pauses else 0.0
 
     @property
@@ -78,7 +78,8 @@ class Waits:
         self._robots: set[str] = set()
 
     def judge(self, robot: str, waited: float, period: float | None) -> str:
-        """Say what is wrong where the robot's step before waited too long, too; else return an empty text."""
+        """Take how long a robot's step has waited, s. Return what is wrong if it and the step before it both waited for
+        longer than the period; otherwise an empty text."""
         if period is None or waited <= period:
             self._robots.discard(robot)
             return ""

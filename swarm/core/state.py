@@ -77,7 +77,7 @@ class Field:
         """Name and type in one word: what the schema's hash is over."""
         shape = f"{self.length}" if not self.width else f"{self.length // self.width}x{self.width}"
         if self.kind == "array":
-            shape = "x".join(map(str, self.sizes)) + (":float32" if self.single else "")
+            shape = shape_text(self.sizes) + (":float32" if self.single else "")
         return f"{self.name}:{self.kind}:{'|'.join(member.name for member in self.members) or shape}"
 
     @property
@@ -250,7 +250,7 @@ class Schema:
     @property
     def shapes(self) -> dict[str, str]:
         """`4x4`, by name, of fields with several axes: recordings hold them as one row after the other."""
-        return {f.name: "x".join(map(str, f.shape)) for f in self.fields if len(f.shape) > 1}
+        return {f.name: shape_text(f.shape) for f in self.fields if len(f.shape) > 1}
 
     @property
     def layout(self) -> str:
@@ -315,6 +315,11 @@ def type_of(value: object) -> str:
 
 
 @cache
+def shape_text(shape: tuple[int, ...]) -> str:
+    """`4x4`."""
+    return "x".join(map(str, shape))
+
+
 def entry_names(name: str, shape: tuple[int, ...]) -> tuple[str, ...]:
     """Return the names of the entries of a vector, matrix or array of this shape, in the order in which messages have
     them."""

@@ -191,7 +191,7 @@ class TrajectoryReader:
             if not self._topic and is_state(sample.topic):
                 self._topic = sample.topic
             if sample.topic == self._topic:
-                if not self._shaped:  # those of results stand before the first state
+                if not self._shaped:  # the recorder writes those of results before the first state
                     self._shaped = True
                     self._builder.shapes = shapes_of(self._reader.metadata)
                 self._builder.add(sample.message, self._path)

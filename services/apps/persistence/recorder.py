@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Protocol
 
 from services.apps.host.observer import Source, StepRecord
+from swarm.core.state import shape_text
 from swarm.messages import AppEpoch, AppLog, AppParameters, AppProgress, Measurement
 from swarm.messages.codec import Value
 from swarm.messages.keys import key
@@ -33,10 +34,10 @@ class Recorder:
         self._shaped = False
 
     def advanced(self, source: Source, line: StepRecord) -> None:
-        if not self._shaped and not source.part:  # only now it is known of which shapes the author's results are
+        if not self._shaped and not source.part:  # with the first result its shapes are known
             self._shaped = True
             if shapes := source.runner.shapes:
-                self._sink.metadata(SHAPES, {name: "x".join(map(str, shape)) for name, shape in shapes.items()})
+                self._sink.metadata(SHAPES, {name: shape_text(shape) for name, shape in shapes.items()})
         if line.measurement is not None:
             self.measurement(line.k - 1, line.t, line.measurement)
         self.state(line.k, line.t, line.state, line.result, source.part)
