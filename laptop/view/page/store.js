@@ -12,6 +12,7 @@ const BADNESS = ["up", "suspect", "connecting", "down"];
 const SLOWER = 3; // times its shortest round trip of the last minute
 const SLOWER_S = 0.02;
 const QUEUE = 4096; // bytes
+const FAR = 1e4; // m; what is further away is no place: a map of it would have grid lines without end
 
 export class Store {
   constructor() {
@@ -149,7 +150,7 @@ export class Store {
   // The true pose where there is one (a simulation), else the estimate.
   pose(name) {
     const pose = this.get(name, "sim/truth") ?? this.get(name, "dwm/pose");
-    return pose && typeof pose.x === "number" && typeof pose.y === "number" ? pose : null;
+    return isPlace(pose) ? pose : null;
   }
 
   move(name, now) {
@@ -211,6 +212,8 @@ export class Store {
     return { state, rate, rtt: known[0].rtt, slow: known.some(slow) };
   }
 }
+
+export const isPlace = (place) => [place?.x, place?.y].every((each) => typeof each === "number" && Math.abs(each) < FAR);
 
 // A link that is up and takes much longer than it could, or has more waiting than it may have on the way.
 function slow({ rtt, rtt_min: least, queue, window }) {

@@ -138,3 +138,76 @@ def test_nothing_that_a_robot_says_breaks_the_page_or_hides_its_stop(
     finally:
         serving.close()
     assert problems == []
+
+
+BIG, SMALL = 1.7e308, 5e-324
+PAIRS = [
+    (2.5833333333333335, 2.583333333333334),  # nothing is between them: what robots hold that have agreed
+    (1e-300, 1e-300 + 1e-316),
+    (1e16, 1e16 + 2),
+    (0.0, SMALL),
+    (SMALL, 1.0),
+    (-BIG, BIG),
+    (BIG, BIG),
+    (0.9 * BIG, BIG),
+]
+
+
+def test_values_that_hardly_differ_or_are_of_any_size_have_a_chart_with_few_numbers_at_its_side(
+    feed: SimulationFeed, port: int, page: tuple[Any, list[str]]
+) -> None:
+    shown, problems = page
+    serving = Server(feed, port)
+    try:
+        shown.goto(serving.address)
+        until(shown, "swarmView.store.swarm")
+        for number, pair in enumerate(PAIRS):
+            shown.evaluate(f"swarmView.values.open('app/x/state', ['state', 'v{number}'])")
+            until(shown, f"swarmView.series.entries.get('app/x/state state.v{number}')?.sources[0].told")
+            for robot, value in zip(("r0", "r1"), pair, strict=True):
+                message = {"t": 0.0, "k": number, "state": {f"v{number}": value}}
+                with feed.lock:
+                    feed.picture.put(robot, "app/x/state", message, float(number))
+            for log in ("false", "true"):
+                shown.evaluate(f"swarmView.values.chart.set('log', {log})")
+                chart = "swarmView.values.chart.plot"
+                until(shown, f"{chart}.log === {log} && {chart}.lines.length === 2")
+                until(shown, f"{chart}.plot.axes[1]._splits?.length < 100")
+        assert problems == []
+    finally:
+        serving.close()
+
+
+EXTREME: list[tuple[str, dict[str, object]]] = [
+    *(("dwm/pose", {"t": 1.0, "x": x, "y": x, "deviation_x": BIG, "deviation_y": SMALL}) for x in (1e16, BIG, SMALL)),
+    *(("sim/truth", {"t": 1.0, "x": x, "y": -x, "heading": x, "tilt": x}) for x in (1e16, 1e300, BIG, SMALL)),
+    *(("sim/target", {"t": 1.0, "x": x, "y": -x}) for x in (1e16, BIG)),
+    *(("app/x/state", {"t": t, "k": 2**60 + k, "state": {"v": v}}) for k, t, v in ((0, 1.0, BIG), (256, BIG, -BIG))),
+    *(("app/x/state", {"t": float(k), "k": 2**53 + k, "result": {"x": v, "y": v}}) for k, v in ((0, BIG), (2, SMALL))),
+    ("app/x/progress", {"t": 1.0, "phase": "waiting", "k": 2**62, "waiting_for": ["r0"] * 100}),
+    ("app/x/parameters", {"t": 1.0, "parameters": {"period": {"value": SMALL, "low": -BIG, "high": BIG}}}),
+    ("app/x/state", {"t": 9.0, "k": 2**53 + 4, "state": {"v": 0.0}}),
+    ("mesh/clock", {"t": 1.0, "offset": BIG, "error": BIG, "root": "r0"}),
+]
+
+
+def test_no_number_that_a_robot_tells_holds_up_the_pages_stop(
+    feed: SimulationFeed, port: int, page: tuple[Any, list[str]]
+) -> None:
+    """The page counts up to what it shows: grid lines between places, lines between iterations, ticks of steps."""
+    shown, problems = page
+    serving = Server(feed, port)
+    try:
+        shown.goto(serving.address)
+        row(shown, "r1").click(timeout=PATIENCE_MS)
+        for number, (key, message) in enumerate(EXTREME):
+            with feed.lock:
+                feed.picture.take("r1", f"swarm/r1/{key}", msgpack.packb(message), float(number))
+            assert feed.picture.newest("r1", key) is not None, (key, message)
+            shown.wait_for_timeout(600)  # a round of all panels
+            given = min(stops(feed))
+            shown.locator("#stop").click(timeout=PATIENCE_MS)
+            wait_until(lambda given=given: min(stops(feed)) > given, what=f"a stop beside {key} {message}")
+    finally:
+        serving.close()
+    assert problems == []

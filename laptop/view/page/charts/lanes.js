@@ -166,7 +166,8 @@ function ticks(points) {
   const found = [];
   points.slice(1).forEach(([t1, k1], index) => {
     const [t0, k0] = points[index];
-    for (let k = k0 + 1; k <= k1 && k1 - k0 < 200; k += 1) found.push(t0 + ((t1 - t0) * (k - k0)) / (k1 - k0));
+    const steps = k1 - k0;
+    for (let step = 1; step <= steps && steps < 200; step += 1) found.push(t0 + ((t1 - t0) * step) / steps);
   });
   return found;
 }

@@ -154,7 +154,8 @@ export class LockstepChart {
     c.lineWidth = 1;
     c.textAlign = "right";
     c.beginPath();
-    for (let k = most; k >= least; k -= lines) {
+    for (let line = 0; line * lines <= most - least; line += 1) {
+      const k = most - line * lines;
       c.moveTo(this.left, Math.round(y(k)) + 0.5);
       c.lineTo(width, Math.round(y(k)) + 0.5);
       if (k >= 0) c.fillText(String(k), this.left - 5, y(k) + 4);

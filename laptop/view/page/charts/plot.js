@@ -9,6 +9,8 @@ const STEPS = 160; // of the bands
 const LABEL = 13; // px from one name to the next
 const BANDS = 108; // px for names and values of bands
 const RIGHT = 84; // px for names and values
+const LEAST = 1e-12; // of a number's size: uPlot puts numbers beside an axis by adding steps, and smaller ones add nothing
+const MOST = 1e30; // what is larger is beyond the axis: uPlot knows no larger steps
 const sync = uPlot.sync("swarm");
 
 export class Plot {
@@ -39,7 +41,7 @@ export class Plot {
     this.shape = shape;
     const ink = theme.colour("--muted"), hair = theme.colour("--grid"), font = `11px ${FONT}`;
     const axis = { stroke: ink, font, grid: { stroke: hair, width: 1 }, ticks: { show: false }, gap: 4 };
-    const xs = (_, low, high) => (this.range ? this.range : [low, high > low ? high : low + 1]);
+    const xs = (_, low, high) => this.range ?? counted(low, high);
     this.plot = new uPlot({
       width, height,
       padding: [8, own.length > MANY ? BANDS : RIGHT, 0, 0],
@@ -111,14 +113,25 @@ function stroke({ colour, dash, hidden, name }, selected) {
 // Zero is in sight where it is near.
 function room(low, high) {
   if (low === null) return [0, 1];
-  const pad = 0.06 * (high - low || Math.abs(high) || 1), zero = low >= 0 && low < 0.5 * high;
+  [low, high] = [low, high].map(bounded);
+  const size = Math.max(Math.abs(low), Math.abs(high)), width = high - low > LEAST * size ? high - low : size || 1;
+  const pad = 0.06 * width, zero = low >= 0 && low < 0.5 * high;
   return [zero ? 0 : low - pad, high + pad];
+}
+
+// Iterations from the first to the last.
+function counted(low, high) {
+  [low, high] = [low, high].map(bounded);
+  return [low, Math.max(high, low + Math.max(1, LEAST * low))];
 }
 
 function decades(low, high) {
   if (!(low > 0)) return [1e-3, 1];
-  return [10 ** Math.floor(Math.log10(low)), 10 ** Math.ceil(Math.log10(high) + 1e-9)];
+  const [from, to] = [low, high].map((each) => Math.log10(Math.max(1 / MOST, bounded(each))));
+  return [10 ** Math.floor(from), 10 ** Math.ceil(to + 1e-9)];
 }
+
+const bounded = (value) => Math.max(-MOST, Math.min(MOST, value));
 
 // x and y of a line; x goes up (an iteration that is told twice counts once, a run that begins anew hides the one before).
 function columns(points, factor, log) {

@@ -4,6 +4,7 @@
 import { Pen, reach, rimSize } from "./drawing.js";
 import { listen } from "./hands.js";
 import { Labels } from "./labels.js";
+import { isPlace } from "../store.js";
 import { sharp, theme } from "../theme.js";
 
 const CROWD = 60; // robots above which links are thin, and trails and crowded names are left out
@@ -17,7 +18,6 @@ const MARGIN = 0.3; // m around everything
 const LOOSE = 1.4; // times as large as it might be, and it is fitted anew
 const [HEAD, HEAD_OF_PHONE] = [34, 52]; // px of the panel's title above the map
 const phone = matchMedia("(max-width: 760px)");
-const FAR = 1e4; // m; what is further away is no place
 
 export class SwarmMap {
   constructor(canvas, store, select) {
@@ -113,7 +113,7 @@ export class SwarmMap {
   target() {
     for (const name of this.store.names) {
       const told = this.store.get(name, "sim/target");
-      if (told) return { name: "target", x: told.x, y: told.y };
+      if (isPlace(told)) return { name: "target", x: told.x, y: told.y };
     }
     const apps = [...this.store.apps.values()].flat(), looked = this.store.measures || apps.some((app) => /localization|target/.test(app));
     return looked || !apps.length ? this.store.swarm?.target : null;
@@ -125,7 +125,7 @@ export class SwarmMap {
     for (const [name, apps] of this.store.apps) {
       for (const app of apps) {
         const { x, y, sigma, var_x: xx, cov_xy: xy, var_y: yy } = this.store.get(name, `${app}/state`)?.result ?? {};
-        if (!(Math.abs(x) < FAR && Math.abs(y) < FAR)) continue;
+        if (!isPlace({ x, y })) continue;
         const known = typeof xx === "number" && typeof yy === "number" ? { xx, xy: xy ?? 0, yy } : typeof sigma === "number" ? { xx: sigma ** 2, xy: 0, yy: sigma ** 2 } : null;
         if (known || app === "app/localization") found.push({ x, y, colour: this.store.colour(name), known }); // others tell their own place so
       }
@@ -140,7 +140,7 @@ export class SwarmMap {
     if (target) points.push(target);
     // An estimate that is far off must not make everything else small.
     const apart = (name) => Math.max(...points.map((each) => each[name])) - Math.min(...points.map((each) => each[name]));
-    const far = points.length ? 2 * Math.max(1, apart("x"), apart("y")) : FAR, [first = { x: 0, y: 0 }] = points;
+    const far = points.length ? 2 * Math.max(1, apart("x"), apart("y")) : Infinity, [first = { x: 0, y: 0 }] = points;
     points.push(...targets.filter(({ x, y }) => Math.abs(x - first.x) < far && Math.abs(y - first.y) < far));
     let [left, bottom, right, top] = [Infinity, Infinity, -Infinity, -Infinity];
     for (const { x, y } of points) {
@@ -280,7 +280,7 @@ export class SwarmMap {
   // A robot's estimate of its own place, where it says how sure it is.
   known(name) {
     const pose = this.store.get(name, "dwm/pose");
-    return typeof pose?.deviation_x === "number" && Math.abs(pose.x) < FAR && Math.abs(pose.y) < FAR ? pose : null;
+    return typeof pose?.deviation_x === "number" && isPlace(pose) ? pose : null;
   }
 
   // How far robots are apart, in pixels, were they spread evenly.
