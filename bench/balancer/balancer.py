@@ -51,10 +51,11 @@ SETTLE_S = 0.5
 RESTARTS_HZ = 100 / 60
 QUIET = "quiet"
 RESTARTS = "100 restarts in a minute"
-IN_PROCESS = ("flood", "hog")
-"""Loads under which the variant with everything in one process is measured, too."""
-
 BESIDE_QUIET = 1.2
+IN_PROCESS = {"flood": 1.0, "hog": BESIDE_QUIET}
+"""Loads under which the variant with everything in one process is measured, too, and the goal of ours beside it. Of a
+flood ours must be less late: it is a flood of messages. A busy loop sends none, so that both are alike."""
+
 BEYOND_CYCLICTEST_S = 1e-3
 RMS_FLOOR = math.radians(0.1)
 """rad; dry friction may hold a quiet robot quite still."""
@@ -94,9 +95,9 @@ link = "sim:{home}/r1/mesh.sock"
 class Sizes:
     """How much the area measures."""
 
-    repeats: int = 3
-    phase_s: float = 5.0
-    """Of each load."""
+    repeats: int = 5
+    phase_s: float = 6.0
+    """Of each load. With 3000 ticks of all repeats, thirty lie above the 99th percentile."""
 
     stand_s: float = 4.0
     """Until a robot that has begun to balance does so quietly."""
@@ -286,7 +287,7 @@ def _beside_one_process(sizes: Sizes) -> Iterator[Row]:
         ours_s, rival_s = (_median(list(each)) for each in zip(*pairs, strict=True))
         yield Row(f"p99, {load}, messages handled beside the loop's process or in it", ours_s, "s", rival_s, None)
         ratios = [ours / theirs for ours, theirs in pairs]
-        yield Row(f"the same, median of {sizes.turns} turns' ratios", _median(ratios), "", 1.0, 1.0)
+        yield Row(f"the same, median of {sizes.turns} turns' ratios", _median(ratios), "", 1.0, IN_PROCESS[load])
         yield Row("the same, turns in which it is not below 1", sum(ratio >= 1.0 for ratio in ratios), "", 1.0, None)
 
 
@@ -305,19 +306,19 @@ def _judge(phases: list[Phase]) -> Iterator[Row]:
     for load in dict.fromkeys(phase.load for phase in phases if phase.load != QUIET):
         # The quiet time of a pair is the one right before.
         pairs = [(before, phase) for before, phase in itertools.pairwise(phases) if phase.load == load]
-        yield from _figures(load, [phase for _, phase in pairs])
-        ratios = [percentile(phase.ticks, 99) / percentile(before.ticks, 99) for before, phase in pairs]
-        yield Row(f"{load}: p99 beside quiet, paired", _median(ratios), "", 1.0, BESIDE_QUIET)
-        beyond = [percentile(phase.ticks, 99) - percentile(phase.cyclictest, 99) for _, phase in pairs]
-        yield Row(f"{load}: p99 beyond cyclictest's", _median(beyond), "s", BEYOND_CYCLICTEST_S, 1.0)
-    loaded = _rms([phase for phase in phases if phase.load != QUIET])
-    yield Row("rms tilt under all loads beside quiet", loaded, "rad", max(RMS_FLOOR, _rms(quiet)), BESIDE_QUIET)
+        before, loaded = ([pair[side] for pair in pairs] for side in (0, 1))
+        yield from _figures(load, loaded)
+        p99 = percentile(_ticks(loaded), 99)
+        yield Row(f"{load}: p99 beside quiet, paired", p99, "s", percentile(_ticks(before), 99), BESIDE_QUIET)
+        beyond = p99 - percentile(_cyclictests(loaded), 99)
+        yield Row(f"{load}: p99 beyond cyclictest's", beyond, "s", BEYOND_CYCLICTEST_S, 1.0)
+    tilt = _rms([phase for phase in phases if phase.load != QUIET])
+    yield Row("rms tilt under all loads beside quiet", tilt, "rad", max(RMS_FLOOR, _rms(quiet)), BESIDE_QUIET)
 
 
 def _figures(load: str, phases: list[Phase]) -> Iterator[Row]:
     """Told, not judged: beside cyclictest's of the same times."""
-    ticks = [late for phase in phases for late in phase.ticks]
-    rival = [late for phase in phases for late in phase.cyclictest]
+    ticks, rival = _ticks(phases), _cyclictests(phases)
     for name, percent in (("p50", 50.0), ("p99", 99.0), ("p99.9", 99.9), ("max", 100.0)):
         yield Row(
             f"{load}: {name} beside cyclictest", percentile(ticks, percent), "s", percentile(rival, percent), None
@@ -325,9 +326,10 @@ def _figures(load: str, phases: list[Phase]) -> Iterator[Row]:
 
 
 def _pair(robot: Robot, load: str, sizes: Sizes) -> list[Phase]:
-    """A quiet time and one under load."""
-    quiet = _phase(QUIET, sizes.phase_s, lambda: time.sleep(sizes.phase_s + SETTLE_S))
-    return [quiet, _loaded(robot, load, sizes.restart_s if load == RESTARTS else sizes.phase_s)]
+    """A quiet time and one as long under load."""
+    seconds = sizes.restart_s if load == RESTARTS else sizes.phase_s
+    quiet = _phase(QUIET, seconds, lambda: time.sleep(seconds + SETTLE_S))
+    return [quiet, _loaded(robot, load, seconds)]
 
 
 def _loaded(robot: Robot, load: str, seconds: float) -> Phase:
@@ -375,6 +377,16 @@ def _ended(robot: Robot, phases: list[Phase]) -> list[Phase]:
         if not phase.ticks or not phase.tilts:
             raise LocalError(f"bench balancer: no ticks or no poses under {phase.load}: did the balancer end?")
     return phases
+
+
+def _ticks(phases: list[Phase]) -> list[float]:
+    """Lateness of all ticks of the loop, s."""
+    return [late for phase in phases for late in phase.ticks]
+
+
+def _cyclictests(phases: list[Phase]) -> list[float]:
+    """Lateness of all wake-ups of cyclictest, s."""
+    return [late for phase in phases for late in phase.cyclictest]
 
 
 def _median(values: list[float]) -> float:
