@@ -9,10 +9,10 @@ values when their link comes up, and every 30 s: whatever differs is sent. What 
 waits here, and is offered to it again.
 """
 
-import zlib
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
+from hashlib import blake2b
 from typing import NamedTuple
 
 from services.mesh.core.actions import Emit, Transmit
@@ -156,7 +156,7 @@ class Store:
         total = 0
         for name, (incarnation, checksum) in self.digest().items():
             if name not in skip:
-                total ^= zlib.crc32(f"{name} {incarnation} {checksum}".encode())
+                total ^= _checksum(name, incarnation, checksum)
         return total
 
     def lacking(self, low: str, high: str, theirs: dict[str, tuple[int, int]]) -> Iterator[str]:
@@ -189,8 +189,10 @@ class Store:
             self._bytes -= sum(kept.size for kept in origin.latest.values())
 
 
-def _checksum(key: str, sequence: int) -> int:
-    return zlib.crc32(f"{key} {sequence}".encode())
+def _checksum(*parts: str | int) -> int:
+    """Return 32 bits of a hash. Checksums are joined by exclusive or, so a CRC does not do: of numbers that differ by
+    the same bits in two texts it makes the same difference, and the two cancel each other out."""
+    return int.from_bytes(blake2b(" ".join(map(str, parts)).encode(), digest_size=4).digest(), "little")
 
 
 COMPARE_PERIOD = 30.0

@@ -1,5 +1,6 @@
 """What floods leave to robots that were away: nothing is missed for good, and the store is bounded."""
 
+import itertools
 from collections.abc import Sequence
 
 import pytest
@@ -210,6 +211,25 @@ def test_the_store_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
         assert len(kept) <= 30
     assert taken == 199, "what is not kept is carried all the same"
     assert kept.unkept
+
+
+def test_any_two_stores_with_other_values_have_other_checksums() -> None:
+    """Numbers that differ by the same bits in two keys, or in two origins, do not cancel each other out."""
+    numbers = range(1, 12)
+    checksums, summaries = set(), set()
+    for first, second in itertools.product(numbers, numbers):
+        kept = flood_store.Store()
+        for name in ("r0", "r1"):
+            for key, sequence in ((f"swarm/{name}/mesh/lsa", first), (f"swarm/{name}/mesh/stopped", 20 + second)):
+                kept.take(name, key, Spread(1, sequence, b"", latest=True), BULK)
+            checksums.add(kept.digest()[name])
+        summaries.add(kept.summary())
+        other = flood_store.Store()
+        for name, sequence in (("r0", first), ("r1", second)):
+            other.take(name, f"swarm/{name}/rule/x", Spread(1, sequence, b"", latest=True), BULK)
+        summaries.add(other.summary())
+    assert len(checksums) == 2 * len(numbers) ** 2
+    assert len(summaries) == 2 * len(numbers) ** 2
 
 
 def test_what_is_forgotten_does_not_come_back() -> None:

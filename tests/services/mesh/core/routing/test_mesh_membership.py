@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from conftest import costly
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from overlay_world import SILENCE, World, full, line, ring, thesis_d
 from stop_world import NOTICED, arm, stop, stopped
@@ -117,6 +117,12 @@ steps_of = st.lists(
 
 @costly(100)
 @given(steps_of, st.sampled_from(sorted(GRAPHS)), st.integers(0, 99))
+@example(
+    # Two pairs of the latest values of r1 differed in both numbers by the same bits.
+    [("restart", 0, 0), ("stop", 0, 0), ("stop", 1, 0), ("wait", 0.125, 0), ("cut", 2, 0)],
+    "line",
+    0,
+)
 def test_in_the_end_all_agree_who_is_there_and_whether_to_stand_still(
     steps: Sequence[tuple[str, float, int]], graph: str, seed: int
 ) -> None:
