@@ -39,6 +39,9 @@ MAX_SUBJECTS = 256
 MAX_HOPS = 4096
 """Pairs of robots whose messages are counted, for the same reason."""
 
+MAX_PARTS = 10_000
+"""Values in one message that a page gets: a topology of 255 robots has 3000."""
+
 MAX_BYTES = 256
 """The most bytes of a raw payload within a message that a page gets."""
 
@@ -304,9 +307,23 @@ def _check(topic: str, message: object) -> None:
 
 def _message(topic: str, payload: bytes) -> object:
     """Decode a sample. Raises `PayloadError`."""
-    message = json_value(unpack(payload), MAX_BYTES)
+    value = unpack(payload)
+    if (parts := _parts(value)) > MAX_PARTS:
+        raise PayloadError(f"{parts} values or more in one message: the page takes {MAX_PARTS}")
+    message = json_value(value, MAX_BYTES)
     _check(topic, message)
     return message
+
+
+def _parts(value: object) -> int:
+    """Count the values in a decoded message; it ends soon above `MAX_PARTS`."""
+    parts, waiting = 0, [value]
+    while waiting and parts <= MAX_PARTS:
+        each = waiting.pop()
+        inner = each.values() if isinstance(each, dict) else each if isinstance(each, list | tuple) else ()
+        parts += len(inner)
+        waiting += inner
+    return parts
 
 
 def _size(value: object) -> int:

@@ -2,6 +2,7 @@
 
 import { apart, dig, plain } from "./series.js";
 
+const MOST = 64; // numbers of an app that the page offers
 const FAR = 500; // m; apps say -1000 where they know no place
 const PLACE = /^(x|y|vx|vy|known|rank|k|var_.*|cov_.*|other_.*|goal_.*)$/; // of a result: shown on the map, or about others
 const UNITS = { s: "s", m: "m", rad: "rad" };
@@ -15,7 +16,8 @@ export class Focus {
   // All apps and channels of apps that tell their state, those that run first.
   get apps() {
     const names = [...new Set([...this.store.apps.values()].flat())];
-    const runs = (app) => Object.values(this.store.services).some((services) => services[app.split("/").slice(0, 2).join("/")]);
+    const running = new Set(Object.values(this.store.services).flatMap((services) => Object.keys(services).filter((each) => services[each])));
+    const runs = (app) => running.has(app.split("/").slice(0, 2).join("/"));
     return names.sort((a, b) => runs(b) - runs(a) || a.split("/").length - b.split("/").length || (a < b ? -1 : 1));
   }
 
@@ -54,14 +56,14 @@ export class Focus {
     const parent = app.split("/").slice(0, 2).join("/");
     const kept = this.kind === "event"; // told when it changes, and what it was until then
     const steps = this.kind === "periodic"; // each robot's own, that say nothing of the others'
-    const add = (value, label, unit = "") => found.has(value.name) || found.set(value.name, { ...value, label, unit, held: kept, steps });
+    const add = (value, label, unit = "") => found.size >= MOST || found.has(value.name) || found.set(value.name, { ...value, label, unit, held: kept, steps });
     const sample = (topic) => store.names.map((name) => store.get(name, topic)).find((value) => value !== undefined);
     const told = sample(`${app}/state`) ?? {}, result = told.result ?? {};
     const target = this.target(), seen = store.names.some((name) => Math.abs(store.get(name, `${app}/state`)?.result?.x) < FAR);
     if (target && seen && /localization|target/.test(app)) add(apart(`${app} target error`, `${app}/state`, ["result"], target), "Error of the target", "m");
     for (const name of store.names) {
       for (const topic of store.robots.get(name)?.keys() ?? []) {
-        const value = store.get(name, topic), path = value && "value" in value ? ["value"] : ["values", "value"]; // a recording's own, or from the bus
+        const value = store.get(name, topic), path = value?.value !== undefined ? ["value"] : ["values", "value"]; // a recording's own, or from the bus
         if (topic.startsWith(`${parent}/record/`) && typeof dig(value, path) === "number") add(plain(topic, path), topic.split("/").at(-1), this.unit(topic.split("/").at(-1)));
         else if (topic.startsWith(`${parent}/out/`) && !/\/(goal|shape)$/.test(topic)) {
           for (const [field, value] of Object.entries(store.get(name, topic)?.values ?? {})) {

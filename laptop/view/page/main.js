@@ -8,6 +8,7 @@ import { Layout } from "./layout.js";
 import { goals } from "./map/goals.js";
 import { SwarmMap } from "./map/map.js";
 import { column, largest, scaled, write } from "./numbers.js";
+import { part } from "./part.js";
 import { Answers } from "./panels/answers.js";
 import { Controls } from "./panels/controls.js";
 import { Events } from "./panels/events.js";
@@ -114,9 +115,9 @@ function take(step) {
   }
   store.take(step, directed ? step.t * 1000 : heard);
   store.newest = step.t;
-  lockstepChart.take(step);
-  if (!first && !replaced) controls.take(step);
-  series.take(step);
+  part(() => lockstepChart.take(step));
+  if (!first && !replaced) part(() => controls.take(step));
+  part(() => series.take(step));
   if (first || opened) series.refill();
   first = false;
   player.taken();
@@ -153,20 +154,28 @@ function news() {
   const connection = find("#connection"), silent = performance.now() - heard > SILENCE_MS, recording = store.swarm?.recording;
   const [text, kind] = silent ? ["server lost", "bad"] : recording ? ["recording", "muted"] : store.looking ? ["looks back", "warn"] : store.live ? ["live", "good"] : [store.swarm?.kind === "robots" ? "no robot in reach" : "the run has ended", "warn"];
   if (connection.textContent !== text) [connection.textContent, connection.className] = [text, kind];
-  const about = store.swarm ? `${store.swarm.kind}${recording ? ` ${recording.name}` : ""} · ${store.names.length} robots${focus.app ? ` · ${focus.kind}` : ""}${directed && recording ? ` · ${store.t.toFixed(2)} s` : ""}` : "";
+  part(head);
+  store.zoom = bracket.range;
+  for (const draw of [chooseApp, () => layout.draw(), () => events.draw(store.events), () => controls.draw(selected, map), () => pace.draw(), () => keep.draw()]) part(draw);
+  find("#tabs [data-panel=control]").hidden = find("#control").hidden;
+}
+
+// What the page is about.
+function head() {
+  const recording = store.swarm?.recording, about = store.swarm ? `${store.swarm.kind}${recording ? ` ${recording.name}` : ""} · ${store.names.length} robots${focus.app ? ` · ${focus.kind}` : ""}${directed && recording ? ` · ${store.t.toFixed(2)} s` : ""}` : "";
   write(find("#kind"), about);
   find("#speed").hidden = !recording;
-  store.zoom = bracket.range;
-  chooseApp();
-  layout.draw();
-  events.draw(store.events);
-  controls.draw(selected, map);
-  find("#tabs [data-panel=control]").hidden = find("#control").hidden;
-  pace.draw();
-  keep.draw();
 }
 
 function numbers(now) {
+  part(() => steps(now));
+  for (const each of [runs, answers, values, errors, robots]) part(() => each.draw(now, selected));
+  for (const draw of [label, () => keys.draw(), () => bracket.draw(), () => strip.draw(now)]) part(draw);
+  if (!directed && store.swarm && !store.swarm.recording) part(() => present.draw(now));
+}
+
+// Who has done which iterations, or when which steps.
+function steps(now) {
   const kindOf = focus.kind, lockstep = kindOf === "lockstep";
   find("#lockstep").hidden = !lockstep;
   find("#lanes").hidden = lockstep;
@@ -177,16 +186,6 @@ function numbers(now) {
     write(find("#lanes .unit"), lanes.said);
     lanes.draw(now, selected);
   }
-  runs.draw(now);
-  answers.draw(now);
-  values.draw(now, selected);
-  errors.draw(now, selected);
-  robots.draw(now, selected);
-  label();
-  keys.draw();
-  bracket.draw();
-  strip.draw(now);
-  if (!directed && store.swarm && !store.swarm.recording) present.draw(now);
 }
 
 // What stands behind the robots' names on the map.

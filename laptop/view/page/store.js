@@ -12,6 +12,8 @@ const BADNESS = ["up", "suspect", "connecting", "down"];
 const SLOWER = 3; // times its shortest round trip of the last minute
 const SLOWER_S = 0.02;
 const QUEUE = 4096; // bytes
+const APPS = 32; // of a robot, with their channels, that the page is about: it goes through all of them again and again
+const LINKS = 300; // of a robot: there are at most 255 others
 const FAR = 1e4; // m; what is further away is no place: a map of it would have grid lines without end
 
 export class Store {
@@ -88,8 +90,9 @@ export class Store {
   }
 
   index(name, topic) {
-    const app = /^(app\/.+)\/state$/.exec(topic)?.[1];
-    if (app) this.apps.set(name, [...(this.apps.get(name) ?? []), app]);
+    const app = /^(app\/[^/]+(?:\/(?!out\/|record\/)[^/]+)?)\/state$/.exec(topic)?.[1];
+    const apps = this.apps.get(name) ?? [];
+    if (app && apps.length < APPS) this.apps.set(name, [...apps, app]);
     if (/^app\/.+\/measurement$/.test(topic)) this.measures = true;
   }
 
@@ -99,7 +102,9 @@ export class Store {
     const now = this.topology, newer = version > now.version || (version === now.version && step > now.step);
     if (!(newer || by === now.by) || !Array.isArray(edges)) return;
     this.topology = { version, step, by };
-    this.edges = edges;
+    const known = (edge) => Array.isArray(edge) && edge.length === 2 && edge.every((each) => !this.swarm || this.order.has(each));
+    const pairs = new Map(edges.filter(known).map((edge) => [edge.join(), edge]));
+    this.edges = [...pairs.values()];
   }
 
   neighbours(name) {
@@ -204,7 +209,7 @@ export class Store {
   }
 
   judge(a, b) {
-    const seen = [[a, b], [b, a]].map(([from, to]) => [this.get(from, "mesh/links")?.links].flat().find((each) => each?.peer === to));
+    const seen = [[a, b], [b, a]].map(([from, to]) => [this.get(from, "mesh/links")?.links].flat().slice(0, LINKS).find((each) => each?.peer === to));
     const known = seen.filter(Boolean);
     if (!known.length) return null;
     const state = known.map((each) => each.state).sort((x, y) => BADNESS.indexOf(y) - BADNESS.indexOf(x))[0];

@@ -190,6 +190,30 @@ EXTREME: list[tuple[str, dict[str, object]]] = [
     ("mesh/clock", {"t": 1.0, "offset": BIG, "error": BIG, "root": "r0"}),
 ]
 
+MANY = 4000
+NO_TEXT = {"toString": 1}
+LONG: list[tuple[str, object]] = [
+    ("mesh/topology", {"version": 2**53, "step": 0, "edges": [["r1", f"x{n}"] for n in range(3000)]}),
+    ("mesh/links", {"links": [{}] * MANY}),
+    ("app/x/progress", {"t": 1.0, "phase": "waiting", "waiting_for": [f"x{n}" for n in range(MANY)]}),
+    *((f"app/b{n}/state", {"t": 1.0, "k": 0}) for n in range(150)),
+    ("app/a0/state", {"t": 1.0, "k": 0}),
+    *((f"app/a{n}/parameters", {"parameters": {"waypoints": {"value": ", " * 30_000}}}) for n in range(5)),
+    *((f"app/a0/out/o{n}", {"t": 1.0, "values": {f"v{i}": i for i in range(MANY)}}) for n in range(5)),
+    ("app/a1/state", {"t": 1.0, "k": 1, "state": {"v": [0] * MANY}}),
+    ("app/a1/parameters", {"parameters": {f"p{n}": {"live": True, "value": n} for n in range(1000)}}),
+    ("app/a2/parameters", {"parameters": {"p": {"live": True, "value": "", "choices": [""] * MANY}}}),
+    *(("app/a0/record/zz", {"t": 1.0, "k": k, "values": {"value": 0.0}}) for k in (-(2**60), -(2**60) + 256)),
+    ("a/b", 5),
+    ("balancer/state", {"t": 1.0, "mode": "idle", "battery_level": "constructor"}),
+    ("app/a0/progress", {"t": 1.0, "phase": "constructor"}),
+    ("view/apps", {"apps": 5}),
+    ("view/reach", {"by": None, "why": NO_TEXT}),
+    ("a/c", {"t": NO_TEXT}),
+    ("a/parameters_set", {"problem": NO_TEXT}),
+    ("app/a0/out/state", {"t": 1.0, "result": {"x": 0, "y": 0, "var_x": 1, "var_y": 1, "cov_xy": NO_TEXT}}),
+]
+
 
 def test_no_number_that_a_robot_tells_holds_up_the_pages_stop(
     feed: SimulationFeed, port: int, page: tuple[Any, list[str]]
@@ -200,14 +224,20 @@ def test_no_number_that_a_robot_tells_holds_up_the_pages_stop(
     try:
         shown.goto(serving.address)
         row(shown, "r1").click(timeout=PATIENCE_MS)
-        for number, (key, message) in enumerate(EXTREME):
+        shown.evaluate("swarmView.values.chart.set('over', 'k')")
+        for number, (key, message) in enumerate((*EXTREME, *LONG)):
             with feed.lock:
                 feed.picture.take("r1", f"swarm/r1/{key}", msgpack.packb(message), float(number))
             assert feed.picture.newest("r1", key) is not None, (key, message)
+            if key.startswith("app/b"):
+                continue  # all of them at once
             shown.wait_for_timeout(600)  # a round of all panels
             given = min(stops(feed))
             shown.locator("#stop").click(timeout=PATIENCE_MS)
-            wait_until(lambda given=given: min(stops(feed)) > given, what=f"a stop beside {key} {message}")
+            wait_until(lambda given=given: min(stops(feed)) > given, what=f"a stop beside {key}")
+        with feed.lock:
+            feed.picture.put("r0", "app/x/state", {"t": 1.0, "k": 777, "state": {}}, 1000.0)
+        expect(row(shown, "r0")).to_contain_text("777", timeout=PATIENCE_MS)
     finally:
         serving.close()
     assert problems == []

@@ -13,6 +13,7 @@ from laptop.view.feeds.history import HISTORY_S, HISTORY_STEP_S, MAX_KEY, MAX_RO
 from laptop.view.feeds.picture import (
     MAX_EVENTS,
     MAX_HOPS,
+    MAX_PARTS,
     MAX_SERVICES,
     MAX_SIZE,
     MAX_SUBJECTS,
@@ -254,7 +255,7 @@ def test_a_history_ends_with_the_newest_and_is_bounded(samples: list[tuple[str, 
 
 
 def test_what_a_robot_says_at_its_most_takes_a_bounded_amount_of_memory() -> None:
-    """Two minutes of the largest messages under as many keys as there may be; a page asks for one key of empty maps."""
+    """Two minutes of the largest messages under as many keys as there may be; a page asks for one key of texts."""
     picture = Picture()
     tracemalloc.start()
     try:
@@ -265,10 +266,21 @@ def test_what_a_robot_says_at_its_most_takes_a_bounded_amount_of_memory() -> Non
     finally:
         tracemalloc.stop()
     assert kept < MAX_SIZE + MAX_ROBOT + (1 << 20)
+    payload = msgpack.packb(["abcdef"] * 9000)
     for t in range(int(HISTORY_S), 2 * int(HISTORY_S), 4):
-        picture.take("r1", "swarm/r1/app/x/mine/1", msgpack.packb([{}] * (MAX_PAYLOAD - 5)), float(t))
+        picture.take("r1", "swarm/r1/app/x/mine/1", payload, float(t))
     rows = picture.history("r1", "app/x/mine/1")
-    assert MAX_KEY - 2 * MAX_PAYLOAD <= len(rows) * MAX_PAYLOAD <= MAX_KEY
+    assert MAX_KEY - 2 * MAX_PAYLOAD <= len(rows) * len(payload) <= MAX_KEY
+
+
+def test_a_message_of_more_values_than_a_page_could_go_through_is_left_out_and_named() -> None:
+    picture = Picture()
+    most = {"t": 1.0, "links": [{}] * (MAX_PARTS - 2)}
+    picture.take("r1", "swarm/r1/mesh/links", msgpack.packb(most), 0.0)
+    assert picture.newest("r1", "mesh/links") == most
+    picture.take("r1", "swarm/r1/mesh/links", msgpack.packb(most | {"one": 1}), 1.0)
+    assert picture.newest("r1", "mesh/links") is None
+    assert "the page takes 10000" in picture.events_since(0)[-1].text
 
 
 def test_numbers_that_no_float_can_be_are_no_places() -> None:

@@ -56,7 +56,7 @@ export class LockstepChart {
   // Whether a robot's newest iteration is old, by its own clock.
   still(name) {
     let newest = 0;
-    for (const value of this.store.robots.get(name).values()) if (value?.t > newest) newest = value.t;
+    for (const value of this.store.robots.get(name).values()) if (typeof value?.t === "number" && value.t > newest) newest = value.t;
     return newest - this.store.get(name, `${this.app}/state`)?.t > STILL_S;
   }
 
@@ -84,7 +84,7 @@ export class LockstepChart {
     for (const name of store.names) {
       const progress = store.get(name, `${this.app}/progress`);
       if (progress?.phase === "done" || progress?.phase === "fault") continue;
-      const named = Array.isArray(progress?.waiting_for) ? progress.waiting_for : [];
+      const named = Array.isArray(progress?.waiting_for) ? [...new Set(progress.waiting_for)].filter((each) => store.order.has(each)) : [];
       const peers = named.map((peer) => ({ peer, named: true }));
       if (!named.length && iterations.has(name) && this.still(name)) {
         for (const peer of store.neighbours(name)) {

@@ -122,7 +122,7 @@ function room(low, high) {
 // Iterations from the first to the last.
 function counted(low, high) {
   [low, high] = [low, high].map(bounded);
-  return [low, Math.max(high, low + Math.max(1, LEAST * low))];
+  return [low, Math.max(high, low + Math.max(1, LEAST * Math.abs(low)))];
 }
 
 function decades(low, high) {

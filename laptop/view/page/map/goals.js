@@ -2,6 +2,7 @@
 // publishes as `goal`.
 
 const FAR = 500; // m
+const MOST = 100; // waypoints of a robot
 
 export function goals(store) {
   const found = [];
@@ -19,5 +20,5 @@ export function goals(store) {
 
 function waypoints(text) {
   if (typeof text !== "string") return [];
-  return text.split(/\s+/).map((word) => word.split(",").map(Number)).filter(([x, y]) => Math.abs(x) < FAR && Math.abs(y) < FAR).map(([x, y]) => ({ x, y }));
+  return text.split(/\s+/, MOST).map((word) => word.split(",").map(Number)).filter(([x, y]) => Math.abs(x) < FAR && Math.abs(y) < FAR).map(([x, y]) => ({ x, y }));
 }

@@ -126,7 +126,7 @@ export class SwarmMap {
       for (const app of apps) {
         const { x, y, sigma, var_x: xx, cov_xy: xy, var_y: yy } = this.store.get(name, `${app}/state`)?.result ?? {};
         if (!isPlace({ x, y })) continue;
-        const known = typeof xx === "number" && typeof yy === "number" ? { xx, xy: xy ?? 0, yy } : typeof sigma === "number" ? { xx: sigma ** 2, xy: 0, yy: sigma ** 2 } : null;
+        const known = typeof xx === "number" && typeof yy === "number" ? { xx, xy: typeof xy === "number" ? xy : 0, yy } : typeof sigma === "number" ? { xx: sigma ** 2, xy: 0, yy: sigma ** 2 } : null;
         if (known || app === "app/localization") found.push({ x, y, colour: this.store.colour(name), known }); // others tell their own place so
       }
     }

@@ -5,6 +5,7 @@ import { short, write } from "../numbers.js";
 import { Outcomes } from "./outcomes.js";
 
 const CUT_S = 60;
+const [PARAMETERS, CHOICES] = [100, 100]; // that are shown
 const DRIVE_MS = 120; // a robot stands when it has not been asked again for 0.4 s
 const WAYS = [["◀", 0, 1.2, "left"], ["▲", 0.15, 0, "forward"], ["▼", -0.15, 0, "back"], ["▶", 0, -1.2, "right"]]; // m/s, rad/s
 const STANDS = { stand: ["balancing"], rest: ["idle"], lie: ["idle"] };
@@ -171,7 +172,7 @@ export class Controls {
         for (const [name, each] of Object.entries((app && value?.parameters) ?? {})) if (each?.live && !found.has(`${app} ${name}`)) found.set(`${app} ${name}`, [app, name, each]);
       }
     }
-    return [...found.values()];
+    return [...found.values()].slice(0, PARAMETERS);
   }
 
   // A slider where bounds are declared, a list where choices are; sent when it is let go.
@@ -194,7 +195,7 @@ export class Controls {
     row.append(title);
     if (choices?.length || typeof value === "boolean") {
       const select = element("select", { ariaLabel: label });
-      select.append(...(choices?.length ? choices : ["true", "false"]).map((each) => new Option(each, each)));
+      select.append(...(choices?.length ? choices.slice(0, CHOICES) : ["true", "false"]).map((each) => new Option(each, each)));
       select.value = String(value);
       select.addEventListener("change", () => set(choices?.length ? select.value : select.value === "true"));
       row.append(select);
@@ -229,7 +230,8 @@ export class Controls {
       for (const [service, there] of Object.entries(this.store.services[robot] ?? {})) {
         if (service.startsWith("app/")) found.set(service.slice(4), there || (found.get(service.slice(4)) ?? false));
       }
-      for (const app of this.store.get(robot, "view/apps")?.apps ?? []) if (!found.has(app)) found.set(app, false);
+      const there = this.store.get(robot, "view/apps")?.apps;
+      for (const app of Array.isArray(there) ? there : []) if (typeof app === "string" && !found.has(app)) found.set(app, false);
     }
     return [...found].sort();
   }

@@ -2,6 +2,8 @@
 
 import { called } from "../series.js";
 
+const FIELDS = 200; // of a key that are shown
+
 export class Keys {
   constructor(section, store, chart) {
     this.section = section;
@@ -36,7 +38,7 @@ export class Keys {
       }
       if (row.text === text) continue;
       row.text = text;
-      this.update(row, topic, flat(value));
+      this.update(row, topic, flat(value).slice(0, FIELDS));
     }
   }
 

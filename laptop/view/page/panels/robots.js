@@ -1,11 +1,14 @@
 // A row a robot: the app's own value first, what it does, its body and its way to the others.
 
 import { column, largest, scaled } from "../numbers.js";
+import { part } from "../part.js";
 import { held } from "../series.js";
 
 const SPARK_MS = 400;
 const LOW_S = 45 * 60;
 const WIDE = 200, HIGH = 20; // of a sparkline, before it is drawn out
+
+const PHASES = new Map([["fault", "bad"], ["waiting", "warn"]]), BATTERIES = new Map([["low", "warn"], ["empty", "bad"]]);
 
 const SVG = "http://www.w3.org/2000/svg";
 
@@ -67,7 +70,7 @@ export class Robots {
     this.head("place error", `place ${error && !error.truth ? "deviation" : "error"}, ${columns[1].unit || "m"}`);
     this.head("step", this.focus.kind === "lockstep" ? "iteration" : this.focus.kind === "periodic" ? "step" : "changes");
     this.table.dataset.kind = this.focus.kind;
-    names.forEach((name, index) => {
+    names.forEach((name, index) => part(() => {
       const row = this.rows.get(name) ?? this.row(name);
       const chosen = String(name === selected), title = row.called;
       if (row.ariaSelected !== chosen) row.ariaSelected = chosen;
@@ -83,7 +86,7 @@ export class Robots {
         const head = this.heads.get(COLUMNS[index][0]).textContent;
         if (cell.dataset.label !== head) cell.dataset.label = head; // for cards
       });
-    });
+    }));
     if (own && now > this.sparked + SPARK_MS && names.length <= 30) {
       this.sparked = now;
       for (const [name, row] of this.rows) this.spark(row, this.series.points(own, name), this.store.colour(name), at, value.held);
@@ -151,9 +154,9 @@ export class Robots {
     return [
       [app ? String(this.k(name, app, progress)) : "-"],
       [waits.join(" ") || "-", waits.length ? "warn" : ""],
-      [app ? `${app} ${progress?.phase ?? ""}` : "-", { fault: "bad", waiting: "warn" }[progress?.phase] ?? ""],
+      [app ? `${app} ${progress?.phase ?? ""}` : "-", PHASES.get(progress?.phase) ?? ""],
       body ? [`${body.mode} ${fixed((body.tilt * 180) / Math.PI, 1, "°")}`, body.mode === "fault" ? "bad" : ""] : ["-"],
-      [typeof volts === "number" ? `${fixed(volts, 2, " V")}${typeof left === "number" ? ` ${Math.round(left / 60)} min` : ""}` : "-", { low: "warn", empty: "bad" }[body?.battery_level] ?? (typeof left === "number" && left < LOW_S ? "warn" : "")],
+      [typeof volts === "number" ? `${fixed(volts, 2, " V")}${typeof left === "number" ? ` ${Math.round(left / 60)} min` : ""}` : "-", BATTERIES.get(body?.battery_level) ?? (typeof left === "number" && left < LOW_S ? "warn" : "")],
       [`${up}/${links.length}${links.length > 4 ? "" : ` ${links.map((each) => `${each?.state === "up" ? "" : "×"}${each?.peer}`).join(" ")}`}`, up < links.length ? "bad" : ""],
       [typeof clock?.error === "number" ? `${typeof clock.offset === "number" ? `${seconds(clock.offset)} ` : ""}±${(clock.error * 1000).toFixed(1)} ms by ${clock.root}` : "-"],
       this.services(name),
