@@ -61,6 +61,7 @@ ELSEWHERE = {
     "swarm/onboard/buses/samples.py": "shows frames of lockstep: tests/swarm/onboard/test_z_sub.py",
     "swarm/recording/core/foxglove.py": "a schema of its own",
     "swarm/recording/core/writer.py": "checkpoints of its own file: tests/swarm/recording/test_long_recordings.py",
+    "services/mesh/core/overlays/flood_store.py": "the bytes of a hash of its own",
     "swarm/core/snapshot_fields.py": "private fields that this robot has packed itself, in a snapshot with a checksum",
     "swarm/core/state.py": "states of the size that the lockstep has checked: tests/swarm/core/test_state.py",
     "swarm/core/lockstep/stopping.py": "two bytes of a state of the size that the lockstep has checked",
