@@ -283,7 +283,7 @@ class Admission:
             return False
         if overlay != FLOOD:
             return robot == peer and service == "mesh" and topic in ("unicast", "pieces")
-        if service == "mesh" and topic in ("digest", "halt", "topology"):
+        if is_between_neighbours(key):
             return robot == peer
         if (service, topic) in (("mesh", "lsa"), ("mesh", "stopped"), ("mesh", "watch")):
             return True
@@ -299,6 +299,12 @@ class Admission:
             if len(chunks) == 3 and chunks[1:] == ["send", self._me] and is_name(chunks[0]):
                 return True
         return (robot, service, topic) == (sender, "mesh", "view") or self._unicast(sender, key)
+
+
+def is_between_neighbours(key: str) -> bool:
+    """Return whether a robot tells something under this key to each of its neighbours, and none of them hands it on."""
+    _, service, topic = parse(key)
+    return service == "mesh" and topic in ("digest", "halt", "topology")
 
 
 def _is_app_flood(service: str, topic: str) -> bool:

@@ -17,6 +17,7 @@ from services.mesh.core.overlays import large_messages
 from services.mesh.core.overlays.completion import Completion, decode_known
 from services.mesh.core.overlays.echo import FloodId, Waves
 from services.mesh.core.overlays.flood_store import NEW, OLD, CatchUp, Store
+from services.mesh.core.relay import is_between_neighbours
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import BULK, FLOOD, MAX_MESSAGE
 from services.mesh.core.wire.packets import Spread
@@ -183,6 +184,8 @@ class FloodOverlay:
         if peer not in self._links:
             return
         match packets.kind_of(data):
+            case packets.SPREAD | packets.ECHO | packets.KNOWN if is_between_neighbours(key):
+                raise FrameError(f"a flood under {key}, which nobody hands on")
             case packets.SPREAD:
                 self._on_spread(peer, key, packets.decode_spread(data), data, priority, now)
             case packets.ECHO:

@@ -180,8 +180,10 @@ def test_whatever_happens_once_to_each_and_all_agree_in_the_end(
 @given(st.binary(max_size=60), st.sampled_from((FLOOD_KEY.format("r0"), "swarm/r1/mesh/digest", "swarm/r1/mesh/lsa",
                                                 "swarm/r2/mesh/lsa", "swarm/r1/mesh/halt", "swarm/r1/mesh/unicast")),
        st.integers(0, 5))  # fmt: skip
-@example(bytes(8) + b"\1\0\0\0\1", "swarm/r1/mesh/digest", 1)  # a flood of r1 with an incarnation far above its own
-@example(b"\x08" + bytes(7) + b"\1\0\0\0\1\0\0\x10\0", "swarm/r1/mesh/digest", 1)  # the same, announced
+@example(bytes(8) + b"\1\0\0\0\1", "swarm/r1/mesh/lsa", 1)  # a flood of r1 with an incarnation far above its own
+@example(b"\x08" + bytes(7) + b"\1\0\0\0\1\0\0\x10\0", "swarm/r1/mesh/lsa", 1)  # the same, announced
+@example(b"\1" + bytes(7) + b"\1\0\0\0\1", "swarm/r1/mesh/digest", 1)  # the same, of which it wants echoes
+@example(bytes(8) + b"\1\0\0\0\1", "swarm/r1/mesh/halt", 1)
 def test_any_packet_of_a_member_is_taken_or_counted(data: bytes, key: str, kind: int) -> None:
     world = World(line(3))
     world.settle()
