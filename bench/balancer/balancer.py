@@ -53,8 +53,8 @@ QUIET = "quiet"
 RESTARTS = "100 restarts in a minute"
 BESIDE_QUIET = 1.2
 IN_PROCESS = {"flood": 1.0, "hog": BESIDE_QUIET}
-"""Loads under which the variant with everything in one process is measured, too, and the goal of ours beside it. Of a
-flood ours must be less late: it is a flood of messages. A busy loop sends none, so that both are alike."""
+"""Loads under which the variant with everything in one process is measured, too, and the goal of ours beside it. Under
+a flood of messages ours must be less late. A busy loop sends none, so both are alike then."""
 
 BEYOND_CYCLICTEST_S = 1e-3
 RMS_FLOOR = math.radians(0.1)

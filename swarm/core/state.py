@@ -314,12 +314,12 @@ def type_of(value: object) -> str:
     return next((name for name, kind in kinds.items() if isinstance(value, kind)), "")
 
 
-@cache
 def shape_text(shape: tuple[int, ...]) -> str:
     """`4x4`."""
     return "x".join(map(str, shape))
 
 
+@cache
 def entry_names(name: str, shape: tuple[int, ...]) -> tuple[str, ...]:
     """Return the names of the entries of a vector, matrix or array of this shape, in the order in which messages have
     them."""

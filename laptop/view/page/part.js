@@ -1,10 +1,10 @@
-// Parts of the page that are drawn each by itself.
+// The page is drawn in parts, so that an error in one of them leaves the others as they should be.
 
-const KEPT = 20; // different errors that are told to who develops the page
+const KEPT = 20; // different errors that are written to the browser's console
 
 const told = new Set();
 
-// Whatever keeps one part from being drawn, the others are: a person can read them, and press stop.
+// Draws one part. An error ends this part only: a person can still read the others, and press stop.
 export function part(draw) {
   try {
     draw();

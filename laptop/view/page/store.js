@@ -12,9 +12,9 @@ const BADNESS = ["up", "suspect", "connecting", "down"];
 const SLOWER = 3; // times its shortest round trip of the last minute
 const SLOWER_S = 0.02;
 const QUEUE = 4096; // bytes
-const APPS = 32; // of a robot, with their channels, that the page is about: it goes through all of them again and again
-const LINKS = 300; // of a robot: there are at most 255 others
-const FAR = 1e4; // m; what is further away is no place: a map of it would have grid lines without end
+const APPS = 32; // apps and channels of one robot; the page goes through all of them many times a second
+const LINKS = 300; // links of one robot, which has at most 255 others to link to
+const FAR = 1e4; // m; a robot that tells a place further away has none: the map would draw grid lines without end
 
 export class Store {
   constructor() {

@@ -88,6 +88,19 @@ def page(browser: Any) -> Iterator[tuple[Any, list[str]]]:
     page.close()
 
 
+@pytest.fixture
+def shown(feed: SimulationFeed, port: int, page: tuple[Any, list[str]]) -> Iterator[Any]:
+    """The page of a server; it must have had no error in the end."""
+    shown, problems = page
+    serving = Server(feed, port)
+    try:
+        shown.goto(serving.address)
+        yield shown
+    finally:
+        serving.close()
+    assert problems == []
+
+
 def test_a_stop_that_is_pressed_while_the_server_is_away_goes_out_when_it_is_back(
     feed: SimulationFeed, port: int, page: tuple[Any, list[str]]
 ) -> None:
@@ -112,32 +125,23 @@ def test_a_stop_that_is_pressed_while_the_server_is_away_goes_out_when_it_is_bac
 ODD = [5, None, "x", [], [5], [{}], {}, {"a": {}}, [[[]]], 1e16, 1e300, -1, True, "\x1b[31m<b>"]
 
 
-def test_nothing_that_a_robot_says_breaks_the_page_or_hides_its_stop(
-    feed: SimulationFeed, port: int, page: tuple[Any, list[str]]
-) -> None:
+def test_nothing_that_a_robot_says_breaks_the_page_or_hides_its_stop(feed: SimulationFeed, shown: Any) -> None:
     """r1 puts something odd into each field of each key in turn; r0 goes on to be shown."""
-    shown, problems = page
-    serving = Server(feed, port)
-    try:
-        shown.goto(serving.address)
-        row(shown, "r1").click(timeout=PATIENCE_MS)
-        shapes = range(4)
-        for number, (odd, shape) in enumerate(itertools.product(ODD, shapes)):
-            with feed.lock:
-                for (service, topic), kind in topics().items():
-                    key = f"swarm/r1/{service}/{topic}".replace("*", "x")
-                    fields = list(kind.__dataclass_fields__)  # type: ignore[attr-defined]
-                    messages = (odd, dict.fromkeys(fields, odd), {"k": number, "t": odd}, {fields[-1]: odd})
-                    feed.picture.take("r1", key, msgpack.packb(messages[shape]), float(number))
-                feed.picture.put("r0", "app/x/state", {"t": float(number), "k": number, "state": {}}, float(number))
-            until(shown, f"swarmView.store.get('r0', 'app/x/state')?.k === {number}")
-            shown.wait_for_timeout(300)  # a round of all panels
-        expect(row(shown, "r0")).to_contain_text("x", timeout=PATIENCE_MS)
-        shown.locator("#stop").click()
-        wait_until(lambda: min(stops(feed)) >= 1)
-    finally:
-        serving.close()
-    assert problems == []
+    row(shown, "r1").click(timeout=PATIENCE_MS)
+    for number, (odd, shape) in enumerate(itertools.product(ODD, range(4))):
+        with feed.lock:
+            for (service, topic), kind in topics().items():
+                key = f"swarm/r1/{service}/{topic}".replace("*", "x")
+                fields = list(kind.__dataclass_fields__)  # type: ignore[attr-defined]
+                shapes = ([odd], [dict.fromkeys(fields, odd)], [{"k": number, "t": odd}], [{f: odd} for f in fields])
+                for message in shapes[shape]:  # the page is shown the last one
+                    feed.picture.take("r1", key, msgpack.packb(message), float(number))
+            feed.picture.put("r0", "app/x/state", {"t": float(number), "k": number, "state": {}}, float(number))
+        until(shown, f"swarmView.store.get('r0', 'app/x/state')?.k === {number}")
+        shown.wait_for_timeout(300)  # a round of all panels
+    expect(row(shown, "r0")).to_contain_text("x", timeout=PATIENCE_MS)
+    shown.locator("#stop").click()
+    wait_until(lambda: min(stops(feed)) >= 1)
 
 
 BIG, SMALL = 1.7e308, 5e-324
@@ -154,28 +158,21 @@ PAIRS = [
 
 
 def test_values_that_hardly_differ_or_are_of_any_size_have_a_chart_with_few_numbers_at_its_side(
-    feed: SimulationFeed, port: int, page: tuple[Any, list[str]]
+    feed: SimulationFeed, shown: Any
 ) -> None:
-    shown, problems = page
-    serving = Server(feed, port)
-    try:
-        shown.goto(serving.address)
-        until(shown, "swarmView.store.swarm")
-        for number, pair in enumerate(PAIRS):
-            shown.evaluate(f"swarmView.values.open('app/x/state', ['state', 'v{number}'])")
-            until(shown, f"swarmView.series.entries.get('app/x/state state.v{number}')?.sources[0].told")
-            for robot, value in zip(("r0", "r1"), pair, strict=True):
-                message = {"t": 0.0, "k": number, "state": {f"v{number}": value}}
-                with feed.lock:
-                    feed.picture.put(robot, "app/x/state", message, float(number))
-            for log in ("false", "true"):
-                shown.evaluate(f"swarmView.values.chart.set('log', {log})")
-                chart = "swarmView.values.chart.plot"
-                until(shown, f"{chart}.log === {log} && {chart}.lines.length === 2")
-                until(shown, f"{chart}.plot.axes[1]._splits?.length < 100")
-        assert problems == []
-    finally:
-        serving.close()
+    until(shown, "swarmView.store.swarm")
+    for number, pair in enumerate(PAIRS):
+        shown.evaluate(f"swarmView.values.open('app/x/state', ['state', 'v{number}'])")
+        until(shown, f"swarmView.series.entries.get('app/x/state state.v{number}')?.sources[0].told")
+        for robot, value in zip(("r0", "r1"), pair, strict=True):
+            message = {"t": 0.0, "k": number, "state": {f"v{number}": value}}
+            with feed.lock:
+                feed.picture.put(robot, "app/x/state", message, float(number))
+        for log in ("false", "true"):
+            shown.evaluate(f"swarmView.values.chart.set('log', {log})")
+            chart = "swarmView.values.chart.plot"
+            until(shown, f"{chart}.log === {log} && {chart}.lines.length === 2")
+            until(shown, f"{chart}.plot.axes[1]._splits?.length < 100")
 
 
 EXTREME: list[tuple[str, dict[str, object]]] = [
@@ -215,29 +212,20 @@ LONG: list[tuple[str, object]] = [
 ]
 
 
-def test_no_number_that_a_robot_tells_holds_up_the_pages_stop(
-    feed: SimulationFeed, port: int, page: tuple[Any, list[str]]
-) -> None:
-    """The page counts up to what it shows: grid lines between places, lines between iterations, ticks of steps."""
-    shown, problems = page
-    serving = Server(feed, port)
-    try:
-        shown.goto(serving.address)
-        row(shown, "r1").click(timeout=PATIENCE_MS)
-        shown.evaluate("swarmView.values.chart.set('over', 'k')")
-        for number, (key, message) in enumerate((*EXTREME, *LONG)):
-            with feed.lock:
-                feed.picture.take("r1", f"swarm/r1/{key}", msgpack.packb(message), float(number))
-            assert feed.picture.newest("r1", key) is not None, (key, message)
-            if key.startswith("app/b"):
-                continue  # all of them at once
-            shown.wait_for_timeout(600)  # a round of all panels
-            given = min(stops(feed))
-            shown.locator("#stop").click(timeout=PATIENCE_MS)
-            wait_until(lambda given=given: min(stops(feed)) > given, what=f"a stop beside {key}")
+def test_no_number_or_list_that_a_robot_tells_holds_up_the_pages_stop(feed: SimulationFeed, shown: Any) -> None:
+    """The page goes through what it shows: grid lines between places, lines between iterations, entries of lists."""
+    row(shown, "r1").click(timeout=PATIENCE_MS)
+    shown.evaluate("swarmView.values.chart.set('over', 'k')")
+    for number, (key, message) in enumerate((*EXTREME, *LONG)):
         with feed.lock:
-            feed.picture.put("r0", "app/x/state", {"t": 1.0, "k": 777, "state": {}}, 1000.0)
-        expect(row(shown, "r0")).to_contain_text("777", timeout=PATIENCE_MS)
-    finally:
-        serving.close()
-    assert problems == []
+            feed.picture.take("r1", f"swarm/r1/{key}", msgpack.packb(message), float(number))
+        assert feed.picture.newest("r1", key) is not None, (key, message)
+        if key.startswith("app/b"):
+            continue  # all of them at once
+        shown.wait_for_timeout(600)  # a round of all panels
+        given = min(stops(feed))
+        shown.locator("#stop").click(timeout=PATIENCE_MS)
+        wait_until(lambda given=given: min(stops(feed)) > given, what=f"a stop beside {key}")
+    with feed.lock:
+        feed.picture.put("r0", "app/x/state", {"t": 1.0, "k": 777, "state": {}}, 1000.0)
+    expect(row(shown, "r0")).to_contain_text("777", timeout=PATIENCE_MS)

@@ -9,8 +9,10 @@ const STEPS = 160; // of the bands
 const LABEL = 13; // px from one name to the next
 const BANDS = 108; // px for names and values of bands
 const RIGHT = 84; // px for names and values
-const LEAST = 1e-12; // of a number's size: uPlot puts numbers beside an axis by adding steps, and smaller ones add nothing
-const MOST = 1e30; // what is larger is beyond the axis: uPlot knows no larger steps
+// uPlot goes along an axis by adding steps. It never arrives where a step is too small to change the number, or too small
+// for the way.
+const LEAST = 1e-12; // the least width of an axis, as a share of its largest number
+const MOST = 1e30; // the largest number on an axis
 const sync = uPlot.sync("swarm");
 
 export class Plot {

@@ -160,7 +160,7 @@ def test_a_new_robot_that_comes_late_is_taken_in_when_it_has_a_measurement(make_
     for _ in range(2):
         rig.until_k(rig.state["r0"].k + 50, "r0", "r1")
     told_of.close()
-    # Of r0 and r1 there may be a further one: a busy machine holds up one of them for longer than the other waits.
+    # r0 and r1 may have made a further epoch: a busy machine holds up one of them for longer than the other waits.
     assert {epoch.members for epoch in (rig.epochs["r0"], *told)} == {("r0", "r1")}
     serve_live(rig, "r2")
     until_members(rig, NAMES, *NAMES)
