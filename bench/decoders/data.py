@@ -248,10 +248,15 @@ def _pages(rng: random.Random) -> Made:
     now = 0.0
 
     def look(robot: str, topic: str) -> None:
-        telling = [picture.since(0, 0), picture.hops(), picture.services(), picture.events_since(0)]
-        rows = picture.history(robot, topic)
-        ways = [picture.trail(robot, name, 60.0, now) for name in ("sim/truth", "dwm/pose", topic)]
-        json.dumps([telling, rows, ways, picture.newest(robot, topic)], allow_nan=False)
+        telling = [
+            picture.values(robot, picture.since(robot, 0, 0)),
+            picture.values(robot, picture.look(robot, now)),
+            picture.hops(),
+            picture.services(),
+            picture.events_since(0),
+        ]
+        rows, way = list(picture.history(robot, topic)), list(picture.trail(robot, 60.0, now))
+        json.dumps([telling, rows, way, picture.newest(robot, topic)], allow_nan=False)
 
     def feed(data: bytes) -> None:
         nonlocal now

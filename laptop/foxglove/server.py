@@ -136,8 +136,8 @@ class FoxgloveServer:
             if config is None or picture.version == self._version:
                 return []
             since, self._version = self._version, picture.version
-            for robot, topics in picture.since(since, since).items():
-                for topic, value in topics.items():
+            for robot in picture.robots:
+                for topic, value in picture.values(robot, picture.since(robot, since, since)).items():
                     if (message := sample(robot, topic, value, log_time)) is not None:
                         messages.append(message)
             events = picture.events_since(self._event)

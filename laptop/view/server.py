@@ -9,7 +9,6 @@ import asyncio
 import concurrent.futures
 import contextlib
 import hmac
-import json
 import logging
 import secrets
 import signal
@@ -24,10 +23,10 @@ from laptop.view import series
 from laptop.view.actions.control import Control
 from laptop.view.camera import add_camera
 from laptop.view.feeds.feed import LiveFeed
-from laptop.view.feeds.picture import TRAIL_S, Picture
+from laptop.view.feeds.picture import TRAIL_S
 from laptop.view.layouts import Layouts, default_path
 from laptop.view.playing import Playing, number
-from laptop.view.questions import Answer, Questions
+from laptop.view.questions import Answer, Questions, as_json
 from laptop.view.recording import ViewedRecording
 from laptop.view.scene import scene
 from swarm.errors import LocalError, PayloadError
@@ -134,8 +133,8 @@ async def _live(request: web.Request) -> web.StreamResponse:
     loop, halts = asyncio.get_running_loop(), request.app[_HALTS]
     questions = Questions(
         # In threads: a simulation takes its time to obey, and the page's pictures go on.
-        lambda asked: loop.run_in_executor(halts, _answer, feed, control, layouts, asked),
-        lambda asked: asyncio.to_thread(_answer, feed, control, layouts, asked),
+        lambda asked: loop.run_in_executor(halts, _told, feed, control, layouts, asked),
+        lambda asked: asyncio.to_thread(_told, feed, control, layouts, asked),
         socket.send_str,
     )
     told = _tell(_PageSteps(feed, control, layouts), socket, request.app[_BUILDERS])
@@ -143,7 +142,7 @@ async def _live(request: web.Request) -> web.StreamResponse:
     try:
         async for asked, problem in _messages(socket):
             if problem:
-                questions.tell({"refused": problem})
+                questions.tell(as_json({"refused": problem}))
             else:
                 await questions.take(asked)
     finally:
@@ -180,7 +179,10 @@ class _PageSteps:
     def __init__(self, feed: LiveFeed, control: Control | None, layouts: Layouts) -> None:
         self._feed, self._control, self._layouts = feed, control, layouts
         self._known: dict[str, Any] = {}
-        self._moved = self._rest = self._number = self._count = 0
+        self._moved: dict[str, int] = {}
+        self._rest: dict[str, int] = {}
+        """Versions of the picture by robot: the page has been told of what moves, and of all else, up to there."""
+        self._number = self._count = 0
 
     @property
     def crowd(self) -> bool:
@@ -197,25 +199,35 @@ class _PageSteps:
         self._count += 1
         with feed.lock:
             picture = feed.picture
-            robots = picture.since(self._moved, self._rest if full else None)
+            names = picture.robots
             parts["hops"] = picture.hops()
-            self._moved = picture.version
             if full:
                 if events := picture.events_since(self._number):
                     step["events"] = [event._asdict() for event in events]
                     self._number = events[-1].number
                 parts["services"] = {robot: dict(each) for robot, each in picture.services().items()}
-                if self._rest == 0:
-                    step["trails"] = {name: _trail(picture, name, now) for name in robots}
-                self._rest = picture.version
+        robots, trails = {}, {}
+        for name in names:
+            with feed.lock:
+                samples = picture.since(name, self._moved.get(name, 0), self._rest.get(name, 0) if full else None)
+                trail = picture.trail(name, TRAIL_S, now) if full and name not in self._rest else None
+                self._moved[name] = picture.version
+                if full:
+                    self._rest[name] = picture.version
+            if new := picture.values(name, samples, feed.lock):
+                robots[name] = new
+            if trail is not None:
+                trails[name] = list(trail)
         if robots:
             step["robots"] = robots
+        if trails:
+            step["trails"] = trails
         if full:
             parts |= {"swarm": scene(feed, self._control), "pace": feed.pace(), "layouts": self._layouts.told()}
         for name, value in parts.items():
             if self._known.get(name) != value:
                 step[name] = self._known[name] = value
-        return json.dumps(step, allow_nan=False, separators=(",", ":"))
+        return as_json(step)
 
 
 async def _tell(steps: _PageSteps, socket: web.WebSocketResponse, builders: concurrent.futures.Executor) -> None:
@@ -227,16 +239,17 @@ async def _tell(steps: _PageSteps, socket: web.WebSocketResponse, builders: conc
         await asyncio.sleep((FULL if steps.crowd else 1) / RATE)
 
 
-def _trail(picture: Picture, robot: str, now: float) -> list[tuple[float, float]]:
-    return picture.trail(robot, "sim/truth", TRAIL_S, now) or picture.trail(robot, "dwm/pose", TRAIL_S, now)
-
-
 async def _play(playing: Playing, socket: web.WebSocketResponse) -> None:
     """Answer a page that goes through a recording at its own pace."""
-    await socket.send_json(playing.first())
+    await socket.send_str(as_json(playing.first()))
     async for asked, problem in _messages(socket):
         answer = {"refused": problem} if problem else await asyncio.to_thread(playing.answer, asked)
-        await socket.send_str(json.dumps(answer, allow_nan=False, separators=(",", ":")))
+        await socket.send_str(await asyncio.to_thread(as_json, answer))
+
+
+def _told(feed: LiveFeed, control: Control | None, layouts: Layouts, asked: Any) -> str:
+    """Return the answer to what a page asks, as JSON."""
+    return as_json(_answer(feed, control, layouts, asked))
 
 
 def _answer(feed: LiveFeed, control: Control | None, layouts: Layouts, asked: Any) -> Answer:
@@ -266,7 +279,7 @@ def _answer(feed: LiveFeed, control: Control | None, layouts: Layouts, asked: An
     with feed.lock:
         robots = feed.picture.robots
     for robot in robots:
-        with feed.lock:  # for one robot at a time: the others' samples go on
+        with feed.lock:
             samples = feed.picture.history(robot, topic, series.most_of(len(robots)))
         if rows := series.rows(samples, fields):
             found[robot] = rows
@@ -275,12 +288,17 @@ def _answer(feed: LiveFeed, control: Control | None, layouts: Layouts, asked: An
 
 def _look(feed: LiveFeed, t: float) -> Answer:
     """Return what a page showed at an instant of the last two minutes."""
+    robots, trails = {}, {}
     with feed.lock:
         picture = feed.picture
-        robots = picture.look(t)
-        trails = {robot: _trail(picture, robot, t) for robot in robots}
+        names = picture.robots
         events = [event._asdict() for event in picture.events_since(0) if event.t <= t]
-        return {"look": {"t": t, "live": True, "robots": robots, "trails": trails, "events": events}}
+    for name in names:
+        with feed.lock:
+            samples, trail = picture.look(name, t), picture.trail(name, TRAIL_S, t)
+        if then := picture.values(name, samples, feed.lock):
+            robots[name], trails[name] = then, list(trail)
+    return {"look": {"t": t, "live": True, "robots": robots, "trails": trails, "events": events}}
 
 
 async def _repeat(control: Control, thread: concurrent.futures.Executor) -> None:

@@ -1,5 +1,6 @@
 """A DWM1001 that is wired to the ATmega32U4: reports come over the bus from the balancer, requests go there."""
 
+import contextlib
 import queue
 
 from services.dwm.core.module.block import Block
@@ -11,20 +12,24 @@ from swarm import clock
 from swarm.errors import FrameError
 from swarm.messages import ModuleAnswer, Uwb
 from swarm.messages.keys import key
-from swarm.process.runtime import listen
+from swarm.process.runtime import listen, refuse
 from swarm.process.service import Service
 
 _POLL = 0.25
 """Seconds between two checks whether to stop: a signal does not wake a waiting queue."""
+MAX_WAITING = 100
+"""The most messages that wait to be taken."""
 
 
 def serve(service: Service) -> None:
     """Publish what the ATmega hears of the module until the service is to stop."""
-    arrived: queue.SimpleQueue[Uwb | ModuleAnswer | None] = queue.SimpleQueue()
+    arrived = arrivals(service)
 
-    listen(service, key(service.robot, "balancer", "uwb"), Uwb, arrived.put)
-    listen(service, key(service.robot, "balancer", "module"), ModuleAnswer, arrived.put)
-    requests = ModuleRequests(service, lambda: arrived.put(None), repeats=True)
+    def wake() -> None:
+        with contextlib.suppress(queue.Full):  # what waits wakes as well
+            arrived.put_nowait(None)
+
+    requests = ModuleRequests(service, wake, repeats=True)
     block, localizer = Block(clock.now()), Localizer(service, clock.now())
     service.ready()
     while not service.stopping.is_set():
@@ -45,6 +50,21 @@ def serve(service: Service) -> None:
             else:
                 localizer.report(event.location, now - event.age)
         service.watchdog()
+
+
+def arrivals(service: Service) -> "queue.Queue[Uwb | ModuleAnswer | None]":
+    """Return the queue of what the balancer says of the module, in which at most `MAX_WAITING` messages wait."""
+    arrived: queue.Queue[Uwb | ModuleAnswer | None] = queue.Queue(MAX_WAITING)
+
+    def take(message: Uwb | ModuleAnswer) -> None:
+        try:
+            arrived.put_nowait(message)
+        except queue.Full:
+            refuse(service, f"{MAX_WAITING} messages of the balancer wait")
+
+    listen(service, key(service.robot, "balancer", "uwb"), Uwb, take)
+    listen(service, key(service.robot, "balancer", "module"), ModuleAnswer, take)
+    return arrived
 
 
 def _pass_on(service: Service, requests: ModuleRequests) -> None:

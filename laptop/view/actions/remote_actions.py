@@ -23,7 +23,7 @@ from laptop.fleet.ssh.ssh import Host, HostError, Ssh, hosts
 from laptop.fleet.units import SERVICES, kill, unit
 from laptop.view.actions.plan import Plan
 from laptop.view.actions.robot_actions import PageAction, cut, named, settings_of
-from laptop.view.feeds.picture import REACH
+from laptop.view.feeds.news import REACH
 from laptop.view.feeds.robots import Robots
 from laptop.view.feeds.tunnel import PROGRAM
 from swarm import clock

@@ -8,13 +8,16 @@ the events. So pages find numbers, texts and lists where they look for them, or 
 """
 
 import contextlib
+import math
 import sys
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
+from contextlib import AbstractContextManager
 from functools import lru_cache
 from typing import NamedTuple, TypeGuard
 
 from laptop.view.feeds.history import History
+from laptop.view.feeds.news import REACH, news
 from swarm.errors import PayloadError
 from swarm.messages import type_of
 from swarm.messages.codec import unpack
@@ -45,9 +48,6 @@ MAX_PARTS = 10_000
 MAX_BYTES = 256
 """The most bytes of a raw payload within a message that a page gets."""
 
-MAX_NAMED = 6
-"""The most robots that an event names as waited for."""
-
 TRAIL_S = 30.0
 """Length of the trail behind a robot, s."""
 
@@ -55,9 +55,6 @@ TRAIL_S = 30.0
 AT_ONCE = frozenset(("sim/truth", "sim/leds", "balancer/leds"))
 """Topics of what moves on the map. A page gets them as often as it can draw them. If no true pose is known, `dwm/pose`
 is one of them."""
-
-REACH = "view/reach"
-"""Topic that the laptop adds for a real robot: `by` what it is reached (ssh, the mesh, or nothing), and `why` not."""
 
 
 class Event(NamedTuple):
@@ -71,6 +68,7 @@ class Event(NamedTuple):
     text: str
 
 
+_NO_LOCK = contextlib.nullcontext()
 _NOTHING = object()
 """The value that stands for a payload that could not be decoded."""
 
@@ -85,6 +83,13 @@ class _Packed:
     def __init__(self, payload: bytes) -> None:
         self.payload = payload
         self.value: object = None
+
+    def decode(self, topic: str) -> object:
+        """Return the message. Where it is none, raise `PayloadError` once, then return `_NOTHING`."""
+        if self.value is None:
+            self.value = _NOTHING
+            self.value = _message(topic, self.payload)
+        return self.value
 
 
 class Picture:
@@ -164,20 +169,27 @@ class Picture:
     def _open(self, robot: str, topic: str, value: object) -> object:
         """Decode a sample, `_NOTHING` where it is no message. This is done when somebody looks: most samples are
         replaced before."""
-        if not isinstance(value, _Packed):
-            return value
-        if value.value is None:
-            value.value = _NOTHING
+        return self.values(robot, [(topic, value)]).get(topic, _NOTHING)
+
+    def values(
+        self, robot: str, samples: Iterable[tuple[str, object]], lock: AbstractContextManager[object] = _NO_LOCK
+    ) -> dict[str, object]:
+        """Decode samples of a robot by topic, without those that are no messages. `lock` is the lock around this
+        picture where the caller does not hold it: decoding takes long where a robot says much."""
+        found: dict[str, object] = {}
+        for topic, sample in samples:
             try:
-                message = _message(topic, value.payload)
+                value = sample.decode(topic) if isinstance(sample, _Packed) else sample
             except PayloadError as error:
-                if _kind(topic) is None:
-                    self.refused += 1  # an app's own bytes
-                else:
-                    self.refuse(robot, topic, error)
+                with lock:
+                    if _kind(topic) is None:
+                        self.refused += 1  # an app's own bytes
+                    else:
+                        self.refuse(robot, topic, error)
             else:
-                value.value = message
-        return value.value
+                if value is not _NOTHING:
+                    found[topic] = value
+        return found
 
     def _fits(self, robot: str, topic: str, message: object) -> bool:
         """Return whether a decoded message has the types of its key, as far as it goes."""
@@ -191,7 +203,7 @@ class Picture:
     def _read(self, robot: str, topic: str, value: object, now: float) -> None:
         """Note what a person should read."""
         told = self._told.setdefault(robot, {})
-        for level, said, about in _news(topic, value):
+        for level, said, about in news(topic, value):
             text, subject = printable(said), printable(about)
             before = told.get(subject)
             if before != text and (before is not None or len(told) < MAX_SUBJECTS):
@@ -230,22 +242,17 @@ class Picture:
         """The newest value of a key, and the version of the picture with which it came."""
         return self.newest(robot, topic), self._topics.get(robot, {}).get(topic, (0, None))[0]
 
-    def since(self, moved: int, rest: int | None) -> dict[str, dict[str, object]]:
-        """Samples by robot and topic: those of what moves (`AT_ONCE`) newer than the version `moved`, all others newer
-        than `rest` (None: none of them)."""
-        found: dict[str, dict[str, object]] = {}
-        for robot, topics in self._topics.items():
-            at_once = AT_ONCE if "sim/truth" in topics else AT_ONCE | {"dwm/pose"}
-            entries = topics if rest is not None else {topic: topics[topic] for topic in at_once if topic in topics}
-            new = {
-                topic: value
-                for topic, (number, packed) in entries.items()
-                if number > (moved if topic in at_once else rest or 0)
-                and (value := self._open(robot, topic, packed)) is not _NOTHING
-            }
-            if new:
-                found[robot] = new
-        return found
+    def since(self, robot: str, moved: int, rest: int | None) -> list[tuple[str, object]]:
+        """Topics and samples of a robot, for `values`: those of what moves (`AT_ONCE`) newer than the version `moved`,
+        all others newer than `rest` (None: none of them)."""
+        topics = self._topics.get(robot, {})
+        at_once = AT_ONCE if "sim/truth" in topics else AT_ONCE | {"dwm/pose"}
+        entries = topics if rest is not None else {topic: topics[topic] for topic in at_once if topic in topics}
+        return [
+            (topic, sample)
+            for topic, (number, sample) in entries.items()
+            if number > (moved if topic in at_once else rest or 0)
+        ]
 
     def events_since(self, number: int) -> list[Event]:
         """Events behind a number, oldest first."""
@@ -255,34 +262,36 @@ class Picture:
         """Messages that have passed so far, by `sender>receiver`."""
         return dict(self._hops)
 
-    def history(self, robot: str, topic: str, most: int | None = None) -> list[tuple[float, object]]:
-        """Return the values of a key in the last two minutes, oldest first. Where there are more than `most`, each
-        n-th of them and the newest."""
-        packed = list(self._history[robot].rows(topic)) if robot in self._history else []
+    def history(
+        self, robot: str, topic: str, most: int | None = None, since: float = -math.inf, until: float = math.inf
+    ) -> Iterator[tuple[float, object]]:
+        """Return the values of a key in the last two minutes, from `since` to `until` s, oldest first. Where there are
+        more than `most`, each n-th of them and the newest. They are decoded only when somebody goes through them."""
+        rows = self._history[robot].rows(topic) if robot in self._history else ()
+        packed = [row for row in rows if since <= row[0] <= until]
         step = 1 if most is None else -(-len(packed) // most) or 1
-        found = []
-        for t, payload in packed[::-1][::step][::-1]:
-            with contextlib.suppress(PayloadError):
-                found.append((t, _message(topic, payload)))
-        return found
+        return _decoded(topic, packed[::-1][::step][::-1])
 
     @property
     def robots(self) -> list[str]:
         """Return the names of the robots that have said something."""
         return sorted(self._topics)
 
-    def look(self, t: float) -> dict[str, dict[str, object]]:
-        """Samples by robot and topic as they were at an instant of the last two minutes."""
-        found: dict[str, dict[str, object]] = {}
-        for robot, history in self._history.items():
-            for topic, payload in history.at(t):
-                with contextlib.suppress(PayloadError):
-                    found.setdefault(robot, {})[topic] = _message(topic, payload)
+    def look(self, robot: str, t: float) -> list[tuple[str, object]]:
+        """Topics and samples of a robot, for `values`, as they were at an instant of the last two minutes: at most
+        `MAX_SIZE` bytes."""
+        found: list[tuple[str, object]] = []
+        size = 0
+        for topic, payload in self._history[robot].at(t) if robot in self._history else ():
+            size += len(payload)
+            if size <= MAX_SIZE:
+                found.append((topic, _Packed(payload)))
         return found
 
-    def trail(self, robot: str, topic: str, seconds: float, now: float) -> list[tuple[float, float]]:
-        """The way that a robot has come until `now`, m."""
-        return list(places((row for row in self.history(robot, topic) if row[0] <= now), now - seconds))
+    def trail(self, robot: str, seconds: float, now: float) -> Iterator[tuple[float, float]]:
+        """Return the way that a robot has come until `now`, m: the true one where there is one."""
+        topic = "sim/truth" if "sim/truth" in self.topics(robot) else "dwm/pose"
+        return places(self.history(robot, topic, since=now - seconds, until=now), now - seconds)
 
     def note(self, now: float, robot: str, level: str, text: str) -> None:
         """Add a line to what has happened."""
@@ -315,6 +324,12 @@ def _message(topic: str, payload: bytes) -> object:
     return message
 
 
+def _decoded(topic: str, rows: list[tuple[float, bytes]]) -> Iterator[tuple[float, object]]:
+    for t, payload in rows:
+        with contextlib.suppress(PayloadError):
+            yield t, _message(topic, payload)
+
+
 def _parts(value: object) -> int:
     """Count the values in a decoded message; it ends soon above `MAX_PARTS`."""
     parts, waiting = 0, [value]
@@ -343,43 +358,3 @@ def places(history: Iterable[tuple[float, object]], since: float) -> Iterator[tu
 def is_number(value: object) -> TypeGuard[float]:
     """Whether it is a number that a float can be, which a number of a recording need not be."""
     return isinstance(value, int | float) and -sys.float_info.max <= value <= sys.float_info.max
-
-
-def _news(topic: str, value: object) -> Iterator[tuple[str, str, str]]:
-    """Level, text and subject of what a message says that a person should read once."""
-    if not isinstance(value, dict):
-        return
-    service, _, kind = topic.rpartition("/")
-    if topic == "mesh/links":
-        for link in value.get("links") or ():
-            if isinstance(link, dict):
-                state, reason = link.get("state"), link.get("reason")
-                begins = reason == "not connected yet"
-                level = "info" if begins else {"up": "info", "connecting": "info"}.get(str(state), "warning")
-                text = f"link to {link.get('peer')} {state}" + (f": {reason}" if reason and state == "down" else "")
-                if state != "connecting":
-                    yield level, text, f"link {link.get('peer')}"
-    elif kind == "status":
-        state = value.get("state")
-        level = "warning" if state == "degraded" else "info"
-        yield level, f"{service} {state}" + (f": {value['reason']}" if value.get("reason") else ""), service
-    elif kind == "progress" and service.startswith("app/"):
-        phase, waiting = value.get("phase"), value.get("waiting_for") or []
-        text = f"{service} {phase}"
-        if isinstance(waiting, list) and waiting:
-            text += " for " + " ".join(map(str, waiting[:MAX_NAMED]))
-            if len(waiting) > MAX_NAMED:
-                text += f" and {len(waiting) - MAX_NAMED} more"
-        if value.get("reason"):
-            text += f": {value['reason']}"
-        waits = "warning" if value.get("k") else "info"  # before the first iteration robots only come together
-        yield {"fault": "error", "waiting": waits}.get(str(phase), "info"), text, f"{service} phase"
-    elif topic == "balancer/fault":
-        name = value.get("name")
-        yield "error" if name else "info", f"fault: {value.get('reason')}" if name else "no fault", "fault"
-    elif topic == REACH:
-        by, why = value.get("by"), value.get("why")
-        yield ("info", f"seen by {by}", "reach") if by else ("warning", f"out of reach: {why}", "reach")
-    elif topic == "mesh/stopped":
-        stopped = value.get("stopped")
-        yield "error" if stopped else "info", "stopped" if stopped else "not stopped", "stopped"

@@ -7,7 +7,8 @@ from functools import partial
 
 from laptop.fleet.ssh.ssh import Host, HostError, Ssh
 from laptop.view.feeds.feed import RealTime
-from laptop.view.feeds.picture import REACH, Picture
+from laptop.view.feeds.news import REACH
+from laptop.view.feeds.picture import Picture
 from laptop.view.feeds.tunnel import Tunnel
 from swarm import clock
 from swarm.config.types import Config

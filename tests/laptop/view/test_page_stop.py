@@ -19,7 +19,8 @@ from laptop.view import server
 from laptop.view.actions.control import ANSWER_S, ENOUGH, Control
 from laptop.view.actions.simulated_actions import SimulatedActions
 from laptop.view.feeds.feed import SimulationFeed
-from laptop.view.questions import MAX_WAITING, Questions
+from laptop.view.feeds.picture import Picture
+from laptop.view.questions import MAX_WAITING, Questions, as_json
 from swarm.errors import LocalError
 from swarm.messages import Arm, Stop
 from swarm.messages.codec import encode
@@ -240,7 +241,7 @@ ANYTHING = st.recursive(
 @given(ANYTHING)
 def test_whatever_a_page_asks_is_answered(asked: object) -> None:
     class Feed:
-        picture = server.Picture()
+        picture = Picture()
         lock = threading.Lock()
         buses: ClassVar[dict[str, Bus]] = {}
         config = None
@@ -285,10 +286,30 @@ def test_no_json_ends_the_socket_of_a_page(feed: SimulationFeed, text: str) -> N
     talk(feed, act, allowed=True)
 
 
+def test_a_stop_does_not_wait_for_a_large_answer(feed: SimulationFeed, monkeypatch: pytest.MonkeyPatch) -> None:
+    stopped, as_text = threading.Event(), server.as_json
+
+    def slow(answer: dict[str, Any]) -> str:
+        assert "look" not in answer or stopped.wait(10)
+        return as_text(answer)
+
+    monkeypatch.setattr(server, "as_json", slow)
+
+    async def act(client: TestClient) -> None:
+        socket = await client.ws_connect(LIVE)
+        await socket.send_json({"look": {"t": 0.0}})
+        await socket.send_json({"do": {"act": "stop"}})
+        assert await said(socket, "done") == "stop given to all robots"
+        stopped.set()
+        assert (await said(socket, "look"))["t"] == 0.0
+
+    talk(feed, act, allowed=True)
+
+
 def test_questions_beyond_the_bound_are_refused_and_answers_that_nobody_reads_are_dropped() -> None:
     async def main() -> None:
-        async def answer(asked: object) -> dict[str, Any]:
-            return {"done": str(asked)}
+        async def answer(asked: object) -> str:
+            return as_json({"done": str(asked)})
 
         sent: list[str] = []
 
@@ -301,7 +322,7 @@ def test_questions_beyond_the_bound_are_refused_and_answers_that_nobody_reads_ar
         for _ in range(2 * MAX_WAITING):
             await questions.take({"do": {"act": "stop"}})
         running = asyncio.create_task(questions.run())
-        await until(lambda: f'{{"done": "{MAX_WAITING - 1}"}}' in sent)
+        await until(lambda: f'{{"done":"{MAX_WAITING - 1}"}}' in sent)
         assert sum("refused" in text for text in sent) == MAX_WAITING
         running.cancel()
         await asyncio.gather(running, return_exceptions=True)

@@ -38,6 +38,12 @@ VALUES = st.recursive(
 )
 
 
+def shown(picture: Picture, since: int = 0) -> dict[str, dict[str, object]]:
+    """Return what is newer than a version of the picture, by robot."""
+    new = {robot: picture.values(robot, picture.since(robot, since, since)) for robot in picture.robots}
+    return {robot: values for robot, values in new.items() if values}
+
+
 def links(state: str, reason: str = "") -> Links:
     return Links(1.0, (LinkState("r1", state, 1, None, 0, 0, reason),))
 
@@ -50,7 +56,7 @@ def test_no_sample_harms_the_picture(samples: list[tuple[str, str, bytes]]) -> N
     for bus, key, payload in samples:
         picture.take(bus, key, payload, 0.0)
         picture.take(bus, f"swarm/r0/mesh/{key}", payload, 0.0)
-    json.dumps([picture.since(0, 0), picture.hops()], allow_nan=False)
+    json.dumps([shown(picture), picture.hops()], allow_nan=False)
 
 
 @given(VALUES)
@@ -61,7 +67,7 @@ def test_whatever_a_key_holds_can_be_told_to_a_page(value: object) -> None:
     picture.put("r0", "mesh/links", json_value(value), 0.0)
     picture.put("r0", "app/x/progress", json_value(value), 0.0)
     json.dumps(
-        [picture.since(0, 0), picture.history("r0", "mesh/links"), picture.trail("r0", "mesh/links", 9.0, 0.0)],
+        [shown(picture), list(picture.history("r0", "mesh/links")), list(picture.trail("r0", 9.0, 0.0))],
         allow_nan=False,
     )
 
@@ -74,24 +80,24 @@ def test_a_page_that_asks_now_and_then_ends_with_what_is_there(
     for robot, topic, value in samples:
         picture.put(robot, topic, value, 0.0)
         if data.draw(st.booleans()):
-            for name, topics in picture.since(version, version).items():
+            for name, topics in shown(picture, version).items():
                 page.setdefault(name, {}).update(topics)
             version = picture.version
-            assert picture.since(version, version) == {}
-    for name, topics in picture.since(version, version).items():
+            assert shown(picture, version) == {}
+    for name, topics in shown(picture, version).items():
         page.setdefault(name, {}).update(topics)
-    assert page == picture.since(0, 0)
+    assert page == shown(picture)
 
 
 def test_only_the_own_bus_speaks_for_a_robot() -> None:
     picture = Picture()
     state = encode(Status(1.0, "mesh", "ready", "", 1, 0.0, {}))
     picture.take("r1", "swarm/r0/mesh/status", state, 0.0)
-    assert picture.since(0, 0) == {}
+    assert shown(picture) == {}
     picture.take("r0", "swarm/r0/mesh/status", state, 0.0)
-    assert set(picture.since(0, 0)) == {"r0"}
+    assert set(shown(picture)) == {"r0"}
     picture.take("", "swarm/r5/mesh/status", state, 0.0)
-    assert set(picture.since(0, 0)) == {"r0", "r5"}
+    assert set(shown(picture)) == {"r0", "r5"}
 
 
 def test_a_link_that_is_lost_and_mended_makes_two_lines() -> None:
@@ -150,14 +156,14 @@ def test_the_memory_of_a_picture_is_bounded() -> None:
     picture = Picture()
     for number in range(2 * MAX_TOPICS):
         picture.put("r0", f"app/x/mine/{number}", number, 0.0)
-    assert len(picture.since(0, 0)["r0"]) == MAX_TOPICS
+    assert len(shown(picture)["r0"]) == MAX_TOPICS
     assert picture.refused == MAX_TOPICS
     for number in range(2 * MAX_EVENTS):
         picture.alive("r0", "mesh", bool(number % 2), 0.0)
     assert len(picture.events) == MAX_EVENTS
     for number in range(10_000):
         picture.take("r1", "swarm/r1/dwm/pose", encode({"x": 1.0}), number * 0.1)
-    assert 400 < len(picture.history("r1", "dwm/pose")) <= HISTORY_S / HISTORY_STEP_S + 1
+    assert 400 < len(list(picture.history("r1", "dwm/pose"))) <= HISTORY_S / HISTORY_STEP_S + 1
 
 
 def test_a_trail_is_where_it_was_and_nothing_that_is_no_number() -> None:
@@ -165,7 +171,7 @@ def test_a_trail_is_where_it_was_and_nothing_that_is_no_number() -> None:
     for t, x in enumerate((0.0, 1.0, math.nan, 2.0)):
         picture.take("r0", "swarm/r0/dwm/pose", encode({"x": x, "y": 0.0}), float(t))
     picture.take("r0", "swarm/r0/dwm/pose", encode(Pose(1.0, 1, 3.0, 0.0, None, 9, "ekf")), 4.0)
-    assert picture.trail("r0", "dwm/pose", 3.5, 4.0) == [(1.0, 0.0), (2.0, 0.0), (3.0, 0.0)]
+    assert list(picture.trail("r0", 3.5, 4.0)) == [(1.0, 0.0), (2.0, 0.0), (3.0, 0.0)]
 
 
 TOPICS = {f"{service}/{topic}".replace("*", "x"): kind for (service, topic), kind in topics().items()}
@@ -185,13 +191,13 @@ def test_a_page_finds_in_each_field_what_the_type_of_its_key_says_or_is_told_not
         return
     picture = Picture()
     picture.take("r0", f"swarm/r0/{topic}", payload, 1.0)
-    shown = picture.since(0, 0).get("r0", {})
-    if topic in shown:
-        check_fields(TOPICS[topic], shown[topic])
+    told = shown(picture).get("r0", {})
+    if topic in told:
+        check_fields(TOPICS[topic], told[topic])
         assert picture.refused == 0
     else:
         assert picture.refused == 1
-        assert picture.history("r0", topic) == []
+        assert list(picture.history("r0", topic)) == []
         assert [event.level for event in picture.events] == ["warning"]
 
 
@@ -269,8 +275,19 @@ def test_what_a_robot_says_at_its_most_takes_a_bounded_amount_of_memory() -> Non
     payload = msgpack.packb(["abcdef"] * 9000)
     for t in range(int(HISTORY_S), 2 * int(HISTORY_S), 4):
         picture.take("r1", "swarm/r1/app/x/mine/1", payload, float(t))
-    rows = picture.history("r1", "app/x/mine/1")
+    rows = list(picture.history("r1", "app/x/mine/1"))
     assert MAX_KEY - 2 * MAX_PAYLOAD <= len(rows) * len(payload) <= MAX_KEY
+
+
+def test_a_look_back_at_a_robot_takes_no_more_than_a_look_at_it_now() -> None:
+    """Each key is large for an instant only, which fits beside the others at any time, and its large value is kept."""
+    picture = Picture()
+    large, small = msgpack.packb(["abcdef"] * 9000), msgpack.packb([])
+    for number in range(64):
+        picture.take("r0", f"swarm/r0/app/x/mine/{number}", large, 0.0)
+        picture.take("r0", f"swarm/r0/app/x/mine/{number}", small, 0.1)
+    then = picture.look("r0", 0.1)
+    assert MAX_SIZE - len(large) <= len(then) * len(large) <= MAX_SIZE
 
 
 def test_a_message_of_more_values_than_a_page_could_go_through_is_left_out_and_named() -> None:

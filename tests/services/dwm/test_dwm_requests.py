@@ -5,12 +5,14 @@ import threading
 import time
 from collections import Counter
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from conftest import CONFIG, stop, wait_until
 from dwm_frames import LOCATION
 from dwm_rig import ANCHORS, DWM, working
 
+from services.dwm.balancer_block import MAX_WAITING, arrivals
 from services.dwm.core.module.calls import CFG_GET, VER_GET
 from services.dwm.core.module.tlv import encode_refusal
 from services.dwm.line import BusLine, NoAnswerError
@@ -176,14 +178,29 @@ def test_a_module_that_did_not_answer_its_service_is_asked_again(bus, runtime):
 
 def asked_by_hand(*, repeats: bool = False):
     """Requests, what takes a sample of them, the answers and the service's counters."""
+    service, listeners, answers = service_by_hand()
+    requests = ModuleRequests(service, lambda: None, repeats=repeats)
+    return requests, listeners["swarm/r0/dwm/set/module"], answers, service.counters
+
+
+def service_by_hand():
+    """Return a service without a bus, what takes the samples of each key, and the answers that it publishes."""
     answers: list[ModuleAnswer] = []
     listeners = {}
     bus = SimpleNamespace(
         publish=lambda key, message: answers.append(message), subscribe=lambda key, take: listeners.update({key: take})
     )
-    service = SimpleNamespace(robot="r0", bus=bus, counters=Counter(), log=logging.getLogger("dwm"))
-    requests = ModuleRequests(service, lambda: None, repeats=repeats)  # type: ignore[arg-type]
-    return requests, listeners["swarm/r0/dwm/set/module"], answers, service.counters
+    service: Any = SimpleNamespace(robot="r0", bus=bus, counters=Counter(), log=logging.getLogger("dwm"))
+    return service, listeners, answers
+
+
+def test_reports_that_nobody_takes_do_not_pile_up() -> None:
+    service, listeners, _ = service_by_hand()
+    arrived = arrivals(service)
+    for _ in range(MAX_WAITING):
+        listeners["swarm/r0/balancer/uwb"]("key", encode(REPORT))
+        listeners["swarm/r0/balancer/module"]("key", encode(ModuleAnswer(0.0, "t0", b"", "")))
+    assert arrived.qsize() == service.counters["refused_payloads"] == MAX_WAITING
 
 
 @pytest.mark.parametrize("repeats", [False, True])
