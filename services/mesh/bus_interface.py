@@ -15,12 +15,12 @@ from swarm.messages import (
     HoldLink,
     Reminder,
     SendRequest,
-    Stop,
     TopologyRequest,
     read,
 )
 from swarm.messages.codec import encode
 from swarm.messages.keys import STOP, key
+from swarm.messages.service import stop_of
 
 
 class BusInterface:
@@ -34,7 +34,8 @@ class BusInterface:
         look, clock = entry(mesh.look), entry(mesh.clock)
         for source, expression in enumerate(mesh.subscriptions):
             bus.subscribe(expression, entry(partial(mesh.publish, source)))
-        bus.subscribe([STOP, key(robot, "mesh", "set", "*")], self._obey)
+        bus.subscribe(STOP, lambda _, payload: self._stop(payload))
+        bus.subscribe(key(robot, "mesh", "set", "*"), self._obey)
 
         def serve(topic: str, answer: Callable[[dict[str, str]], object]) -> None:
             bus.serve(key(robot, "mesh", topic), lambda _, asked: encode(answer(asked)))
@@ -48,8 +49,14 @@ class BusInterface:
         serve("clock", lambda _: Clock(*clock()))
         serve("graph", lambda asked: look(lambda each, now: each.graph(now, asked.get("after", ""))))
 
+    def _stop(self, payload: bytes) -> None:
+        """Obey a sample of `swarm/stop`, whatever it holds, also one that was published under a wildcard."""
+        stop = stop_of(payload)
+        self._ask(lambda each, now: each.stop(stop, now))
+        self._log.warning("stop of the swarm by=%s reason=%s", stop.origin, stop.reason)
+
     def _obey(self, key: str, payload: bytes) -> None:
-        """Obey a sample of `swarm/stop` or of a key with `set`."""
+        """Obey a sample of a key with `set`."""
         try:
             message = read(key, payload)
         except PayloadError as error:
@@ -63,9 +70,6 @@ class BusInterface:
                 self._ping(message)
             case HoldLink():
                 self._hold(message)
-            case Stop(_, origin, reason, _):
-                self._log.warning("stop of the swarm by=%s reason=%s", origin, reason)
-                self._ask(lambda each, now: each.stop(message, now))
             case Arm(_, origin, age):
                 self._log.warning("stops taken back by=%s", origin)
                 self._ask(lambda each, now: each.arm(now, age))

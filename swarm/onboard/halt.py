@@ -8,20 +8,21 @@ moves by `swarm arm`: balancers wait for a command.
 
 import argparse
 import contextlib
+import subprocess
 from collections.abc import Container, Mapping
 from dataclasses import asdict
 from pathlib import Path
 
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus
-from swarm.errors import PayloadError
+from swarm.errors import LocalError, PayloadError, SwarmError
 from swarm.frozen import frozen
 from swarm.messages import Arm, BalancerState, GraphRobot, Stop, read
 from swarm.messages.keys import STOP, key, parse
 from swarm.onboard.buses import buses
 from swarm.onboard.buses.ask import AWAY, Views, opened
 from swarm.process.arguments import add_json, number, show
-from swarm.process.paths import GYRO_ZERO
+from swarm.process.paths import DEFAULT_RUNTIME, GYRO_ZERO
 from swarm.process.terminal import columns
 
 ROUND = 0.2
@@ -36,6 +37,10 @@ MOVING = ("standing_up", "balancing", "lying_down", "testing")
 LISTENING_S = 0.5
 """Seconds after which a balancer that was not heard on a bus that can be reached is taken for absent: one that runs
 tells its state every 0.04 s."""
+
+_END = ("sudo", "-n", "systemctl", "stop", "swarm-balancer.service")
+_END_S = 15.0
+"""Seconds that systemd has for it."""
 
 LOOP_S = 3.0
 """Seconds since a balancing loop last wrote its gyro's zero after which it does not run any more."""
@@ -83,7 +88,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> list[argparse.ArgumentPars
 
 def run(args: argparse.Namespace) -> int:
     """Stop or arm over the buses that can be reached; code 1 where a robot has not confirmed in time."""
-    rows = give(buses.find(args), stop=args.act == "stop", reason=args.reason, timeout=args.timeout, since=args.since)
+    try:
+        rows = give(
+            buses.find(args), stop=args.act == "stop", reason=args.reason, timeout=args.timeout, since=args.since
+        )
+    except SwarmError as error:  # no bus, or no configuration that says who this is
+        if args.act != "stop" or not DEFAULT_RUNTIME.is_dir():
+            raise
+        raise LocalError(f"{error}; {_end_balancer()}") from None
     done = all(row.confirmed for row in reached(rows))
     show(args, report(args, rows, done), table(rows, stop=args.act == "stop"))
     return 0 if done else 1
@@ -204,6 +216,17 @@ def _remark(row: Row, *, stop: bool) -> str:
     if stop and row.stopped:
         return "its motors are on" if row.mode else "its balancer tells no state: sudo systemctl stop swarm-balancer"
     return "not confirmed"
+
+
+def _end_balancer() -> str:
+    """Have systemd stop this robot's balancer, where its bus takes no stop; return what came of it."""
+    try:
+        done = subprocess.run(_END, check=False, capture_output=True, timeout=_END_S).returncode == 0
+    except (OSError, subprocess.TimeoutExpired):
+        done = False
+    if done:
+        return "this robot's balancer was stopped by systemd, and no other robot was told"
+    return "no robot was stopped: sudo systemctl stop swarm-balancer"
 
 
 def loop_runs(directory: Path) -> bool:

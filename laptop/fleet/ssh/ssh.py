@@ -166,8 +166,8 @@ async def _spawn(arguments: Sequence[str]) -> asyncio.subprocess.Process:
         raise
     except FileNotFoundError:
         raise LocalError("there is no ssh here: sudo apt-get install openssh-client") from None
-    except OSError as error:  # no memory, or no process or file more for this user
-        raise LocalError(f"ssh cannot be started: {error.strerror or error}") from None
+    except OSError as error:  # no memory, or no process or file more for this user: others may be reached all the same
+        raise HostError(f"ssh cannot be started: {error.strerror or error}") from None
 
 
 async def _write(stream: asyncio.StreamWriter, feed: Sequence[bytes], hold: asyncio.Event | None) -> None:

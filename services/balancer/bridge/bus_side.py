@@ -38,7 +38,7 @@ from swarm.messages import (
     read,
 )
 from swarm.messages.keys import STOP, key
-from swarm.messages.service import short_reason
+from swarm.messages.service import short_reason, stop_of
 from swarm.process.runtime import Process
 
 THROTTLED_STATE_S = 0.2
@@ -109,7 +109,7 @@ class BusSide:
         """Hear stops, which go to the loop at once, and commands: `put(key, payload)` is to see to it that `command` is
         called for each. Both are called by the bus's thread: whatever `put` does, the next stop waits for it."""
         robot, bus = self._process.robot, self._process.bus
-        bus.subscribe(STOP, self._stop)
+        bus.subscribe(STOP, lambda _, payload: self._stop(payload))
         bus.subscribe(key(robot, "mesh", "stopped"), self._take_stopped)
         bus.subscribe(key(robot, "mesh", "set", "arm"), self._forget_stop)
         bus.on_change(self._ask_mesh)
@@ -179,10 +179,10 @@ class BusSide:
             self._logged = now
             process.log.warning("command %s: %s", counter, reason[:200])
 
-    def _stop(self, name: str, payload: bytes) -> None:
-        """Pass a sample of `swarm/stop` to the loop at once, whatever its payload is."""
-        stop = read(name, payload)
-        assert isinstance(stop, Stop)
+    def _stop(self, payload: bytes) -> None:
+        """Pass a sample of `swarm/stop` to the loop at once, whatever it holds, also one that was published under a
+        wildcard."""
+        stop = stop_of(payload)
         if not stop.repeated:
             self._unknown, self._unknown_since = stop, self._now()
         self._stopped_at = self._now()

@@ -1,13 +1,13 @@
-"""The queue of one connection: three bounded classes of messages that wait to leave.
+"""The queue of one connection: bounded classes of messages that wait to leave.
 
-Messages wait here rather than in the kernel, where nothing could overtake them any more. Control leaves first. Sync
-leaves before bulk, but for `WEIGHT` bytes of it bulk gets one where both wait, so that no class can silence another
-for ever. Bulk may be large: it leaves in fragments, the keys taking turns, so that a small message need not wait for
-a large one of another key.
+Messages wait here rather than in the kernel, where nothing could overtake them any more. Stops leave first, however
+much is on its way, and no other message takes their room. Control leaves before sync. Sync leaves before bulk, but for
+`WEIGHT` bytes of it bulk gets one where both wait, so that no class can silence another for ever. Bulk may be large: it
+leaves in fragments, the keys taking turns, so that a small message need not wait for a large one of another key.
 
-A full class of control or sync loses its oldest message: in these streams the newest is worth most, and a lost one is
-asked for again end to end. Bulk pushes back instead: a message that does not fit is refused, and who sent it is told
-where that is possible. A part of bulk's room is kept for latest values, which a queue full of files must not shut
+A full class of stops, control or sync loses its oldest message: in these streams the newest is worth most, and a lost
+one is asked for again end to end. Bulk pushes back instead: a message that does not fit is refused, and who sent it is
+told where that is possible. A part of bulk's room is kept for latest values, which a queue full of files must not shut
 out.
 
 Messages name their channels by keys. A key's text crosses a connection once, afterwards a handle of two bytes stands
@@ -19,10 +19,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from services.mesh.core.link.flow import MAX_INCOMPLETE_BYTES, SYNC_EXTRA
-from services.mesh.core.wire.frames import BULK, CONTROL, MAX_CHANNELS, MAX_PAYLOAD, NEIGHBOURS, SYNC
+from services.mesh.core.wire.frames import BULK, CONTROL, HALTS, MAX_CHANNELS, MAX_PAYLOAD, NEIGHBOURS, SYNC
 
-SENT = ("sent_control", "sent_sync", "sent_bulk")
+SENT = ("sent_control", "sent_sync", "sent_bulk", "sent_control")
 """Which counter counts the messages of a class that left."""
+
+WIRE_CLASS = (CONTROL, SYNC, BULK, CONTROL)
+"""The class of a message's frame."""
 
 
 def name_of(overlay: int, key: str) -> str:
@@ -65,7 +68,12 @@ class Limit(NamedTuple):
     """Bytes of keys and payloads."""
 
 
-LIMITS = {CONTROL: Limit(64, 16 * 1024), SYNC: Limit(256, 64 * 1024), BULK: Limit(1024, MAX_INCOMPLETE_BYTES)}
+LIMITS = {
+    CONTROL: Limit(64, 16 * 1024),
+    SYNC: Limit(256, 64 * 1024),
+    BULK: Limit(1024, MAX_INCOMPLETE_BYTES),
+    HALTS: Limit(64, 64 * 1024),
+}
 
 FOR_LATEST = Limit(256, 256 * 1024)
 """What of bulk's room only latest values may use."""
@@ -113,10 +121,11 @@ class Outbox:
         that, in `replaced` what a newer value took the place of."""
         self._counters = counters
         # Lists: they are short, and an empty deque takes 0.7 kB of a robot that has three on each link.
-        self._urgent: tuple[list[QueuedMessage], list[QueuedMessage]] = ([], [])
+        self._urgent: tuple[list[QueuedMessage], ...] = ([], [], [], [])
+        """What waits of each class; bulk waits elsewhere."""
         self._bulk: dict[str, list[QueuedMessage]] = {}
         self._turns: list[str] = []
-        self._sizes = [0, 0, 0]
+        self._sizes = [0, 0, 0, 0]
         self.waiting = 0
         """Messages that wait."""
         self._latest: dict[str, QueuedMessage] = {}
@@ -135,8 +144,8 @@ class Outbox:
 
     def leaves(self, free: float) -> bool:
         """Return whether `pop` has something."""
-        control, sync = self._urgent
-        return bool(control or (free > -SYNC_EXTRA and sync) or (free > 0 and self._turns))
+        control, sync, _, halts = self._urgent
+        return bool(halts or (free > -SYNC_EXTRA and (control or sync)) or (free > 0 and self._turns))
 
     @property
     def bulk_waits(self) -> bool:
@@ -179,12 +188,14 @@ class Outbox:
 
     def pop(self, free: float = 1.0, fragment: int = MAX_PAYLOAD) -> QueuedMessage | OutgoingPart | None:
         """Take what leaves next: a whole message, or a part of at most `fragment` bytes."""
-        control, urgent = self._urgent
+        control, urgent, _, halts = self._urgent
+        if halts:
+            return self._take(halts)
+        if (control or urgent) and free <= -SYNC_EXTRA:
+            return None
         if control:
             return self._take(control)
         if urgent:
-            if free <= -SYNC_EXTRA:
-                return None
             if not self._turns or self._credit < fragment:
                 message = self._take(urgent)
                 if self._turns:
@@ -211,7 +222,7 @@ class Outbox:
             queue.clear()
         self._bulk.clear()
         self._turns.clear()
-        self._sizes = [0, 0, 0]
+        self._sizes = [0, 0, 0, 0]
         self.waiting = 0
         self._latest.clear()
         self._begun = 0

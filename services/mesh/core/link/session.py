@@ -25,7 +25,7 @@ from services.mesh.core.link import (
     flow,
 )
 from services.mesh.core.link.clock import ClockSync, decode_claim, encode_claim
-from services.mesh.core.link.outbox import SENT, Channels, Outbox, OutgoingPart, QueuedMessage, overlay_of
+from services.mesh.core.link.outbox import SENT, WIRE_CLASS, Channels, Outbox, OutgoingPart, QueuedMessage, overlay_of
 from services.mesh.core.link.round_trips import Pulse
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.auth import Keys, newest_common
@@ -239,7 +239,7 @@ class Session:
                 if new:
                     chunks.append(frames.encode_bind(frames.Bind(channel, *overlay_of(message.key))))
                 if part is None:
-                    chunks.append(frames.encode_data(message.priority, channel, message.payload))
+                    chunks.append(frames.encode_data(WIRE_CLASS[message.priority], channel, message.payload))
                 elif new and part.number:
                     # So many other keys were used since its last part that the key has lost its handle.
                     queue.restart(part)

@@ -6,8 +6,8 @@ swarm is stopped while there is a stop above its re-arm. Merging takes the great
 in which order, how late or how often news arrive: a late copy of a stop is not above its re-arm, and a re-arm takes
 no stop back that it did not know of.
 
-Whatever is new to a robot it sends to its other neighbours at once (control class), everything to a neighbour whose
-link came up, after 1 s and then every 10 s, for full queues may drop anything.
+Whatever is new to a robot it sends to its other neighbours at once, before all else that waits for the link. It sends
+everything to a neighbour whose link came up, after 1 s and then every 10 s.
 
 `Register` is that register, `Stops` tells this robot's bus, and the swarm, which robots have stopped the swarm.
 """
@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from services.mesh.core.actions import Emit, Transmit
 from services.mesh.core.overlays.flood import FloodOverlay
-from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD
+from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD, HALTS
 from services.mesh.core.wire.packets import HALT, MAX_INCARNATION, MAX_SEQUENCE, PacketReader, packed
 from swarm.errors import FrameError
 from swarm.messages import Stop, Stopped
@@ -120,6 +120,9 @@ REPEAT_PERIOD = 10.0
 FIRST_REPEAT = 1.0
 """Seconds from news to its first repetition: a link whose queue is full may have dropped it."""
 
+MAX_STRANGERS = 64
+"""Robots that are not in the configuration of which stops are kept: a member may make up as many as it likes."""
+
 SPACING = 0.1
 """Seconds between two stops of this robot: who publishes `swarm/stop` in a loop must not fill the links."""
 
@@ -163,15 +166,8 @@ class Register:
         }
 
     def restore(self, halt: Halt, now: float) -> None:
-        """Take what an earlier process of this robot knew. A stop that holds and was given on a robot that is no longer
-        in the configuration becomes this robot's own: nobody has taken it back."""
-        stops = {name: stop for name, stop in halt.stops.items() if name in self._robots}
-        arms = {name: mark for name, mark in halt.arms.items() if name in self._robots}
-        self._merge(Halt(stops, arms), None, now)
-        for name, (mark, reason) in halt.stops.items():
-            if name not in self._robots and mark > halt.arms.get(name, _NONE):
-                self.stop(reason, now)
-                return
+        """Take what an earlier process of this robot knew."""
+        self._merge(self._admitted(halt), None, now)
 
     def to_file(self) -> bytes:
         """Return all that this robot knows, for `from_file`."""
@@ -199,14 +195,13 @@ class Register:
         self._merge(Halt({}, known), None, now)
 
     def receive(self, peer: str, data: bytes, now: float) -> None:
-        """News of a neighbour; raises `FrameError`. What it says of robots that are not in our configuration takes no
-        stop of the others away with it, but re-arms count only where all robots are known."""
+        """Take news of a neighbour; raises `FrameError`. Its list of robots may be another than ours: stops of robots
+        that are not in our configuration hold as well, and are passed on."""
         halt = decode_halt(data)
-        stops = {name: stop for name, stop in halt.stops.items() if name in self._robots}
-        strange = len(stops) < len(halt.stops) or not halt.arms.keys() <= self._robots
-        if strange and not stops:
-            raise FrameError("HALT with robots that are not in our configuration")
-        self._merge(Halt(stops, {} if strange else halt.arms), peer, now)
+        admitted = self._admitted(halt)
+        self._merge(admitted, peer, now)
+        if admitted != halt:
+            raise FrameError(f"HALT with more than {MAX_STRANGERS} robots that are not in our configuration")
 
     def link_up(self, peer: str) -> None:
         """Send all stops to a neighbour that is there."""
@@ -229,6 +224,18 @@ class Register:
     def next_deadline(self) -> float:
         """Return the time at which `handle_timer` must be called."""
         return self._repeat_at if self._waiting is None else min(self._repeat_at, self._stopped_at + SPACING)
+
+    def _admitted(self, halt: Halt) -> Halt:
+        """Return what is said of robots of our configuration, and of as many others as there is room for."""
+        strangers = (self._stops.keys() | self._arms.keys()) - self._robots
+        for name in (*halt.stops, *halt.arms):
+            if name not in self._robots and len(strangers) < MAX_STRANGERS:
+                strangers.add(name)
+        names = self._robots | strangers
+        return Halt(
+            {name: stop for name, stop in halt.stops.items() if name in names},
+            {name: mark for name, mark in halt.arms.items() if name in names},
+        )
 
     def _merge(self, halt: Halt, source: str | None, now: float) -> None:
         news = Halt({}, {})
@@ -268,8 +275,12 @@ class Register:
         return max(Mark(self._incarnation(), 1), _above(self._greatest_mark()))
 
     def _send(self, peer: str, halt: Halt) -> None:
-        for data in encode_halts(halt):
-            self._emit(Transmit(peer, FLOOD, self._channel, data, CONTROL))
+        # In packets of their own: an earlier release takes no re-arm from a packet with a name that it does not know.
+        for known in (True, False):
+            stops = {name: stop for name, stop in halt.stops.items() if (name in self._robots) is known}
+            arms = {name: mark for name, mark in halt.arms.items() if (name in self._robots) is known}
+            for data in encode_halts(Halt(stops, arms)):
+                self._emit(Transmit(peer, FLOOD, self._channel, data, HALTS))
 
 
 def _above(mark: Mark) -> Mark:

@@ -27,6 +27,9 @@ HELLO, CONFIRM, BYE, HEARTBEAT, BIND, DATA, FRAGMENT, ACK, CLOCK = 1, 2, 3, 4, 5
 CONTROL, SYNC, BULK = 0, 1, 2
 """Priority classes, most urgent first."""
 
+HALTS = 3
+"""The class of stops in a robot's own queues, where they leave before all others. On the wire they are control."""
+
 PRIORITIES = {"control": CONTROL, "sync": SYNC, "bulk": BULK}
 """Their names in configuration and messages."""
 

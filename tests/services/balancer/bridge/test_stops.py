@@ -127,10 +127,11 @@ def test_nothing_moves_while_the_swarm_is_stopped(processes: Processes, watcher:
 def test_any_sample_of_the_stop_key_stops_the_robot(processes: Processes, watcher: Watcher) -> None:
     lying(processes, watcher)
     reason = ""
-    for payload, why in PAYLOADS.values():
+    samples = [("swarm/stop", *each) for each in PAYLOADS.values()]
+    for key, payload, why in (*samples, ("swarm/*", b"all", samples[0][2]), ("swarm/**", b"all", samples[0][2])):
         take_back(watcher, reason)
         reason = stop_of(payload).reason
         watcher.command("mode", SetMode("stand"))
         wait_until(lambda: watcher.last() is not None and watcher.last().mode in ("standing_up", "balancing"))
-        watcher.bus.publish("swarm/stop", payload)
+        watcher.bus.publish(key, payload)
         assert watcher.wait_mode("fault").fault == f"stopped: {why}"

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from conftest import stop, wait_until
+from conftest import CONFIG, stop, wait_until
 from mesh_rig import Build, Robot, build
 from test_mesh_overlay_process import LINE, wait_here
 
@@ -105,6 +105,25 @@ def test_a_loop_that_balances_without_a_bridge_keeps_its_robot_unconfirmed(
     (row,) = halt.rows_of({"r0": True}, entry, {}, stop=True, running={"r0"} if runs else ())
     assert row.confirmed is not runs
     assert ("systemctl stop swarm-balancer" in halt.table([row], stop=True)[1]) is runs
+
+
+@pytest.mark.parametrize(("systemd", "said"), [("true", "was stopped by systemd"), ("false", "systemctl stop swarm-b")])
+def test_a_robot_whose_bus_is_gone_has_its_balancer_stopped_by_systemd(
+    systemd: str, said: str, swarm: Swarm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(halt, "DEFAULT_RUNTIME", tmp_path)
+    monkeypatch.setattr(halt, "_END", (systemd,))
+    monkeypatch.setattr("swarm.onboard.buses.ask.PATIENCE", 0.1)
+    monkeypatch.setenv("SWARM_RUNTIME", str(tmp_path))
+    monkeypatch.setenv("SWARM_ROBOT", "r0")
+    monkeypatch.setenv("SWARM_CONFIG", str(tmp_path / "swarm.toml"))
+    for config, problem in (("", "swarm.toml"), (CONFIG.format(runtime=tmp_path), "no bus is there")):
+        (tmp_path / "swarm.toml").write_text(config)
+        code, text = swarm("estop")
+        assert code == 2
+        assert problem in text
+        assert said in text
+    assert said not in swarm("arm")[1]
 
 
 def test_the_table_says_who_has_not_obeyed_and_why() -> None:

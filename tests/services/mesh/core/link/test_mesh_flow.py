@@ -12,9 +12,17 @@ from hypothesis import strategies as st
 
 from services.mesh.core.link import flow
 from services.mesh.core.link.flow import Fragment, Receipts, SendWindow, decode_ack, encode_ack, encode_fragment
-from services.mesh.core.link.outbox import FOR_LATEST, LIMITS, MAX_BEGUN, Outbox, OutgoingPart
+from services.mesh.core.link.outbox import (
+    FOR_LATEST,
+    LIMITS,
+    MAX_BEGUN,
+    WIRE_CLASS,
+    Outbox,
+    OutgoingPart,
+    QueuedMessage,
+)
 from services.mesh.core.wire import frames
-from services.mesh.core.wire.frames import BULK, CONTROL, SYNC
+from services.mesh.core.wire.frames import BULK, CONTROL, HALTS, SYNC
 from swarm.errors import FrameError
 
 BANDWIDTH = 78_000.0
@@ -375,25 +383,41 @@ def test_only_so_many_large_messages_are_begun() -> None:
     assert not outbox
 
 
-def test_control_is_never_held_back() -> None:
+def test_a_stop_is_never_held_back() -> None:
     outbox = Outbox(Counter())
     outbox.push(BULK, "b", b"", latest=False)
     outbox.push(SYNC, "s", b"", latest=False)
     outbox.push(CONTROL, "c", b"", latest=False)
+    outbox.push(HALTS, "h", b"", latest=False)
     full = -flow.SYNC_EXTRA
     assert outbox.leaves(full)
-    found = outbox.pop(full)
-    assert not isinstance(found, OutgoingPart)
-    assert found is not None
-    assert found.key == "c"
+    stop = outbox.pop(full)
+    assert isinstance(stop, QueuedMessage)
+    assert (stop.key, WIRE_CLASS[stop.priority]) == ("h", CONTROL)
     assert outbox.pop(full) is None
     assert not outbox.leaves(full)
-    sync = outbox.pop(full + 1)
-    assert not isinstance(sync, OutgoingPart)
-    assert sync is not None
-    assert sync.key == "s"
+    for key in "cs":
+        found = outbox.pop(full + 1)
+        assert isinstance(found, QueuedMessage)
+        assert found.key == key
     assert outbox.pop(0) is None
     assert outbox.leaves(1)
+
+
+def test_a_flood_of_control_costs_no_stop_its_place() -> None:
+    """As of an app that sends in the class control."""
+    outbox = Outbox(counters := Counter())
+    outbox.push(HALTS, "h", b"", latest=False)
+    for _ in range(2 * LIMITS[CONTROL].messages):
+        outbox.push(CONTROL, "c", bytes(1000), latest=False)
+    assert counters["overflowed"] > 0
+    stop = outbox.pop()
+    assert isinstance(stop, QueuedMessage)
+    assert stop.key == "h"
+    outbox.push(HALTS, "h", b"", latest=False)
+    outbox.clear()
+    assert outbox.pop() is None
+    assert outbox.waiting_bytes == 0
 
 
 def test_a_frame_of_a_fragment_fits_a_bluetooth_packet_of_three_slots() -> None:

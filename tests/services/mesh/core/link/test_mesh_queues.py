@@ -11,13 +11,13 @@ from mesh_world import World
 
 from services.mesh.core.link.outbox import LIMITS, Channels, Outbox
 from services.mesh.core.wire import frames
-from services.mesh.core.wire.frames import BULK, CONTROL, SYNC, FrameDecoder
+from services.mesh.core.wire.frames import BULK, CONTROL, HALTS, SYNC, FrameDecoder
 from services.mesh.links.radio_model import AGAIN, FLOOR, PACKET, AirModel, DelayLine
 from swarm.config.types import RelayRule
 from swarm.errors import ConfigError
 
 pushes = st.tuples(
-    st.sampled_from((CONTROL, SYNC, BULK)), st.sampled_from("abcd"), st.integers(0, 20_000), st.booleans()
+    st.sampled_from((HALTS, CONTROL, SYNC, BULK)), st.sampled_from("abcd"), st.integers(0, 20_000), st.booleans()
 )
 
 
@@ -39,7 +39,8 @@ def test_no_class_exceeds_its_bounds_and_every_message_is_accounted_for(
         if pop_every and number % pop_every == 0:
             popped += outbox.pop(fragment=30_000) is not None
         bulk = [message for queue in outbox._bulk.values() for message in queue]
-        for each, queue in enumerate((*outbox._urgent, bulk)):
+        control, sync, _, halts = outbox._urgent
+        for each, queue in ((CONTROL, control), (SYNC, sync), (BULK, bulk), (HALTS, halts)):
             held = sum(message.size for message in queue)
             assert held == outbox._sizes[each] <= LIMITS[each].size
             assert len(queue) <= LIMITS[each].messages
@@ -50,13 +51,14 @@ def test_no_class_exceeds_its_bounds_and_every_message_is_accounted_for(
     assert not outbox._latest
 
 
-@given(st.lists(st.tuples(st.sampled_from((CONTROL, SYNC, BULK)), st.booleans()), max_size=50))
+@given(st.lists(st.tuples(st.sampled_from((HALTS, CONTROL, SYNC, BULK)), st.booleans()), max_size=50))
 def test_the_most_urgent_leaves_first_and_each_class_keeps_its_order(steps: list[tuple[int, bool]]) -> None:
     outbox = Outbox(Counter())
     for number, (priority, _) in enumerate(steps):
         outbox.push(priority, str(number), b"", latest=False)
     out = pop_all(outbox)
-    assert out == sorted(out, key=lambda message: (message[0], int(message[1])))
+    order = (HALTS, CONTROL, SYNC, BULK)
+    assert out == sorted(out, key=lambda message: (order.index(message[0]), int(message[1])))
     assert len(out) == len(steps)
 
 

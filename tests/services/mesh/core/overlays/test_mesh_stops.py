@@ -1,6 +1,7 @@
 """Stopping everybody while links and processes come and go: a stop reaches all, and only a re-arm takes it back."""
 
 import contextlib
+from functools import partial
 
 import pytest
 from hypothesis import given
@@ -8,10 +9,12 @@ from hypothesis import strategies as st
 from overlay_world import World, line, ring, thesis_d
 from stop_world import NOTICED, arm, stop, stopped
 
+from services.mesh.core.overlays.robot_overlays import RobotOverlays
 from services.mesh.core.overlays.stop import (
     CONFIRM_AFTER,
     FIRST_REPEAT,
     MAX_NAMED,
+    MAX_STRANGERS,
     REPEAT_PERIOD,
     SPACING,
     STOP_PERIOD,
@@ -271,12 +274,48 @@ def test_a_stop_counts_beside_robots_that_are_not_in_the_configuration() -> None
         world.step("r0", lambda each: each.receive("r1", FLOOD, "swarm/r1/mesh/halt", data, CONTROL, world.now))
 
     hear(Halt({"r1": (mark, "smoke"), "r9": (mark, "elsewhere")}, {}))
-    assert stopped(world, "r0").by == {"r1": "smoke"}
-    hear(Halt({}, {"r1": mark, "r9": mark}))
-    assert stopped(world, "r0").by == {"r1": "smoke"}, "a re-arm is taken as a whole or not at all"
-    assert world.bots["r0"].counters["bad_packets"] == 1
+    assert stopped(world, "r0").by == {"r1": "smoke", "r9": "elsewhere"}
     hear(Halt({}, {"r1": mark}))
+    assert stopped(world, "r0").by == {"r9": "elsewhere"}
+    hear(Halt({}, {"r9": mark}))
     assert not stopped(world, "r0").stopped
+    assert world.bots["r0"].counters["bad_packets"] == 0
+
+
+def test_a_stop_of_a_robot_that_others_do_not_know_passes_through_them_and_is_taken_back() -> None:
+    """As while another list of robots is brought to the swarm: r9 is a neighbour of r0, and r1 to r3 know no r9."""
+    world = World(line(4))
+    world.settle()
+    (data,) = encode_halts(Halt({"r9": (Mark(2**60, 1), "smoke")}, {}))
+    world.step("r0", lambda each: each.receive("r1", FLOOD, "swarm/r1/mesh/halt", data, CONTROL, world.now))
+    world.run(NOTICED + FIRST_REPEAT)  # r1, from which it seems to come, is told by the repetition
+    assert all(stopped(world, name).by == {"r9": "smoke"} for name in world.names)
+    arm(world, "r3")
+    world.run(NOTICED)
+    assert not any(stopped(world, name).stopped for name in world.names)
+
+
+def test_the_stops_of_robots_that_nobody_knows_are_bounded() -> None:
+    """Those of known robots, and of the others whose stops are kept, hold and are taken back all the same."""
+    world = World(line(2))
+    world.settle()
+
+    def hear(stops: list[str], arms: list[str]) -> None:
+        for data in encode_halts(
+            Halt({name: (Mark(2**60, 1), "") for name in stops}, {name: Mark(2**60, 1) for name in arms})
+        ):
+            take = partial(RobotOverlays.receive, peer="r1", overlay=FLOOD, key="swarm/r1/mesh/halt", data=data)
+            world.step("r0", lambda each, take=take: take(each, priority=CONTROL, now=world.now))  # type: ignore[misc]
+
+    names = [f"x{number}" for number in range(2 * MAX_STRANGERS)]
+    hear(names, [])
+    hear([], names)
+    assert len(from_file(world.kept_stops["r0"]).stops) == MAX_STRANGERS
+    assert len(from_file(world.kept_stops["r0"]).arms) == MAX_STRANGERS
+    assert world.bots["r0"].counters["bad_packets"] > 0
+    assert not stopped(world, "r0").stopped
+    hear([names[0], "r1"], [])
+    assert stopped(world, "r0").by == {"r1": ""}
 
 
 def test_a_word_that_is_none_is_a_bad_packet() -> None:
@@ -382,7 +421,7 @@ def test_a_stop_outlives_the_robot_that_gave_it_being_taken_out_of_the_configura
     smaller = World(line(2))
     for name in smaller.names:
         smaller.step(name, lambda each, name=name: each.restore_stops(kept[name], smaller.now))  # type: ignore[misc]
-        assert stopped(smaller, name).by == {name: "smoke"}
+        assert stopped(smaller, name).by == {"r2": "smoke"}
     smaller.settle()
     assert all(stopped(smaller, name).stopped for name in smaller.names)
     arm(smaller, "r1")

@@ -8,10 +8,9 @@ from hypothesis import strategies as st
 from overlay_world import SILENCE, World, full, line, ring, thesis_d
 from stop_world import NOTICED, arm, stop, stopped
 
-from services.mesh.core.overlays.stop import REPEAT_PERIOD, Halt, Mark, decode_halt, encode_halts
+from services.mesh.core.overlays.stop import REPEAT_PERIOD
 from services.mesh.core.routing import membership
 from services.mesh.core.routing.membership import PAGE, Membership, Survey
-from services.mesh.core.wire.frames import CONTROL, FLOOD
 from swarm.messages.codec import MAX_PAYLOAD, encode
 
 GRAPHS = {"line": line(6), "loop": ring(6), "thesis-d": thesis_d(), "full": full(4)}
@@ -210,16 +209,3 @@ def test_a_large_graph_comes_in_pages_that_fit_the_bus() -> None:
         found += [each.robot for each in page.robots]
         more, after = page.more, page.robots[-1].robot
     assert found == names
-
-
-def test_news_of_strangers_are_refused() -> None:
-    world = World(line(2))
-    world.settle()
-    for halt in (Halt({"r9": (Mark(1, 1), "")}, {}), Halt({}, {"r9": Mark(1, 1)})):
-        (data,) = encode_halts(halt)
-        assert decode_halt(data) == halt
-        world.step(
-            "r0", lambda each, data=data: each.receive("r1", FLOOD, "swarm/r1/mesh/halt", data, CONTROL, world.now)
-        )
-    assert world.bots["r0"].counters["bad_packets"] == 2
-    assert not stopped(world, "r0").stopped
