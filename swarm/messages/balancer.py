@@ -1,7 +1,7 @@
 """Messages of the balancer."""
 
 from swarm.frozen import frozen
-from swarm.messages.codec import with_telemetry
+from swarm.messages.codec import Measured, with_telemetry
 
 
 @frozen
@@ -60,22 +60,22 @@ class Odometry:
     t: float
     """The time of the control step."""
     sequence: int
-    left: float
+    left: Measured
     """Distance rolled by the left wheel, corrected by body pitch, m."""
-    right: float
-    x: float
+    right: Measured
+    x: Measured
     """Place of the axle's middle from wheels and `heading`, in the frame of the start: x points ahead, m."""
-    y: float
+    y: Measured
     """Distance to the left, m."""
-    heading: float
+    heading: Measured
     """Heading by gyro and wheels, rad, counter-clockwise positive, not wrapped: the gyro's zero is learned from the
     wheels."""
-    gyro_heading: float
+    gyro_heading: Measured
     """Heading by the gyro alone (its zero measured at rest, nothing learned), rad: for a filter with a bias of its
     own."""
-    wheel_heading: float
+    wheel_heading: Measured
     """Heading by the wheels alone: (right - left) / track, rad."""
-    tilt: float
+    tilt: Measured
     """Tilt from upright, rad, at `t`."""
 
 

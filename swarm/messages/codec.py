@@ -37,6 +37,8 @@ MAX_COUNT = (1 << 63) - 1
 T = TypeVar("T")
 _Check = Callable[[object, str], Any]
 
+_ARRAY16, _ARRAY32 = b"\xdc", b"\xdd"
+
 _TELEMETRY: set[type] = set()
 """Message types of which unknown fields are ignored."""
 
@@ -66,6 +68,17 @@ class Between:
 
     low: int
     high: int
+
+
+@frozen
+class Within:
+    """The greatest magnitude of a number, in the type of a message's field, see `Measured`."""
+
+    most: float
+
+
+Measured = Annotated[float, Within(1e7)]
+"""A length in m or an angle in rad. Its bound is above any real one, also above that of a path of days."""
 
 
 def encode(message: object) -> bytes:
@@ -138,6 +151,12 @@ def unpack(payload: bytes, limit: int = MAX_PAYLOAD) -> Any:
     if len(payload) > limit:
         raise PayloadError(f"payload of {len(payload)} bytes, at most {limit} are accepted")
     try:
+        if _ARRAY16 in payload or _ARRAY32 in payload:
+            # msgpack makes a list as long as its header says before it looks at what follows, at each level anew. Where
+            # the whole message is there, no header is longer than what follows it.
+            whole = msgpack.Unpacker(max_buffer_size=len(payload))
+            whole.feed(payload)
+            whole.skip()
         return msgpack.unpackb(payload, strict_map_key=True)
     except (ValueError, TypeError, OverflowError, msgpack.UnpackException) as error:
         raise PayloadError(f"payload is not msgpack: {str(error) or type(error).__name__}") from None
@@ -167,6 +186,8 @@ def _checker(kind: Any, strict: bool) -> _Check:
         return _check_union(kind, strict)
     if origin is Annotated:
         (bounds,) = kind.__metadata__
+        if isinstance(bounds, Within):
+            return _check_magnitude(bounds)
         return _check_length(bounds) if isinstance(bounds, Letters) else _check_range(bounds)
     if origin is tuple and arguments[1:] == (...,):
         return _check_tuple(_checker(arguments[0], strict))
@@ -216,6 +237,16 @@ def _check_range(bounds: Between) -> _Check:
     return check
 
 
+def _check_magnitude(bounds: Within) -> _Check:
+    def check(value: object, path: str) -> float:
+        number = _check_float(value, path)
+        if abs(number) <= bounds.most:
+            return number
+        raise wrong(value, path, f"a number up to {bounds.most:g}")
+
+    return check
+
+
 def _check_length(bounds: Letters) -> _Check:
     def check(value: object, path: str) -> str:
         if type(value) is str and len(value) <= bounds.most:
@@ -254,7 +285,8 @@ def _check_union(kind: Any, strict: bool) -> _Check:
     int beside a float."""
     options: dict[type, _Check] = {}
     for option in typing.get_args(kind):
-        wire = _WIRE.get(typing.get_origin(option) or option, dict)
+        plain = typing.get_args(option)[0] if typing.get_origin(option) is Annotated else option
+        wire = _WIRE.get(typing.get_origin(plain) or plain, dict)
         if wire in options:
             raise LocalError(f"messages cannot tell the options of {kind} apart")
         options[wire] = _checker(option, strict)

@@ -1,7 +1,7 @@
 """Messages of the balancer about the devices on its bus."""
 
 from swarm.frozen import frozen
-from swarm.messages.codec import with_telemetry
+from swarm.messages.codec import Measured, with_telemetry
 
 
 @frozen
@@ -10,14 +10,14 @@ class UwbRange:
 
     anchor: str
     """Short UWB address as printed on the module, e.g. C933."""
-    distance: float
+    distance: Measured
     """The raw distance in whole millimetres, m."""
     quality: int
     """Quality of the range, 0-100."""
-    x: float
+    x: Measured
     """The place at which that module was set up, m."""
-    y: float
-    z: float
+    y: Measured
+    z: Measured
     place_quality: int
     """0-100; 0 = it was not set up."""
 
@@ -38,12 +38,12 @@ class Uwb:
     """The number of reports since the balancer started. 0: there is no report yet, and all other fields are zero."""
     lost: int
     """Reports that came to the ATmega and were not read in time, since the balancer started."""
-    age: float
+    age: Measured
     """Seconds since the ATmega got the report, at `t`; 65.535 = that or more."""
-    x: float
+    x: Measured
     """The robot's place as the module computes it, m."""
-    y: float
-    z: float
+    y: Measured
+    z: Measured
     quality: int
     """0-100; 0 = no fix, and the coordinates are old ones or zero."""
     count: int

@@ -3,7 +3,7 @@
 from dataclasses import field
 
 from swarm.frozen import frozen
-from swarm.messages.codec import with_telemetry
+from swarm.messages.codec import Measured, with_telemetry
 from swarm.messages.devices import ModuleAnswer, ModuleRequest
 
 
@@ -75,12 +75,12 @@ class ExternalReport:
     Either `x` and `y` are there, which become `dwm/pose` as they are, or `ranges`, which go through the service's own
     calibration and filter."""
 
-    x: float | None = None
+    x: Measured | None = None
     """Place in the frame of the anchors, m."""
-    y: float | None = None
-    heading: float | None = None
+    y: Measured | None = None
+    heading: Measured | None = None
     """rad, counter-clockwise from x; None where it is not known."""
-    deviation: float | None = None
+    deviation: Measured | None = None
     """Standard deviation of x and of y, m; None where it is not known."""
     ranges: dict[str, float] = field(default_factory=dict)
     """Distances, m, by the addresses of anchors."""

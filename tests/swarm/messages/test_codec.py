@@ -1,7 +1,9 @@
 """Payloads: what goes in comes out, and anything else is refused by name."""
 
 import gc
+import math
 import sys
+import tracemalloc
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +13,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from swarm.errors import LocalError, PayloadError
-from swarm.messages.codec import MAX_PAYLOAD, Short, Value, decode, encode, unpack
+from swarm.messages.codec import MAX_PAYLOAD, Measured, Short, Value, decode, encode, unpack
 
 KEY = "swarm/r0/test/thing"
 
@@ -207,3 +209,31 @@ class Unclear:
 def test_types_a_message_cannot_hold(kind: type) -> None:
     with pytest.raises(LocalError, match="messages cannot"):
         decode(kind, b"\x80", KEY)
+
+
+@pytest.mark.parametrize("head", [b"\xdc\xea\x60", b"\xdd\x00\x00\xea\x60"])
+def test_lists_that_lie_about_their_lengths_take_no_memory(head: bytes) -> None:
+    """Each level says that it has 60000 entries, and the message ends before."""
+    payload = head * 1000 + bytes(MAX_PAYLOAD - 1000 * len(head))
+    tracemalloc.start()
+    try:
+        with pytest.raises(PayloadError, match="not msgpack"):
+            unpack(payload)
+        assert tracemalloc.get_traced_memory()[1] < 16 * MAX_PAYLOAD
+    finally:
+        tracemalloc.stop()
+    assert unpack(msgpack.packb([[1.0] * 1000] * 7)) == [[1.0] * 1000] * 7
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    x: Measured
+    y: Measured | None = None
+
+
+def test_a_number_of_a_sensor_is_bounded() -> None:
+    for x in (1e7, -1e7, 3):
+        assert decode(Place, encode(Place(x, x)), KEY) == Place(x, x)
+    for x in (1.1e7, -1e300, math.nan, math.inf, 2**63):
+        with pytest.raises(PayloadError, match="x: expected"):
+            decode(Place, msgpack.packb({"x": x}), KEY)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from swarm.errors import PayloadError
 from swarm.messages import AppState, SetLeds, SetMode, Status, Stop, read, topics, type_of
-from swarm.messages.codec import Short, decode, encode
+from swarm.messages.codec import Measured, Short, decode, encode
 from swarm.messages.keys import STOP, key
 from swarm.messages.service import MAX_STOP_TEXT, stop_payload
 
@@ -30,7 +30,11 @@ TYPES = sorted({*topics().values(), Stop}, key=lambda kind: kind.__name__)
 
 def strategy(kind: Any) -> st.SearchStrategy[Any]:
     """Values of a field's type hint."""
+    if kind == Measured:
+        return st.floats(-1e7, 1e7)
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if origin is typing.Annotated:
+        return strategy(arguments[0])
     if origin in (typing.Union, types.UnionType):
         return st.one_of(*map(strategy, arguments))
     if origin is tuple and arguments[-1] is not ...:
@@ -40,7 +44,7 @@ def strategy(kind: Any) -> st.SearchStrategy[Any]:
     if origin is dict:
         return st.dictionaries(strategy(arguments[0]), strategy(arguments[1]), max_size=4)
     if dataclasses.is_dataclass(kind):
-        hints = typing.get_type_hints(kind)
+        hints = typing.get_type_hints(kind, include_extras=True)
         return st.builds(kind, **{name: strategy(hint) for name, hint in hints.items()})
     return {
         float: st.floats(allow_nan=False, allow_infinity=False),

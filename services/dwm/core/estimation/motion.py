@@ -13,6 +13,14 @@ _AHEAD = 0.1
 """Longest time for which the motion is continued at its last speed, s."""
 
 
+LONGEST_S = 60.0
+"""Longest time between two messages from which a motion follows, s."""
+MAX_SPEED, MAX_RATE = 10.0, 50.0
+"""Speed (m/s) and turn rate (rad/s) that no robot has, not even one that a person carries."""
+_SLACK_S = 0.1
+"""Time that comes on top for these two, s: two messages may be late by different times."""
+
+
 class OdometryNode(NamedTuple):
     """The robot in a frame of its own, which begins anywhere and drifts."""
 
@@ -73,11 +81,15 @@ class Increments:
     def take(self, new: Odometry) -> tuple[float, float, float, float] | None:
         """Time, way (m), turn by the gyro (rad) and tilt, for `Tracker.odometry`.
 
-        None for the first message, and for the first of a balancer that began anew and its sums with it: how the robot
-        has moved before is unknown. A message that comes twice tells of no motion.
+        None for the first message, for the first of a balancer that began anew and its sums with it, and for what no
+        robot can do: how the robot has moved before is unknown. A message that comes twice tells of no motion.
         """
         last, self._last = self._last, new
         if last is None or (new.sequence <= last.sequence and new != last):
             return None
-        way = 0.5 * (new.left + new.right - last.left - last.right)
-        return new.t, way, new.gyro_heading - last.gyro_heading, new.tilt
+        way, turn = 0.5 * (new.left + new.right - last.left - last.right), new.gyro_heading - last.gyro_heading
+        dt = new.t - last.t
+        longest = dt + _SLACK_S
+        if not 0.0 <= dt <= LONGEST_S or abs(way) > MAX_SPEED * longest or abs(turn) > MAX_RATE * longest:
+            return None
+        return new.t, way, turn, new.tilt

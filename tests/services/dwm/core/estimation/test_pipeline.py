@@ -1,13 +1,18 @@
+import math
 from dataclasses import replace
 
 import pytest
 from dwm_frames import LOCATION
+from hypothesis import given
+from hypothesis import strategies as st
 
 from services.dwm.core.calibration import models as calibration
+from services.dwm.core.estimation.motion import Increments
 from services.dwm.core.estimation.pipeline import Pipeline
 from services.dwm.core.module.ranges import FORGET, MAX_DISTANCE, MAX_MODULES, STALE, STUCK
 from services.dwm.core.module.tlv import AnchorRange, Location, Position
-from swarm.config.types import Affine, Dwm, Linear
+from swarm.config.types import Affine, Anchor, Dwm, Linear
+from swarm.messages import Odometry
 
 DISTANCE = Linear(0.946976, -0.05964849)
 POSITION = Affine(((0.93538932, 0.00353817), (-0.01071457, 0.94470965)), (0.046239576, 0.050861534))
@@ -169,3 +174,38 @@ def test_equal_reports_of_another_source_are_measurements_of_their_own():
         ranges, _ = pipeline.report(location(1.0, 2.0), 0.1 * number)
         assert ranges.sequence == number
         assert [item.age for item in ranges.ranges] == [0.0, 0.0]
+
+
+ANY = st.floats(-1e7, 1e7)
+"""What a message of the balancer may hold."""
+NEAR = st.floats(-1.0, 1.0)
+
+
+@given(
+    st.lists(
+        st.tuples(st.sampled_from((0.01, 0.04, 1.0, 100.0)), NEAR | ANY, NEAR | ANY, NEAR | ANY, NEAR | ANY)
+        | st.tuples(*[st.floats(0.0, 5.0) | st.floats(0.0, 1e7)] * 4, NEAR | ANY),
+        max_size=60,
+    ),
+    st.booleans(),
+)
+def test_no_odometry_and_no_ranges_end_the_filter(events, moves):
+    """Any program on the robot may publish what the balancer does."""
+    anchors = [Anchor(f"D00{index}", float(index % 2), float(index // 2), 0.0) for index in range(4)]
+    pipeline, increments = Pipeline(Dwm(window=1), kind="ekf", anchors=anchors), Increments()
+    now, sequence = 100.0, 0
+    for place, event in enumerate(events):
+        now += 0.04
+        if moves and place % 2:
+            now += event[0]
+            sequence += 1
+            motion = increments.take(
+                Odometry(now, sequence, event[1], event[2], 0.0, 0.0, 0.0, event[3], 0.0, event[4])
+            )
+            if motion is None:
+                pipeline.tracker.begin(now)
+            else:
+                pipeline.tracker.odometry(*motion)
+        else:
+            _, pose = pipeline.report(location(*map(abs, event[:4]), x=event[4]), now)
+            assert math.isfinite(pose.x + pose.y)
