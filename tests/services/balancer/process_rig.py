@@ -7,8 +7,13 @@ from pathlib import Path
 import pytest
 from conftest import Processes, wait_until
 
+from services.balancer.core.faults import FELL
 from swarm.bus.zenoh_bus import Bus
 from swarm.messages import BalancerState, read
+
+
+FALLS_AFTER = 10
+"""Ticks without which a body falls, at least."""
 
 
 class Watcher:
@@ -32,6 +37,12 @@ class Watcher:
     def wait_mode(self, mode: str) -> BalancerState:
         wait_until(lambda: self.last() is not None and self.last().mode == mode, what=f"mode {mode}")
         return self.last()
+
+    def assert_balancing(self) -> None:
+        """Assert that it balances. A body falls where the host keeps its loop from some 20 ticks in a row, which is
+        no fault of the balancer; the loop counts these."""
+        state = self.last()
+        assert state.mode == "balancing" or (FELL in state.fault and state.missed >= FALLS_AFTER)
 
     @staticmethod
     def body_pid(processes: Processes) -> int:

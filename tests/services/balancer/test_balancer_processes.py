@@ -107,7 +107,7 @@ def test_the_loop_outlives_its_bridge_and_starts_another(processes: Processes, w
     wait_until(lambda: children(body.pid) not in ([], [bridge]))
     count = len(watcher.heard["state"])
     wait_until(lambda: len(watcher.heard["state"]) > count + 5)
-    assert watcher.last().mode == "balancing"
+    watcher.assert_balancing()
 
     def lost() -> float:
         """Ticks that are neither done nor missed by the loop's own time. A tick that begins late has that in its time
@@ -152,7 +152,7 @@ def test_driving_over_the_bus_and_what_is_refused(processes: Processes, watcher:
     # Who commanded is gone with it: the speed runs out, and the robot stands.
     count = len(watcher.heard["state"])
     wait_until(lambda: len(watcher.heard["state"]) > count + 2 and watcher.last().demanded_speed == 0.0)
-    assert watcher.last().mode == "balancing"
+    watcher.assert_balancing()
 
     watcher.heard["notice"].clear()
     for what, payload, word in (
@@ -168,7 +168,7 @@ def test_driving_over_the_bus_and_what_is_refused(processes: Processes, watcher:
         notice = watcher.heard["notice"].pop()
         assert notice.about == what
         assert word in notice.text
-    assert watcher.last().mode == "balancing"
+    watcher.assert_balancing()
 
 
 def test_a_robot_has_the_controller_and_body_that_the_file_gives_it(processes: Processes, watcher: Watcher) -> None:
@@ -269,7 +269,7 @@ def test_a_robot_stands_through_a_router_that_hangs_and_obeys_a_stop_afterwards(
     wait_until(lambda: children(body.pid) not in ([], [bridge]), what="another bridge")
     bus_service.send_signal(signal.SIGCONT)
     wait_until(lambda: watcher.last().ticks > before.ticks + 100, what="the new bridge")
-    assert watcher.last().mode == "balancing"
+    watcher.assert_balancing()
 
     def stopped() -> bool:
         watcher.bus.publish("swarm/stop", Stop(0.0, "test", "enough"))
@@ -419,7 +419,7 @@ def test_the_devices_over_the_bus(processes: Processes, watcher: Watcher) -> Non
         return len(refused) in found
 
     wait_until(all_refused)
-    assert watcher.last().mode == "balancing"
+    watcher.assert_balancing()
 
 
 def test_swarm_measure_i2c_asks_the_balancer(processes: Processes, watcher: Watcher) -> None:
