@@ -11,7 +11,6 @@ from services.balancer.core.faults import FELL
 from swarm.bus.zenoh_bus import Bus
 from swarm.messages import BalancerState, read
 
-
 FALLS_AFTER = 10
 """Ticks without which a body falls, at least."""
 
