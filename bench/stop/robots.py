@@ -18,6 +18,7 @@ from typing import TypeVar
 
 from bench.rigs.running import robots_folder
 from bench.stop.body import TRUTH
+from bench.stop.page import Page
 from laptop.fleet.ssh.ssh import Host, Ssh
 from laptop.view.actions.control import Control
 from laptop.view.actions.robot_actions import PageAction
@@ -130,7 +131,7 @@ class RobotsOnALine:
         self.ssh, self.host = Ssh(), Host("r0", "r0")
         self.view = Robots(load(config), [self.host], self.ssh)
         self._stack.callback(self.view.close)
-        self.control = Control(self.view, NoActions())
+        self.page = self._stack.enter_context(Page(self.view, Control(self.view, NoActions())))
 
     def __enter__(self) -> "RobotsOnALine":
         return self

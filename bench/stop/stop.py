@@ -69,9 +69,9 @@ def _by_page(robots: RobotsOnALine, *, newer: bool) -> float:
     began = clock.now()
     if newer:
         with _replaced(control, "Stop", NewerStop):
-            robots.control.do({"act": "stop"})
+            robots.page.stop()
     else:
-        robots.control.do({"act": "stop"})
+        robots.page.stop()
     return began
 
 
