@@ -14,7 +14,7 @@ import msgpack
 
 from swarm.errors import PayloadError
 from swarm.messages import Status, View, Watch
-from swarm.messages.codec import decode, encode, unpack
+from swarm.messages.codec import MAX_PAYLOAD, decode, encode, unpack
 from swarm.messages.keys import whose_token
 
 LONGEST_S = 60.0
@@ -39,6 +39,15 @@ LARGEST = 1000
 
 MAX_STATE = 80
 """Letters of a service's state and its reason."""
+
+MAX_APP_KEYS = 64
+"""Keys of apps whose newest values are kept; an app that publishes under ever new names must not fill the memory."""
+
+MAX_APP_BYTES = 1 << 20
+"""Bytes of these values together, for the same reason."""
+
+MAX_SERVICES = 64
+"""Services that are told of, for the same reason."""
 
 _LINK = ("peer", "state", "rtt", "sent_rate", "reason")
 
@@ -115,7 +124,7 @@ class Viewing:
         if topic == key:
             return
         if _kind(topic) is not None:
-            self._values[topic] = payload
+            self._keep(topic, payload)
         elif topic.endswith("/status"):
             self._hear_status(topic.removesuffix("/status"), key, payload)
 
@@ -125,7 +134,7 @@ class Viewing:
             robot, service = whose_token(key)
         except PayloadError:
             return
-        if f"swarm/{robot}/" == self._prefix:
+        if f"swarm/{robot}/" == self._prefix and (service in self._there or len(self._there) < MAX_SERVICES):
             self._there[service] = there
 
     def due(self, now: float) -> tuple[tuple[str, ...], bytes] | None:
@@ -135,7 +144,20 @@ class Viewing:
         self._due = max(self._due + self._period, now)
         return tuple(sorted(self._leases)), self._view(now)
 
+    def _keep(self, topic: str, payload: bytes) -> None:
+        """Keep it as the newest value. One that has no room is left out, and so is the older one: it holds no more."""
+        self._values.pop(topic, None)
+        if len(payload) > MAX_PAYLOAD:
+            return
+        if topic not in FIELDS:  # of an app, which takes no room away from the robot's own services
+            sizes = [len(name) + len(value) for name, value in self._values.items() if name not in FIELDS]
+            if len(sizes) >= MAX_APP_KEYS or sum(sizes) + len(topic) + len(payload) > MAX_APP_BYTES:
+                return
+        self._values[topic] = payload
+
     def _hear_status(self, service: str, key: str, payload: bytes) -> None:
+        if service not in self._states and len(self._states) >= MAX_SERVICES:
+            return
         try:
             status = decode(Status, payload, key)
         except PayloadError:

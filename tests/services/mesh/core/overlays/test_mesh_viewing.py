@@ -9,7 +9,19 @@ from hypothesis import strategies as st
 from mesh_rig import SHORT, Build, build, log_of
 from overlay_world import World
 
-from services.mesh.core.overlays.viewing import BUDGET, FULL_EVERY, KEYS, LARGEST, LONGEST_S, REPEAT_S, TYPICAL, Viewing
+from services.mesh.core.overlays.viewing import (
+    BUDGET,
+    FULL_EVERY,
+    KEYS,
+    LARGEST,
+    LONGEST_S,
+    MAX_APP_BYTES,
+    MAX_APP_KEYS,
+    MAX_SERVICES,
+    REPEAT_S,
+    TYPICAL,
+    Viewing,
+)
 from services.mesh.core.wire.frames import BULK
 from swarm import clock
 from swarm.messages import (
@@ -25,7 +37,7 @@ from swarm.messages import (
     View,
     Watch,
 )
-from swarm.messages.codec import decode, encode, unpack
+from swarm.messages.codec import MAX_PAYLOAD, decode, encode, unpack
 
 __all__ = ["build"]
 
@@ -155,6 +167,35 @@ def test_however_many_and_long_services_states_are_a_view_stays_small() -> None:
         assert len(due[1]) <= LARGEST + 100
         told |= decode(View, due[1], "swarm/r1/mesh/view").services.keys()
     assert len(told) > 20  # what had no room in one view is in a later one
+
+
+@pytest.mark.parametrize("size", [0, 1000, MAX_PAYLOAD, 960_000])
+def test_an_app_with_ever_new_names_fills_no_memory_and_takes_no_room_from_the_services(size: int) -> None:
+    viewing = Viewing("r1", 6)
+    viewing.asked(WATCH, "r0", 0.0)
+    for number in range(2 * MAX_APP_KEYS):
+        viewing.take(f"swarm/r1/app/x{number}/state", bytes(size))
+    viewing.take("swarm/r1/dwm/pose", encode(TYPICAL_SAMPLES["dwm/pose"]))
+    viewing.take("swarm/r1/mesh/clock", bytes(size))
+    assert "dwm/pose" in view(viewing, 0.0).values
+    assert len(viewing._values) <= MAX_APP_KEYS + 2
+    assert sum(map(len, viewing._values.values())) <= MAX_APP_BYTES + 2 * MAX_PAYLOAD
+
+
+def test_a_value_without_room_takes_the_older_one_with_it() -> None:
+    viewing = full()
+    viewing.take("swarm/r1/app/localization/state", bytes(MAX_PAYLOAD + 1))
+    assert set(view(viewing, 0.0).values) == set(TYPICAL_SAMPLES) - {"app/localization/state"}
+
+
+def test_the_services_that_are_told_of_are_limited() -> None:
+    viewing = full()
+    for number in range(2 * MAX_SERVICES):
+        viewing.alive(f"swarm/r1/app/x{number}/alive", True)
+        viewing.take(f"swarm/r1/app/x{number}/status", encode(Status(1.0, "x", "ready", "", 1, 0.0, {})))
+    viewing.alive("swarm/r1/balancer/alive", False)
+    assert (len(viewing._there), len(viewing._states)) == (MAX_SERVICES, MAX_SERVICES)
+    assert view(viewing, 0.0).services["balancer"] == "gone"
 
 
 def test_who_is_watched_gets_no_more_than_the_budget() -> None:
