@@ -125,6 +125,11 @@ class RecordingFile:
                 return
             self._writer.write(topic, t, message, name)
 
+    def lose(self, count: int) -> None:
+        """Count messages that were lost before they came here."""
+        with self._lock:
+            self._counters["records_lost"] += count
+
     def flush(self) -> None:
         """Put into the file what was written so far."""
         with self._disk:

@@ -5,6 +5,7 @@ the pictures of a run need, and no more, since each costs the process some 0.1 m
 """
 
 import logging
+import threading
 from collections import deque
 from collections.abc import Callable, Collection
 from functools import partial
@@ -14,6 +15,7 @@ from swarm.bus.protocol import BusLike, Now
 from swarm.bus.throttle import THROTTLED
 from swarm.errors import PayloadError
 from swarm.messages import Flooded, FloodRequest, Passed, SendRequest, Sent, read
+from swarm.messages.codec import MAX_PAYLOAD
 from swarm.messages.keys import key
 
 TOPICS = {
@@ -44,6 +46,9 @@ EARLY = 0.75
 
 MAX_WAITING = 4096
 """Messages that wait to be looked at; the oldest are lost."""
+
+MAX_BYTES = 2 << 20
+"""Bytes of these messages and their keys together, for the same reason."""
 
 MAX_ASKED = 256
 """Requests that are told from their repetitions."""
@@ -103,12 +108,19 @@ class TopicRecorder:
         self._now = now
         self._app = app
         self._prefix = key(robot, f"app/{app}")
-        self._waiting: deque[tuple[str, bytes, float]] = deque(maxlen=MAX_WAITING)
+        self._lock = threading.Lock()
+        """The lock around what waits."""
+        self._waiting: deque[tuple[str, bytes, int, float]] = deque()
+        """Keys, payloads, their sizes and times. Of a message of another robot's app only the size is kept."""
+        self._bytes = 0
+        """Bytes of the keys and payloads that wait."""
         self._last: dict[str, float] = {}
         self._asked: deque[str] = deque(maxlen=MAX_ASKED)
         self._least = {key(robot, topic): least for topic, least in TOPICS.items() if topic in topics}
         self.on_sample: Callable[[], None] = lambda: None
         """Called after each message: in virtual time `drain`, as there is no thread that would."""
+        self.on_lost: Callable[[int], None] = lambda count: None
+        """Called with the number of messages that are lost, as too much waits."""
         of = partial(key, robot)
         throttled = [topic for topic in THROTTLED_TOPICS if copies and topic in topics]
         self._copies = {f"{name}/{THROTTLED}": name for name in map(of, throttled)}
@@ -141,25 +153,47 @@ class TopicRecorder:
 
     def drain(self) -> None:
         """Record what has come since the last call."""
-        while self._waiting:
-            name, payload, t = self._waiting.popleft()
+        while True:
+            with self._lock:
+                if not self._waiting:
+                    return
+                name, payload, size, t = self._pop()
             if name in self._least:
                 self._record(name, payload, t)
             else:
                 _, sender, _, _, kind, *_ = name.split("/")
-                heard = Heard(t, sender, kind == "flood", len(payload))
+                heard = Heard(t, sender, kind == "flood", size)
                 self._sink.write(f"{self._prefix}/heard", t, heard.fields(), "swarm.Heard")
 
     def _take(self, name: str, payload: bytes) -> None:
         """Keep a sample for the writer. Zenoh's thread calls this, so nothing is decoded here."""
         t = self._now()
         name = self._copies.get(name, name)
-        least = self._least.get(name, 0.0)
-        if least and t - self._last.get(name, -least) < EARLY * least:
+        least, size = self._least.get(name), len(payload)
+        if least is None:
+            payload = b""
+        elif size > MAX_PAYLOAD:  # no message of a service has that many
             return
-        self._last[name] = t
-        self._waiting.append((name, payload, t))
+        if least:
+            if t - self._last.get(name, -least) < EARLY * least:
+                return
+            self._last[name] = t
+        lost = 0
+        with self._lock:
+            self._waiting.append((name, payload, size, t))
+            self._bytes += len(name) + len(payload)
+            while len(self._waiting) > MAX_WAITING or self._bytes > MAX_BYTES:
+                self._pop()
+                lost += 1
+        if lost:
+            self.on_lost(lost)
         self.on_sample()
+
+    def _pop(self) -> tuple[str, bytes, int, float]:
+        """Take out the oldest one; the caller holds the lock."""
+        name, payload, size, t = self._waiting.popleft()
+        self._bytes -= len(name) + len(payload)
+        return name, payload, size, t
 
     def _record(self, name: str, payload: bytes, t: float) -> None:
         try:

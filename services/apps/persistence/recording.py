@@ -70,6 +70,7 @@ class AppRecording:
         self.recorder = Recorder(self._file, service.robot, app.name)
         self.watch = TopicRecorder(service.bus, service.robot, app.name, self._file, clock.now)
         """What the robot's other services say meanwhile."""
+        self.watch.on_lost = self._file.lose
         self._file.feed = self.watch.drain
         self._file.watched = self._tell
         if place.parent == folder.root():  # in a folder that somebody has named others' files are not ours

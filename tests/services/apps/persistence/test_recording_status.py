@@ -1,9 +1,17 @@
 """What an app's status says of its recording."""
 
+import logging
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+from memory_swarm import config_of
+
+from services.apps import loader
 from services.apps.persistence.recording import AppRecording
+from swarm.recording.recorded_topics import MAX_WAITING
 
 
 class FakeService:
@@ -52,3 +60,19 @@ def test_a_fault_of_the_app_is_not_hidden_by_its_recording() -> None:
     it._tell("the disk is full")
     it._tell("")
     assert (service.state, service.reason) == ("degraded", "the app raised")
+
+
+def test_messages_of_services_that_are_lost_are_counted(tmp_path: Path) -> None:
+    callbacks: list[Any] = []
+    bus = SimpleNamespace(subscribe=lambda keys, callback: callbacks.append(callback))
+    config = replace(config_of(2), path=tmp_path / "swarm.toml")
+    config.path.touch()
+    service: Any = SimpleNamespace(
+        robot="r0", runtime=tmp_path, config=config, bus=bus, counters=Counter(), log=logging.getLogger("test")
+    )
+    it = AppRecording(service, loader.load("consensus"), 7, 1, tmp_path / "run")
+    it._file.feed = lambda: None  # nothing is taken out meanwhile
+    for _ in range(MAX_WAITING + 3):
+        callbacks[0]("swarm/r0/balancer/leds", b"")
+    it.close()
+    assert service.counters == {"records_lost": 3}
