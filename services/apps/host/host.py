@@ -76,6 +76,7 @@ class LockstepHost:
         self._by_schema: dict[int, LockstepDriver] = {}
         self._by_notes: dict[str, LockstepDriver] = {}
         self._sender = lru_cache(MOST_KEYS)(self._parse_key)
+        self._names = place.names
         self._connections: dict[str, int] = {}
         self._orders: deque[str] = deque(maxlen=100)
         self._ready = False
@@ -185,6 +186,9 @@ class LockstepHost:
             refuse(self._runtime, f"{name}: not the key of a frame", "refused_keys")
             return None
         robot, _, text, to, around = address
+        if robot not in self._names:  # whoever is remembered as heard is a robot of the configuration
+            refuse(self._runtime, f"{name}: its sender is not in the configuration", "refused_keys")
+            return None
         if to is not None and to != self.robot:
             return None
         if text in self._by_notes:
@@ -204,7 +208,7 @@ class LockstepHost:
         return _Sender(driver, robot, channel, around)
 
     def _on_links(self, links: Links) -> None:
-        up = {link.peer: link.connection for link in links.links if link.state == "up"}
+        up = {link.peer: link.connection for link in links.links if link.state == "up" and link.peer in self._names}
         # The median: after a cut the smoothed one is for seconds as long as the cut was.
         rtts = [link.rtt_median for link in links.links if link.rtt_median is not None]
         renewed = any(self._connections.get(peer) != connection for peer, connection in up.items())
