@@ -34,8 +34,10 @@ class Traffic:
         self._passed = passed
         self._lock = threading.Lock()
         self._counts: dict[str, int] = {}
-        self._heard: list[str] = []
-        """The robots heard since the last decision, one entry for each message."""
+        self._heard = 0
+        """Messages heard since the last decision; the next one may be far where a slow reader holds up the caller."""
+        self._senders: set[str] = set()
+        """The robots that sent them."""
         self._calm = False
         """Whether they were few the last time; until that is known nothing is told."""
         self._since = self._until = -REST_S
@@ -46,8 +48,9 @@ class Traffic:
         if now < self._until:
             return
         with self._lock:
-            heard, self._heard = self._heard, []
-            self._calm = self._subscription is not None and len(heard) <= MANY * len(set(heard)) * (now - self._since)
+            few = self._heard <= MANY * len(self._senders) * (now - self._since)
+            self._calm = self._subscription is not None and few
+            self._heard, self._senders = 0, set()
         self._since, self._until = now, now + LISTEN_S
         if self._subscription is None:
             self._subscription = self._bus.subscribe(FRAMES, self._take)
@@ -62,7 +65,9 @@ class Traffic:
         except PayloadError:
             return
         with self._lock:
-            self._heard.append(sender)
+            self._heard += 1
+            if len(self._senders) < MAX_SENDERS:
+                self._senders.add(sender)
             if sender == self._robot or (sender not in self._counts and len(self._counts) >= MAX_SENDERS):
                 return
             self._counts[sender] = count = self._counts.get(sender, 0) + 1

@@ -1,11 +1,11 @@
 """Messages between robots are counted while they are few, and not even listened to while they are many."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sized
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarm.onboard.traffic import LISTEN_S, MANY, REST_S, Traffic
+from swarm.onboard.traffic import LISTEN_S, MANY, MAX_SENDERS, REST_S, Traffic
 
 
 class Bus:
@@ -66,6 +66,25 @@ def test_when_they_are_fewer_again_they_are_told_again() -> None:
             bus.bring("r1", "latest")
             now += 1.0 / rate
     assert len(told) > 3
+
+
+def test_however_many_come_from_however_many_while_the_caller_is_held_up_little_is_kept() -> None:
+    bus, told = Bus(), list[tuple[str, int]]()
+    traffic = Traffic(bus, "r0", lambda *passed: told.append(passed))
+    traffic.look(0.0)
+    for number in range(2 * MAX_SENDERS):
+        bus.bring("r1")
+        bus.bring(f"r{number}")
+    assert all(len(kept) <= MAX_SENDERS for kept in vars(traffic).values() if isinstance(kept, Sized))
+    # They were few for so long a time.
+    traffic.look(100.0)
+    bus.bring("r1")
+    assert told == [("r1", 2 * MAX_SENDERS + 2)]
+    # They are many.
+    for _ in range(100):
+        bus.bring("r1")
+    traffic.look(101.0)
+    assert not bus.bring("r1")
 
 
 @given(st.lists(st.tuples(st.text(max_size=20), st.sampled_from(["r0", "r1", "R 9"])), max_size=20))
