@@ -208,11 +208,15 @@ class Bus:
 
     def subscribe(self, keys: str | Iterable[str], callback: OnSample) -> Subscription:
         """Call `callback(key, payload)` for every sample of other sessions, until what is returned, or this client, is
-        closed; see above for callbacks."""
+        closed; see above for callbacks. A sample under a key that is longer than keys may be is dropped."""
         subscription = Subscription(self._subscriptions)
 
         def handle(sample: zenoh.Sample) -> None:
-            callback(str(sample.key_expr), sample.payload.to_bytes())
+            key = str(sample.key_expr)
+            if len(key) <= MAX_KEY_LENGTH:
+                callback(key, sample.payload.to_bytes())
+            else:
+                self.counters["long_keys"] += 1
 
         for key in map(_checked_key, (keys,) if isinstance(keys, str) else keys):
             self._declare(lambda session, key=key: subscription.declare(session, key, handle))  # type: ignore[misc]

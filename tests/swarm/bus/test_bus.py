@@ -11,6 +11,7 @@ from bus_samples import HELD_UP, SUBSCRIBER, Open, Samples, talk
 from conftest import Processes, wait_until
 
 from swarm.messages import Leds, Stop, read
+from swarm.messages.keys import MAX_KEY_LENGTH
 from swarm.messages.service import MAX_STOP_TEXT
 from swarm.process.paths import bus_endpoint
 
@@ -41,6 +42,21 @@ def test_a_stop_that_is_too_large_or_cannot_be_packed_arrives_empty(open_bus: Op
     alice.publish("swarm/stop", Stop(1.0, "r0", "x" * 100_000))
     wait_until(lambda: samples[-1][1] not in (b"", b"hello"))
     assert read(*samples[-1]) == Stop(1.0, "r0", "x" * MAX_STOP_TEXT)
+
+
+@pytest.mark.usefixtures("bus_service")
+def test_a_sample_under_a_key_that_is_too_long_is_dropped(open_bus: Open) -> None:
+    """As of a program that uses Zenoh without our adapter."""
+    alice, bob = open_bus(), open_bus()
+    samples = Samples()
+    bob.subscribe("swarm/**", samples)
+    talk(alice, "swarm/r0/test/x", samples)
+    assert alice._session is not None
+    alice._session.put("swarm/r0/" + "x" * MAX_KEY_LENGTH, b"long")
+    alice._session.put("swarm/r0/test/y", b"short")
+    wait_until(lambda: samples[-1] == ("swarm/r0/test/y", b"short"))
+    assert max(len(key) for key, _ in samples) < MAX_KEY_LENGTH
+    assert bob.counters["long_keys"] == 1
 
 
 @pytest.mark.usefixtures("bus_service")
