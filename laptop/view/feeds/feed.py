@@ -1,5 +1,6 @@
 """The interface of a source of a picture, and the source for a simulation on this machine: its buses."""
 
+import logging
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -17,6 +18,8 @@ from swarm.onboard.lookout import watch
 from swarm.onboard.traffic import Traffic
 from swarm.process.paths import bus_endpoint
 from swarm.process.simulations import CONFIG, is_live, robots
+
+_log = logging.getLogger("view")
 
 _LOOK_EVERY = 0.5
 """Seconds between two searches for new buses."""
@@ -137,12 +140,18 @@ class SimulationFeed(RealTime):
 
     def _look(self) -> None:
         while not self._closing.wait(_LOOK_EVERY if self.buses else 0.05):
-            self.live = is_live(self.directory)
-            self._read_config()
-            if self.config is None or not self.buses.keys() >= set(self.config.names):
-                self._join()
-            for each in self._traffic.values():
-                each.look(self.now())
+            try:
+                self._look_once()
+            except Exception:  # noqa: BLE001 - a defect here; the next look may do better
+                _log.exception("a look at the simulation has failed")
+
+    def _look_once(self) -> None:
+        self.live = is_live(self.directory)
+        self._read_config()
+        if self.config is None or not self.buses.keys() >= set(self.config.names):
+            self._join()
+        for each in self._traffic.values():
+            each.look(self.now())
 
     def _read_config(self) -> None:
         """Read a configuration that has been written since, as by the next run in this directory, and leave robots that

@@ -21,6 +21,7 @@ from laptop.cli import main
 from laptop.view import live, server
 from laptop.view.actions.control import ANSWER_S, DRIVE_S, Control
 from laptop.view.actions.simulated_actions import SimulatedActions
+from laptop.view.feeds import feed as feeds
 from laptop.view.feeds.feed import _LOOK_EVERY, SimulationFeed
 from laptop.view.server import application
 from swarm.errors import LocalError
@@ -70,6 +71,22 @@ def test_the_page_of_a_simulation_follows_the_next_run_in_its_directory(feed: Si
     (feed.directory / CONFIG).unlink()  # between two runs the page keeps what it has
     time.sleep(2 * _LOOK_EVERY)
     assert feed.config.names == ("r1", "r2")
+
+
+def test_a_look_that_fails_is_logged_and_the_next_one_sees_what_has_changed(
+    feed: SimulationFeed, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    looks: list[Path] = []
+
+    def look(directory: Path) -> bool:
+        looks.append(directory)
+        if len(looks) == 1:
+            raise TypeError("a defect")
+        return False
+
+    monkeypatch.setattr(feeds, "is_live", look)
+    wait_until(lambda: not feed.live)
+    assert caplog.text.count("a look at the simulation has failed") == 1
 
 
 def talk(feed: SimulationFeed, act: Any, *, allowed: bool = False) -> None:
