@@ -5,6 +5,7 @@ depends on more than one robot is decided here.
 """
 
 import contextlib
+import logging
 import os
 import select
 import socket
@@ -27,6 +28,8 @@ from swarm.frozen import frozen
 from swarm.messages import LedChange, Target, Truth
 from swarm.messages.codec import MAX_PAYLOAD, decode
 from swarm.process.paths import socket_path
+
+_log = logging.getLogger("sim")
 
 SOCKET = "world.sock"
 
@@ -107,6 +110,8 @@ class BodyWorld:
         self._contacts = contacts_of(config)
         self._seeing = threading.Lock()
         self._closing = False
+        self.problem = ""
+        """Why the world stands still, in words; empty while it goes on."""
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
         self._thread.start()
 
@@ -129,6 +134,14 @@ class BodyWorld:
             return at(self._scene_record, self._contacts)
 
     def _run(self) -> None:
+        """Work until closed. A defect ends the world: what it knows may be half changed."""
+        try:
+            self._work()
+        except Exception as error:  # noqa: BLE001 - whatever it is, the run must say so
+            _log.exception("the world has a defect")
+            self.problem = f"defect of the world: {error!r}"
+
+    def _work(self) -> None:
         while not self._closing:
             timeout = min(1.0, max(0.0, self._modules.next_deadline() - clock.now()))
             sources: list[int | socket.socket | ModuleBoard] = [self._wake, self._socket, self._modules]

@@ -146,6 +146,9 @@ class ProcessRun:
                     continue
                 self._problems.append(words)
                 self._stop = True
+            if self._world.problem:
+                self._problems.append(self._world.problem)
+                self._stop = True
             for done in self._orders.look():
                 self._progress.say(done)
             if now - asked > (ASK_S if started is None else ASK_AGAIN_S):
