@@ -8,6 +8,7 @@ from sim.processes.monitor import Seen
 from sim.scenario.scenario import Scenario
 from swarm.messages import AppLog
 from swarm.process.terminal import steer
+from swarm.process.text import printable
 
 TERMINAL_PERIOD_S = 0.25
 PLAIN_PERIOD_S = 2.0
@@ -32,16 +33,17 @@ class ProgressDisplay:
         if self._terminal:
             lines = [f"{elapsed:6.1f} s", *(f"  {name}  {text}" for name, text in robots)]
             self._erase()
-            self._stream.write("\n".join(lines) + "\n")
+            for line in lines:
+                _write(self._stream, line)
             self._drawn = len(lines)
         else:
-            self._stream.write(f"{elapsed:6.1f} s  " + "; ".join(f"{name} {text}" for name, text in robots) + "\n")
+            _write(self._stream, f"{elapsed:6.1f} s  " + "; ".join(f"{name} {text}" for name, text in robots))
         self._stream.flush()
 
     def say(self, sentence: str) -> None:
         """Print one line that stays."""
         self._erase()
-        self._stream.write(sentence + "\n")
+        _write(self._stream, sentence)
         self._stream.flush()
 
     def close(self) -> None:
@@ -63,7 +65,12 @@ def said(robot: str, line: AppLog) -> str:
 
 def say(out: TextIO, robot: str, line: AppLog) -> None:
     """Print what an app has printed or logged."""
-    out.write(said(robot, line) + "\n")
+    _write(out, said(robot, line))
+
+
+def _write(out: TextIO, line: str) -> None:
+    """Write one line, whatever others have put into it."""
+    out.write(printable(line, None) + "\n")
 
 
 def _robot(scenario: Scenario, seen: Seen, missing: Sequence[str]) -> str:

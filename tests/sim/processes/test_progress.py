@@ -1,0 +1,44 @@
+"""Each line of a run's progress stays one line, whatever robots and apps say."""
+
+import io
+from pathlib import Path
+
+from sim.processes.monitor import Seen
+from sim.processes.progress import TERMINAL_PERIOD_S, ProgressDisplay, say
+from sim.scenario.options import parse
+from sim.scenario.scenario import build
+from swarm.messages import AppLog, AppProgress, BalancerState
+
+FORGED = "stuck\n   9.9 s  r1  done\r\x1b[2J"
+SHOWN = r"stuck\n   9.9 s  r1  done\r\u001b[2J"
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def shown(stream: io.StringIO) -> str:
+    """What is written of two robots, twice: one robot names a forged fault, an app of the other a forged reason."""
+    display = ProgressDisplay(stream, build(parse(["consensus", "--robots", "2"]), Path("run")))
+    body = BalancerState(1.0, "fault", 0.0, 0.0, 0.0, 0.0, 0.0, None, 1, 0.0, 0.0, FORGED)
+    seen = {"r0": Seen(balancer=body), "r1": Seen(progress=AppProgress(1.0, "waiting", 3, ("r0",), FORGED))}
+    for number in range(2):
+        display.show(10 * TERMINAL_PERIOD_S * number, 1.0, seen, {"r0": (), "r1": ()})
+    return stream.getvalue()
+
+
+def test_what_robots_name_forges_no_line_and_the_block_is_erased_to_its_first_line() -> None:
+    block = f"   1.0 s\n  r0  {SHOWN}\n  r1  k=3 waits for r0 ({SHOWN})\n"
+    assert shown(Terminal()) == f"{block}\x1b[3F\x1b[J{block}"
+
+
+def test_without_a_terminal_a_swarm_is_one_line_whatever_it_names() -> None:
+    assert shown(io.StringIO()) == f"   1.0 s  r0 {SHOWN}; r1 k=3 waits for r0 ({SHOWN})\n" * 2
+
+
+def test_a_line_of_an_app_and_a_sentence_that_stays_are_one_line_each() -> None:
+    out = io.StringIO()
+    say(out, "r0", AppLog(1.0, "info", FORGED))
+    ProgressDisplay(out, build(parse(["consensus"]), Path("run"))).say(FORGED)
+    assert out.getvalue() == f"    1.000 s  r0  {SHOWN}\n{SHOWN}\n"
