@@ -9,8 +9,10 @@ import tempfile
 import types
 import typing
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import msgpack
 
@@ -35,8 +37,7 @@ from swarm.errors import ConfigError, FrameError, LocalError, PayloadError, Reco
 from swarm.messages import codec
 from swarm.messages.json_values import json_value
 from swarm.recording import thesis_csv
-from swarm.recording.core import json_text
-from swarm.recording.core.writer import Writer
+from swarm.recording.core import json_text, mcap, writer
 from swarm.recording.reader import RecordingReader
 from swarm.recording.survey import survey
 from swarm.recording.thesis_ranges import read_recording
@@ -124,18 +125,25 @@ _HEX = b":100000000C945C000C946E000C946E000C946E00CA\n:00000001FF\n"
 
 # -- files
 
+_CHUNK_INDEX = 93
+"""Bytes of the index of a chunk with two topics."""
 
-def _recording() -> bytes:
-    writer = Writer("test", epoch_ns=0)
-    writer.metadata("run", {"app": "x", "epoch_ns": "5", "clock": "c"})
-    data = b""
-    for i in range(6):
-        writer.write("ab"[i % 2], 0.1 * i, {"i": i})
-        if i % 2:
-            writer.cut()
-            data += writer.take()
-    writer.finish()
-    return data + writer.take()
+
+def recording() -> bytes:
+    """Return a whole recording: chunks, two checkpoints of which the first names the second, the summary, the end."""
+    made = writer.Writer("test", epoch_ns=0)
+    made.metadata("run", {"app": "x", "epoch_ns": "5", "clock": "c"})
+    data = bytearray()
+    with mock.patch.object(writer, "INDEX_SIZE", 2 * _CHUNK_INDEX):
+        for i in range(10):
+            made.write("ab"[i % 2], 0.1 * i, {"i": i})
+            if i % 2:
+                made.cut()
+                data += made.take()
+    for at, after in pairwise(made.checkpoints):
+        place, offset = mcap.link(at, after)
+        data[place : place + len(offset)] = offset
+    return bytes(data) + b"".join(made.finish(lambda at, length: bytes(data[at : at + length])))
 
 
 def _recordings(rng: random.Random) -> Made:
@@ -154,7 +162,7 @@ def _recordings(rng: random.Random) -> Made:
         for each in RecordingReader(path).samples():
             assert each.message is not None
 
-    return [_recording()], feed
+    return [recording()], feed
 
 
 def _csv(rng: random.Random) -> Made:

@@ -7,11 +7,15 @@ import random
 import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
+from bench.decoders.data import recording
 from bench.decoders.decoders import ELSEWHERE, ROOT, TARGETS, failed, taking_apart, told
 from bench.decoders.run import MIB, Result, Target, mutated, run
+from swarm.recording.reader import RecordingReader
+from swarm.recording.survey import survey
 
 HALVES = {"mesh": [each.name for each in TARGETS if each.name.startswith("mesh: ")]}
 HALVES["others"] = [each.name for each in TARGETS if each.name not in HALVES["mesh"]]
@@ -45,6 +49,19 @@ def test_every_module_that_takes_bytes_apart_is_in_the_table_or_says_why_not() -
     assert ELSEWHERE.keys() - found == set(), "it takes no bytes apart any more"
     assert ELSEWHERE.keys() & covered == set()
     assert all((ROOT / module).is_file() for module in covered)
+
+
+def test_the_golden_recording_has_all_that_a_file_of_ours_can_have(tmp_path: Path) -> None:
+    path = tmp_path / "golden.mcap"
+    path.write_bytes(recording())
+    reader = RecordingReader(path)
+    assert len(list(reader.samples())) == 10
+    assert reader.finished
+    assert reader.damage == []
+    with path.open("rb") as file:
+        known = survey(file.fileno())
+    assert len(known.checkpoints) == 2
+    assert known.chunks == 5
 
 
 FAULTY = """
