@@ -36,6 +36,7 @@ from swarm.config.load import parse as parse_config
 from swarm.errors import ConfigError, FrameError, LocalError, PayloadError, RecordingError, RemoteError
 from swarm.messages import codec
 from swarm.messages.json_values import json_value
+from swarm.onboard import lookout
 from swarm.recording import thesis_csv
 from swarm.recording.core import json_text, mcap, writer
 from swarm.recording.reader import RecordingReader
@@ -300,6 +301,19 @@ def _pages(rng: random.Random) -> Made:
     return [*golden, *told], feed
 
 
+def _lookout(rng: random.Random) -> Made:
+    """What a lookout tells and is told, in parts as a network makes them."""
+
+    def feed(data: bytes) -> None:
+        ends = sorted(int(rng.random() * (len(data) + 1)) for _ in range(3))
+        parts = [data[begin:end] for begin, end in pairwise([0, *ends, len(data)])]
+        for _ in lookout.unpacked(parts, lookout.MAX_COMMAND):
+            pass
+
+    told = (["bus", True], ["key", "swarm/r0/x/y", bytes(9)], ["clock", 1.5], ["swarm/r0/mesh/set/arm", b"x", 2.5])
+    return [msgpack.packb(each) for each in told] + [b"\xdd\x00\x01\x00\x00" * 200, b"\x90" * 9000], feed
+
+
 def _as_config(data: bytes) -> object:
     return parse_config(data.decode("utf-8", "replace"), Path("swarm.toml"))
 
@@ -333,6 +347,7 @@ TARGETS = (
     Target("recordings of the thesis (CSV)", (), _csv, (RecordingError,)),
     Target("live page: what robots say", ("laptop/view/feeds/picture.py", "swarm/recording/core/json_text.py"), _pages,
            room=48),
+    Target("lookout", ("swarm/onboard/lookout.py",), _lookout, (PayloadError,)),
     Target("swarm.toml", ("swarm/config/load.py",), simple([_CONFIG], _as_config), (ConfigError,), room=8),
     Target("calibration file", ("services/dwm/core/calibration/calibration_file.py",),
            simple([_CALIBRATION], text(lambda each: calibration_file.parse(each, "x"))), (ConfigError,)),

@@ -74,7 +74,7 @@ ELSEWHERE = {
 }
 """Modules that take bytes apart and are not in the table, and why."""
 
-_MEANS = frozenset(("unpack", "unpack_from", "iter_unpack", "from_bytes", "fromhex", "unpackb"))
+_MEANS = frozenset(("unpack", "unpack_from", "iter_unpack", "from_bytes", "fromhex", "unpackb", "Unpacker"))
 _LOADERS = frozenset(("json.load", "json.loads", "tomllib.load", "tomllib.loads", "pickle.loads", "marshal.loads"))
 
 

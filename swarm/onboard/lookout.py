@@ -24,7 +24,7 @@ import os
 import select
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import msgpack
 
@@ -45,6 +45,9 @@ MAX_WAITING = 2 << 20
 """Bytes of messages that may wait to be written, for the same reason."""
 MAX_COMMAND = 4096
 """bytes: one write to a pipe that is whole or nothing."""
+
+_MAX_ENTRIES = 16
+"""Entries of an array that comes in; each of ours has three at most, one of a later release may have more."""
 
 TOLD_ONCE = (
     "*/status", "app/*/status", "app/*/parameters", "app/*/epoch", "mesh/members", "mesh/stopped", "mesh/topology",
@@ -137,6 +140,28 @@ def watch(bus: Bus, robot: str, take: Callable[[str, bytes], None], alive: Calla
     bus.on_change(ask)
 
 
+def unpacked(parts: Iterable[bytes], longest: int) -> Iterator[object]:
+    """Yield the values in a stream of msgpack that comes in parts, in the memory that a value of `longest` bytes needs.
+
+    Raises `PayloadError` where it is no msgpack, an array has too many entries, or a value is longer.
+    """
+    # A list is made as long as its header claims, and so are those that begin within it. The unpacker's bound for its
+    # buffer does not count the bytes that have become entries of a list which is not yet whole.
+    unpacker = msgpack.Unpacker(max_array_len=_MAX_ENTRIES)
+    begun = 0
+    for part in parts:
+        begun += len(part)
+        try:
+            unpacker.feed(part)
+            for value in unpacker:
+                begun = 0
+                yield value
+        except (ValueError, TypeError, OverflowError, msgpack.UnpackException) as error:
+            raise PayloadError(f"it is no msgpack: {type(error).__name__}") from None
+        if begun > longest:
+            raise PayloadError(f"a value is longer than {longest} bytes")
+
+
 def publish(bus: Bus, command: object) -> None:
     """Publish what the page wants said on the bus; anything that is no command is left out."""
     match command:
@@ -182,10 +207,10 @@ def main() -> None:
         telling.start()
         try:
             bus.wait_connected(_BUS_S)
-            for command in _commands(ended):
+            for command in unpacked(_input(ended), MAX_COMMAND):
                 publish(bus, command)
-        except (ValueError, TypeError, msgpack.UnpackException) as error:
-            sys.exit(f"lookout: the input is no sequence of commands: {type(error).__name__}")
+        except PayloadError as error:
+            sys.exit(f"lookout: the input is no sequence of commands: {error}")
         finally:
             # A thread that comes back from Zenoh while the interpreter ends would abort the process. One that waits for
             # a slow reader may stay where it is.
@@ -193,16 +218,14 @@ def main() -> None:
             telling.join(_END_S)
 
 
-def _commands(ended: int) -> Iterator[object]:
-    """Commands as they arrive, until the input ends or `ended` (an eventfd) is set."""
-    unpacker = msgpack.Unpacker(max_buffer_size=16 * MAX_COMMAND)
+def _input(ended: int) -> Iterator[bytes]:
+    """The input as it arrives, until it ends or `ended` (an eventfd) is set."""
     source = sys.stdin.fileno()
     while source in select.select([source, ended], [], [])[0]:
         data = os.read(source, MAX_COMMAND)
         if not data:
             return
-        unpacker.feed(data)
-        yield from unpacker
+        yield data
 
 
 def _write(data: bytes) -> None:

@@ -51,6 +51,10 @@ def test_every_module_that_takes_bytes_apart_is_in_the_table_or_says_why_not() -
     assert all((ROOT / module).is_file() for module in covered)
 
 
+def test_a_streams_unpacker_is_a_means_to_take_bytes_apart() -> None:
+    assert "swarm/onboard/lookout.py" in taking_apart()
+
+
 def test_the_golden_recording_has_all_that_a_file_of_ours_can_have(tmp_path: Path) -> None:
     path = tmp_path / "golden.mcap"
     path.write_bytes(recording())

@@ -10,16 +10,17 @@ import subprocess
 import tempfile
 import threading
 from collections.abc import Callable
+from functools import partial
 from typing import IO
 
 import msgpack
 
 from laptop.fleet.ssh.ssh import Host, Ssh, explain, last_words
 from swarm import clock
-from swarm.errors import LocalError
+from swarm.errors import LocalError, PayloadError
 from swarm.messages import Arm
-from swarm.messages.codec import encode
-from swarm.onboard.lookout import MAX_COMMAND
+from swarm.messages.codec import MAX_PAYLOAD, encode
+from swarm.onboard.lookout import MAX_COMMAND, unpacked
 
 PROGRAM = "sudo -n /opt/swarm/current/bin/python -P -m swarm.onboard.lookout"
 RETRY_S = (1.0, 2.0, 5.0)
@@ -32,8 +33,8 @@ _END_S = 2.0
 _GARBAGE = "it says what this program does not understand: is its release another one?"
 
 _log = logging.getLogger("view")
-_LARGEST = 4 << 20
-"""The most bytes of one message of a robot, four times the largest message on a bus."""
+_LARGEST = 4 * MAX_PAYLOAD
+"""The most bytes of one message of a robot, four times the largest one that its lookout passes on."""
 
 
 class Tunnel:
@@ -143,15 +144,9 @@ class Tunnel:
 
     def _read(self, stream: IO[bytes]) -> tuple[bool, str]:
         """Take what the robot says until it ends; whether there was anything, and what was wrong with it."""
-        unpacker = msgpack.Unpacker(max_buffer_size=_LARGEST)
         heard = False
-        while data := stream.read(1 << 16):
-            try:
-                unpacker.feed(data)
-                messages = list(unpacker)
-            except (ValueError, TypeError, msgpack.UnpackException):
-                return heard, _GARBAGE
-            for said in messages:
+        try:
+            for said in unpacked(iter(partial(stream.read, 1 << 16), b""), _LARGEST):
                 if not isinstance(said, list) or not said:
                     return heard, _GARBAGE
                 if not heard:
@@ -164,6 +159,8 @@ class Tunnel:
                     self._take(said)
                 except Exception:  # noqa: BLE001 - a defect here; the way to this robot may be needed for a stop
                     _log.exception("a message that came through %s could not be taken", self.host.robot)
+        except PayloadError:
+            return heard, _GARBAGE
         return heard, ""
 
     def _tell(self, connected: bool, problem: str) -> None:

@@ -15,7 +15,7 @@ from laptop.fleet.ssh.ssh import Host
 from laptop.view.actions.control import Control
 from laptop.view.feeds.picture import REACH
 from laptop.view.feeds.robots import Robots
-from laptop.view.feeds.tunnel import Tunnel
+from laptop.view.feeds.tunnel import _GARBAGE, Tunnel
 from swarm import clock
 from swarm.config import parse
 from swarm.messages import Arm, View
@@ -136,6 +136,20 @@ def test_a_defect_in_taking_a_message_leaves_the_connection(tmp_path: Path, capl
     assert tunnel.connected
     tunnel.close()
     assert caplog.text.count("a message that came through r0 could not be taken") == 2
+
+
+ENDLESS = b"\x9f" + (b"\x9f" + b"\x90" * 15) * 15
+"""A list with lists in it, as an entry of a list that does not end."""
+
+
+@pytest.mark.parametrize("said", [b"\xdc\xff\xff" * 500, b"\x9f" * 900 + ENDLESS * 9000])
+def test_a_robot_that_says_endless_lists_is_named_and_heard_no_more(tmp_path: Path, said: bytes) -> None:
+    ssh: Any = Ssh(tmp_path, messages(["bus", True]) + said)
+    taken: list[list[object]] = []
+    tunnel = Tunnel(ssh, Host("r0", "r0"), taken.append, lambda: None)
+    wait_until(lambda: tunnel.problem == _GARBAGE)
+    tunnel.close()
+    assert taken[0] == ["bus", True]
 
 
 def test_the_end_of_a_stop_goes_with_the_robots_time_or_not_at_all(

@@ -5,6 +5,7 @@ import os
 import struct
 import subprocess
 import termios
+import tracemalloc
 from pathlib import Path
 
 import msgpack
@@ -14,10 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarm.bus.zenoh_bus import Bus
-from swarm.errors import LocalError
+from swarm.errors import LocalError, PayloadError
 from swarm.messages import Arm, Stop, read
 from swarm.messages.codec import MAX_PAYLOAD, encode
-from swarm.onboard.lookout import MAX_KEYS, MAX_WAITING, Lookout, publish
+from swarm.onboard.lookout import MAX_COMMAND, MAX_KEYS, MAX_WAITING, Lookout, publish, unpacked
 from swarm.process.paths import BUS_SOCKET
 
 FLOOD = bytes(60_000)
@@ -103,6 +104,32 @@ def test_lookout_ends_with_a_reason_where_its_input_is_no_msgpack(processes: Pro
     assert lookout.wait(60.0) == 1
     assert said.startswith("lookout: the input is no sequence of commands")
     assert "Traceback" not in said
+
+
+@pytest.mark.parametrize("header", [b"\xdc\xff\xff", b"\xdd\x00\x00\xff\xff"])
+def test_nested_lists_that_claim_a_length_take_no_memory_for_it(header: bytes) -> None:
+    tracemalloc.start()
+    try:
+        with pytest.raises(PayloadError):
+            list(unpacked([header * 500], MAX_COMMAND))
+        assert tracemalloc.get_traced_memory()[1] < 2 << 20  # an unpacker's buffer has 1 MiB
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("begin", [b"\x9f" * 500, b"\xc6\x00\xff\xff\xff"])
+def test_a_value_without_an_end_is_refused_once_it_is_too_long(begin: bytes) -> None:
+    left = iter([begin] + [b"\x9f" + b"\x90" * 15] * 1000)
+    with pytest.raises(PayloadError, match="a value is longer than 4096 bytes"):
+        list(unpacked(left, MAX_COMMAND))
+    assert len(list(left)) >= 1000 - MAX_COMMAND // 16
+
+
+@given(st.lists(st.lists(st.binary(max_size=50), max_size=3), max_size=20), st.integers(1, 60))
+def test_values_come_out_of_a_stream_however_it_is_cut(values: list[list[bytes]], size: int) -> None:
+    stream = b"".join(map(msgpack.packb, values))
+    parts = [stream[at : at + size] for at in range(0, len(stream), size)]
+    assert list(unpacked(parts, max(len(msgpack.packb(each)) for each in [*values, []]))) == values
 
 
 class Taker:
