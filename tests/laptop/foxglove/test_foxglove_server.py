@@ -14,6 +14,7 @@ import pytest
 pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 pytest.importorskip("foxglove", reason="the extra foxglove is not installed")
 import aiohttp
+from conftest import wait_until
 
 from laptop.foxglove.server import FoxgloveServer
 from laptop.view.actions.control import Control
@@ -142,6 +143,23 @@ def test_a_client_that_comes_late_is_told_what_was_said_before(served: FoxgloveS
         assert json.loads(by_topic["swarm/r0/dwm/pose"]["schema"])["title"] == "foxglove.PoseInFrame"
 
     talk(served.port, look)
+    talk(served.port, look)
+
+
+def test_a_step_that_fails_does_not_end_those_after_it(
+    served: FoxgloveServer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fail(_: int) -> list[str]:
+        raise KeyError("a defect")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(served, "_look", fail)
+        wait_until(lambda: "a step for Foxglove has failed" in caplog.text)
+
+    async def look(client: Client, _: Any) -> None:
+        while "swarm/r0/dwm/pose" not in client.newest:
+            await client.hear()
+
     talk(served.port, look)
 
 
