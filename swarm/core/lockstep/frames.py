@@ -123,6 +123,13 @@ class HeardNeighbour:
     """The neighbour's values, that of iteration k in place k % 3: k and k+1 to be used, k-1 (used already) to be
     compared."""
 
+    def contradicted(self, frame: Step, k: int) -> int | None:
+        """Return the iteration for which a frame has another value than was heard. `k` is the own iteration."""
+        for at, value in ((frame.k - 1, frame.previous), (frame.k, frame.value)):
+            if value is not None and k - 1 <= at <= k + 1 and self.slots[at % 3] not in (None, value):
+                return at
+        return None
+
 
 _SNAPSHOT = struct.Struct("<4sQIIIIBI")
 _PEER = struct.Struct("<QBIBB")

@@ -223,6 +223,8 @@ class Lockstep:
                 self._links.speaks(sender)
             if channel.incarnation < peer.incarnation:
                 self.counters["old incarnation"] += 1
+                if isinstance(frame, Step) and (at := peer.contradicted(frame, self.k)) is not None:
+                    self._fail(f"two values for one iteration: {sender} sent two different states for iteration {at}")
             elif self.fault is None:
                 useful = self._accept(sender, peer, channel.incarnation, frame)
                 if around and useful:

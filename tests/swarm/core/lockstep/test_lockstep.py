@@ -6,7 +6,7 @@ import pytest
 from lockstep_core import OURS, THEIRS, at, core, kinds, last_save, resumed, started, step_of, wants
 from lockstep_world import RUN
 
-from swarm.core.lockstep.actions import Advanced, Compute, Finished, Save, Send, Waiting
+from swarm.core.lockstep.actions import Advanced, Compute, Fault, Finished, Save, Send, Waiting
 from swarm.core.lockstep.frames import (
     MAX_ITERATION,
     Snapshot,
@@ -108,10 +108,24 @@ def test_an_older_incarnation_is_ignored():
     one.actions()
     older = dataclasses.replace(THEIRS, incarnation=4)
     one.receive("r1", older, encode_step(1, b"zz", b"b0"), 0.0)
-    one.receive("r1", older, encode_step(0, b"zz", None), 0.0)
+    one.receive("r1", older, encode_step(0, b"b0", None), 0.0)
     one.receive("r1", older, encode_want(0), 0.0)
-    assert one.counters == {"old incarnation": 3}
+    one.receive("r1", older, encode_step(7, b"zz", b"zz"), 0.0)
+    assert one.counters == {"old incarnation": 4}
     assert one.actions() == []
+
+
+@pytest.mark.parametrize(
+    "frame", [encode_step(2, b"zz", b"b1"), encode_step(3, b"b3", b"zz"), encode_step(1, b"zz", b"b0")]
+)
+def test_a_value_that_an_older_incarnation_contradicts_is_a_fault(frame):
+    """As where a member has sent one in the name of another with an incarnation that is far ahead."""
+    one = at(2)
+    one.receive("r1", dataclasses.replace(THEIRS, incarnation=2**64 - 1), step_of(2), 0.0, around=True)
+    one.actions()
+    one.receive("r1", THEIRS, frame, 0.1)
+    assert "two values for one iteration: r1" in one.fault
+    assert kinds(one.actions()) == [Fault]
 
 
 def test_a_malformed_frame_does_not_claim_an_incarnation():
