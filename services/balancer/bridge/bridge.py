@@ -46,6 +46,8 @@ ASK_S = 1.0
 UNANSWERED = 5
 """Questions in a row without an answer after which the bridge is deaf: it would hear no stop either. Counted, not
 timed: a bridge that got no processor time has asked nothing meanwhile."""
+MAX_APPS = 16
+"""Apps whose states wait for the display, at most."""
 _POLL_S = 0.25
 """How soon a SIGTERM is seen."""
 _TURN_S = 0.01
@@ -71,6 +73,8 @@ class _Relay:
         self._unanswered = 0
         """Questions to the router since its last answer."""
         self._composer = Composer(service.robot)
+        self._app_states: dict[str, bytes] = {}
+        """The newest states of apps by key, which the display does not show yet."""
         self._side = BusSide(service, clock.now, self, stopped=stopped)
         self._side.listen(self._put)
         service.bus.subscribe([key(service.robot, "app", "*", "state", THROTTLED)], self._app_state)
@@ -130,6 +134,7 @@ class _Relay:
 
     def _publish(self, message: LoopMessage) -> None:
         if isinstance(message, BalancerState):
+            self._show_apps()
             self._composer.take_state(message)
             text = self._composer.lines(self._heard)
             if text is not None and not self.take(text, self._heard):
@@ -175,10 +180,17 @@ class _Relay:
             self._side.command(name, payload, heard)
 
     def _app_state(self, name: str, payload: bytes) -> None:
-        """Show an app's state on the display. Zenoh's thread calls this. Damaged samples are ignored."""
-        with contextlib.suppress(PayloadError):
-            if isinstance(message := read(name, payload), AppState):
-                self._composer.take_app(parse(name).topic.partition("/")[0], message)
+        """Put an app's state aside for the display. Zenoh's thread calls this: it decodes nothing, as a stop waits."""
+        if name in self._app_states or len(self._app_states) < MAX_APPS:
+            self._app_states[name] = payload
+
+    def _show_apps(self) -> None:
+        """Show the apps' newest states. Damaged samples are ignored."""
+        states, self._app_states = self._app_states, {}
+        for name, payload in list(states.items()):
+            with contextlib.suppress(PayloadError):
+                if isinstance(message := read(name, payload), AppState):
+                    self._composer.take_app(parse(name).topic.partition("/")[0], message)
 
 
 def main() -> None:
