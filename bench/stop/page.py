@@ -25,7 +25,7 @@ class Page:
         self._ended = asyncio.Event()
         self._answers: asyncio.Queue[dict[str, object]] = asyncio.Queue()
         self._opened: Future[aiohttp.ClientWebSocketResponse] = Future()
-        self._thread = threading.Thread(target=self._run, name="page")
+        self._thread = threading.Thread(target=self._run, name="page", daemon=True)
 
     def __enter__(self) -> "Page":
         self._thread.start()
@@ -33,8 +33,9 @@ class Page:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._loop.call_soon_threadsafe(self._ended.set)
-        self._thread.join()
+        with contextlib.suppress(RuntimeError):  # its thread has failed, and has told why
+            self._loop.call_soon_threadsafe(self._ended.set)
+        self._thread.join(PATIENCE_S)
 
     def stop(self) -> None:
         """Press the stop button; the stop was given when this returns."""

@@ -23,6 +23,8 @@ except ModuleNotFoundError:
 
 PERIOD = 0.05
 """Seconds between two searches for new messages."""
+FAILED_S = 0.5
+"""Seconds without work after some has failed."""
 HOST = "127.0.0.1"
 
 _log = logging.getLogger("foxglove")
@@ -122,6 +124,7 @@ class FoxgloveServer:
                     work()
                 except Exception:  # noqa: BLE001 - a defect here; what robots have not confirmed is repeated all the same
                     _log.exception("a step for Foxglove has failed")
+                    self._closing.wait(FAILED_S)
 
     def _tell(self) -> None:
         told = self._look(time.time_ns())

@@ -140,7 +140,8 @@ class ProcessRun:
                 words = f"{child.robot} {child.service} {child.given_up}{reason}"
                 # Another app is one beside, or one that somebody has started.
                 if child.service not in (*self._services, RADIO):
-                    self._progress.say(words)
+                    for each in words.splitlines():
+                        self._progress.say(each)
                     if child.service in self._beside:
                         self._problems.append(f"{child.robot} {child.service} {child.given_up}: {child.last_words()}")
                     continue

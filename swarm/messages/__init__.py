@@ -112,7 +112,7 @@ def type_of(key: str) -> type | None:
 def read(key: str, payload: bytes) -> object:
     """Decode a payload by its key; `PayloadError` where the key is unknown or the payload not of its type.
 
-    Any payload under `swarm/stop` is a `Stop`: every reader of that key has to take this function.
+    Any payload under `swarm/stop` is a `Stop`: every reader of that key has to take this function or `stop_of`.
     """
     if key == STOP:
         return stop_of(payload)

@@ -78,7 +78,7 @@ class Within:
 
 
 Measured = Annotated[float, Within(1e7)]
-"""A length in m or an angle in rad. Its bound is above any real one, also above that of a path of days."""
+"""A length in m, an angle in rad or an age in s. Its bound is above any real one, also above that of a path of days."""
 
 
 def encode(message: object) -> bytes:

@@ -8,6 +8,7 @@ moves by `swarm arm`: balancers wait for a command.
 
 import argparse
 import contextlib
+import os
 import subprocess
 from collections.abc import Container, Mapping
 from dataclasses import asdict
@@ -93,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
             buses.find(args), stop=args.act == "stop", reason=args.reason, timeout=args.timeout, since=args.since
         )
     except SwarmError as error:  # no bus, or no configuration that says who this is
-        if args.act != "stop" or not DEFAULT_RUNTIME.is_dir():
+        if args.act != "stop" or not _is_robots_own(args):
             raise
         raise LocalError(f"{error}; {_end_balancer()}") from None
     done = all(row.confirmed for row in reached(rows))
@@ -216,6 +217,12 @@ def _remark(row: Row, *, stop: bool) -> str:
     if stop and row.stopped:
         return "its motors are on" if row.mode else "its balancer tells no state: sudo systemctl stop swarm-balancer"
     return "not confirmed"
+
+
+def _is_robots_own(args: argparse.Namespace) -> bool:
+    """Return whether this is a robot, and its own bus is meant."""
+    runtime = os.environ.get("SWARM_RUNTIME", str(DEFAULT_RUNTIME))
+    return not (args.run_dir or args.robots) and runtime == str(DEFAULT_RUNTIME) and DEFAULT_RUNTIME.is_dir()
 
 
 def _end_balancer() -> str:

@@ -35,7 +35,7 @@ class Traffic:
         self._lock = threading.Lock()
         self._counts: dict[str, int] = {}
         self._heard = 0
-        """Messages heard since the last decision; the next one may be far where a slow reader holds up the caller."""
+        """Messages heard since the last decision. Only their number is kept: a slow reader may hold up the next one."""
         self._senders: set[str] = set()
         """The robots that sent them."""
         self._calm = False

@@ -144,6 +144,7 @@ class SimulationFeed(RealTime):
                 self._look_once()
             except Exception:  # noqa: BLE001 - a defect here; the next look may do better
                 _log.exception("a look at the simulation has failed")
+                self._closing.wait(_LOOK_EVERY)
 
     def _look_once(self) -> None:
         self.live = is_live(self.directory)

@@ -85,10 +85,14 @@ class _Packed:
         self.value: object = None
 
     def decode(self, topic: str) -> object:
-        """Return the message. Where it is none, raise `PayloadError` once, then return `_NOTHING`."""
+        """Return the message. Where it is none, raise `PayloadError` once, then return `_NOTHING`. Several threads may
+        call this at the same time."""
         if self.value is None:
-            self.value = _NOTHING
-            self.value = _message(topic, self.payload)
+            try:
+                self.value = _message(topic, self.payload)
+            except PayloadError:
+                self.value = _NOTHING
+                raise
         return self.value
 
 

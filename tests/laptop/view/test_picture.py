@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from laptop.view.feeds import picture as module
 from laptop.view.feeds.history import HISTORY_S, HISTORY_STEP_S, MAX_KEY, MAX_ROBOT, History
 from laptop.view.feeds.picture import (
     MAX_EVENTS,
@@ -277,6 +278,24 @@ def test_what_a_robot_says_at_its_most_takes_a_bounded_amount_of_memory() -> Non
         picture.take("r1", "swarm/r1/app/x/mine/1", payload, float(t))
     rows = list(picture.history("r1", "app/x/mine/1"))
     assert MAX_KEY - 2 * MAX_PAYLOAD <= len(rows) * len(payload) <= MAX_KEY
+
+
+def test_two_pages_that_look_at_the_same_time_are_told_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each in its thread: one looks while the other one decodes."""
+    told: list[dict[str, dict[str, object]]] = []
+    message = module._message
+
+    def slow(topic: str, payload: bytes) -> object:
+        if not told:
+            told.append({})
+            told.append(shown(picture))
+        return message(topic, payload)
+
+    monkeypatch.setattr(module, "_message", slow)
+    picture = Picture()
+    picture.take("r0", "swarm/r0/app/x/mine", msgpack.packb([1]), 0.0)
+    assert told == []
+    assert shown(picture) == told[1] == {"r0": {"app/x/mine": [1]}}
 
 
 def test_a_look_back_at_a_robot_takes_no_more_than_a_look_at_it_now() -> None:

@@ -8,8 +8,8 @@ announces.
 
 **Window.** The kernel takes 50 kB for an RFCOMM socket, 650 ms at its 78 kB/s, and nothing can overtake what it
 holds. So the other end acknowledges bytes (ACK: taken off the stream so far), and bulk leaves only while the bytes
-under way are fewer than a window. Control is never held back; sync is let `SYNC_EXTRA` bytes further, so that a flood
-of it cannot fill the queue either.
+under way are fewer than a window. Sync and control are let `SYNC_EXTRA` bytes further, so that a flood of them cannot
+fill the queue either. A stop is never held back.
 
 The window looks for the knee (Jain 1989): the smallest one that still gives nearly all of the link's rate, since above
 it bytes only wait. While bulk keeps it full, a window of 6 % more and one of 10 % less are tried in turn, and the
@@ -283,7 +283,8 @@ class SendWindow:
 
     def free(self, size: int, now: float) -> float:
         """Bytes that may still leave when `size` are about to be written. Bulk needs a positive number, and there is
-        none before `next_bulk`; sync may make it as low as -`SYNC_EXTRA`."""
+        none before `next_bulk`; sync and control may make it as low as
+        -`SYNC_EXTRA`."""
         free = self.limit - (self.sent - self.acknowledged) - size
         return free if now >= self.next_bulk else min(free, 0.0)
 

@@ -226,8 +226,19 @@ class Register:
         return self._repeat_at if self._waiting is None else min(self._repeat_at, self._stopped_at + SPACING)
 
     def _admitted(self, halt: Halt) -> Halt:
-        """Return what is said of robots of our configuration, and of as many others as there is room for."""
+        """Return what is said of robots of our configuration, and of as many others as there is room for. A stop that
+        holds takes the place of those that were taken back."""
         strangers = (self._stops.keys() | self._arms.keys()) - self._robots
+        for name, (mark, _) in halt.stops.items():
+            if name in self._robots or name in strangers or mark <= halt.arms.get(name, _NONE):
+                continue
+            if len(strangers) >= MAX_STRANGERS:
+                for old in strangers - self.stops.keys():
+                    strangers.remove(old)
+                    for known in (self._stops, self._arms, self._known_since):
+                        known.pop(old, None)
+            if len(strangers) < MAX_STRANGERS:
+                strangers.add(name)
         for name in (*halt.stops, *halt.arms):
             if name not in self._robots and len(strangers) < MAX_STRANGERS:
                 strangers.add(name)

@@ -316,6 +316,19 @@ def test_the_stops_of_robots_that_nobody_knows_are_bounded() -> None:
     assert not stopped(world, "r0").stopped
     hear([names[0], "r1"], [])
     assert stopped(world, "r0").by == {"r1": ""}
+    # One that holds takes the room of those that were taken back.
+    hear(["z"], [])
+    assert stopped(world, "r0").by == {"r1": "", "z": ""}
+
+
+def test_a_stop_that_holds_is_restored_before_any_number_of_those_that_were_taken_back() -> None:
+    """All of them of robots that are no longer in the configuration."""
+    world = World(line(2))
+    mark = Mark(2**60, 1)
+    names = [f"a{number:03}" for number in range(2 * MAX_STRANGERS)]
+    kept = Halt(dict.fromkeys((*names, "z"), (mark, "")), dict.fromkeys(names, mark))
+    world.step("r0", lambda each: each.restore_stops(kept, world.now))
+    assert stopped(world, "r0").by == {"z": ""}
 
 
 def test_a_word_that_is_none_is_a_bad_packet() -> None:
