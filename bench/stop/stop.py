@@ -67,10 +67,7 @@ def _payload(*, newer: bool) -> tuple[float, bytes]:
 
 def _by_page(robots: RobotsOnALine, *, newer: bool) -> float:
     began = clock.now()
-    if newer:
-        with _replaced(control, "Stop", NewerStop):
-            robots.page.stop()
-    else:
+    with _replaced(control, "Stop", NewerStop) if newer else contextlib.nullcontext():
         robots.page.stop()
     return began
 

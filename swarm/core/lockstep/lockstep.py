@@ -224,7 +224,7 @@ class Lockstep:
             if channel.incarnation < peer.incarnation:
                 self.counters["old incarnation"] += 1
                 if isinstance(frame, Step) and (at := peer.contradicted(frame, self.k)) is not None:
-                    self._fail(f"two values for one iteration: {sender} sent two different states for iteration {at}")
+                    self._fail_of_two_values(sender, at)
             elif self.fault is None:
                 useful = self._accept(sender, peer, channel.incarnation, frame)
                 if around and useful:
@@ -285,11 +285,14 @@ class Lockstep:
                         peer.slots[k % 3] = value
                         new = True
                 elif held != value:
-                    self._fail(f"two values for one iteration: {sender} sent two different states for iteration {k}")
+                    self._fail_of_two_values(sender, k)
             if new:
                 return True
             self.counters["duplicate"] += 1
         return False
+
+    def _fail_of_two_values(self, sender: str, k: int) -> None:
+        self._fail(f"two values for one iteration: {sender} sent two different states for iteration {k}")
 
     def _fail(self, reason: str) -> None:
         if self.fault is None:

@@ -6,8 +6,8 @@ swarm is stopped while there is a stop above its re-arm. Merging takes the great
 in which order, how late or how often news arrive: a late copy of a stop is not above its re-arm, and a re-arm takes
 no stop back that it did not know of.
 
-Whatever is new to a robot it sends to its other neighbours at once, before all else that waits for the link. It sends
-everything to a neighbour whose link came up, after 1 s and then every 10 s.
+What is new to a robot it sends to its other neighbours at once, ahead of everything that waits for their links. All
+that it knows it sends to a neighbour whose link came up, and to all neighbours 1 s after news and then every 10 s.
 
 `Register` is that register, `Stops` tells this robot's bus, and the swarm, which robots have stopped the swarm.
 """
