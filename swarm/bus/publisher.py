@@ -6,6 +6,8 @@ from swarm.messages.keys import STOP
 
 _CERTAIN_S = 1.0
 """Seconds after which a router has told who listens."""
+_ARM = "/mesh/set/arm"
+"""What the keys end with that take stops back."""
 
 
 class Audience:
@@ -67,7 +69,8 @@ class Publisher:
 
 
 def _priority(key: str, urgent: bool) -> zenoh.Priority:
-    """Stops have a queue of their own, here as in the router: they wait for nothing else, however urgent it is."""
-    if key == STOP:
+    """Stops have a queue of their own, here as in the router: they wait for nothing else, however urgent it is. What
+    takes them back shares it, since whoever arms the swarm and then stops it must be heard in this order."""
+    if key == STOP or key.endswith(_ARM):
         return zenoh.Priority.REAL_TIME
     return zenoh.Priority.INTERACTIVE_HIGH if urgent else zenoh.Priority.DATA

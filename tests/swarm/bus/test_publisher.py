@@ -84,3 +84,17 @@ def test_keys_that_nobody_uses_any_more_are_let_go(open_bus: Open) -> None:
     assert len(alice._publishers) == 256
     gc.collect()
     assert sum(isinstance(each, Publisher) for each in gc.get_objects()) <= 256, "Zenoh holds none of them"
+
+
+@pytest.mark.usefixtures("bus_service")
+def test_a_stop_does_not_overtake_the_arming_that_was_published_before_it(open_bus: Open) -> None:
+    alice = open_bus()
+    alice.wait_connected(None)
+    wait_until(lambda: alice._session is not None)
+    stop, arm, other = "swarm/stop", "swarm/r0/mesh/set/arm", "swarm/r0/mesh/set/flood"
+    for key in (arm, stop, other):
+        alice.publish(key, b"", urgent=True)
+    # Zenoh keeps the order within a priority, and only there.
+    priority = {key: alice._publishers[key, True]._publisher.priority for key in (arm, stop, other)}
+    assert priority[arm] == priority[stop]
+    assert priority[stop] != priority[other], "a stop waits for no urgent message"
