@@ -7,14 +7,13 @@ import logging
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from services.apps.persistence import run_file
 from swarm.app.sync_app import BaseApp
-from swarm.errors import AppError, PayloadError
-from swarm.files import atomic_write
+from swarm.errors import AppError
 from swarm.frozen import frozen
 from swarm.messages import AppParameter, AppParameters, AppParametersSet, SetAppParameters
-from swarm.messages.codec import Value, decode, encode
+from swarm.messages.codec import Value, encode
 from swarm.messages.keys import key
-from swarm.process.paths import VOLATILE
 from swarm.process.runtime import Runtime, listen
 
 
@@ -92,21 +91,15 @@ class Changes:
         if self._path is None:
             return
         try:
-            atomic_write(self._path, encode(_Kept(self._run, self._kept)), unsynced=VOLATILE)
+            run_file.write(self._path, _Kept(self._run, self._kept))
         except OSError as error:
             _log.warning("%s: %s; a restart will not know what was changed", self._path, error.strerror)
 
     def _read(self) -> dict[str, Value]:
         if self._path is None:
             return {}
-        try:
-            kept = decode(_Kept, self._path.read_bytes(), str(self._path))
-        except FileNotFoundError:
-            return {}
-        except (OSError, PayloadError) as error:
-            _log.warning("%s; what was changed while the app ran is forgotten", error)
-            return {}
-        return kept.parameters if kept.run == self._run else {}
+        kept = run_file.read(_Kept, self._path, self._run, "what was changed while the app ran is forgotten")
+        return {} if kept is None else kept.parameters
 
 
 def in_force(app: BaseApp, now: float) -> AppParameters:

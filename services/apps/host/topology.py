@@ -5,7 +5,6 @@ run's epoch, and with it part of the channel: hosts that began on different link
 that is started anew in mid-run goes on with the links that its run began with, whatever holds then.
 """
 
-import logging
 import threading
 import zlib
 from collections import deque
@@ -15,19 +14,18 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+from services.apps.persistence import run_file
 from swarm import clock
 from swarm.app.run_options import RunOptions
 from swarm.config import Config
 from swarm.core.epochs.notes import Epoch, first
 from swarm.core.graph import Edge, Graph
 from swarm.core.lockstep.frames import Channel
-from swarm.errors import LocalError, PayloadError
-from swarm.files import atomic_write
+from swarm.errors import LocalError
 from swarm.frozen import frozen
 from swarm.messages import AppProgress, Topology
-from swarm.messages.codec import decode, decoded, encode
+from swarm.messages.codec import decoded
 from swarm.messages.keys import key
-from swarm.process.paths import VOLATILE
 from swarm.process.runtime import refuse
 from swarm.process.service import Service
 
@@ -43,8 +41,6 @@ TELL_EVERY = 1.0
 SETTLED = 5.0
 """Seconds for which an automatic topology must have stayed the same: hosts that start together then have the same
 one."""
-
-_log = logging.getLogger("topology")
 
 
 class RunPlace(NamedTuple):
@@ -93,8 +89,9 @@ class _Kept:
 def of_run(service: Service, app: str, run: int) -> RunLinks | None:
     """The links of a run; waits for the mesh where they are not known yet. None = told to stop."""
     config = service.config
-    if (kept := _load(_path(service.runtime, app), run)) is not None:
-        return of_edges(config, kept, kept=True)
+    kept = run_file.read(_Kept, _path(service.runtime, app), run, "the links in force hold")
+    if kept is not None:
+        return of_edges(config, kept.edges, kept=True)
     if len(config.robots) == 1:
         return of_edges(config, ())
     answers: deque[Topology] = deque(maxlen=1)
@@ -137,7 +134,7 @@ def save(runtime: Path, app: str, run: int, links: RunLinks) -> None:
     """Keep the links for the later processes of the run; `LocalError` where that cannot be."""
     path = _path(runtime, app)
     try:
-        atomic_write(path, encode(_Kept(run, links.config.edges)), unsynced=VOLATILE)
+        run_file.write(path, _Kept(run, links.config.edges))
     except OSError as error:
         raise LocalError(f"{path}: {error.strerror}") from None
 
@@ -205,17 +202,6 @@ class TopologyWatch:
 
 def _path(runtime: Path, app: str) -> Path:
     return runtime / f"app.{app}.topology"
-
-
-def _load(path: Path, run: int) -> tuple[Edge, ...] | None:
-    try:
-        kept = decode(_Kept, path.read_bytes(), str(path))
-    except FileNotFoundError:
-        return None
-    except (OSError, PayloadError) as error:
-        _log.warning("%s; the links in force hold", error)
-        return None
-    return kept.edges if kept.run == run else None
 
 
 def of_edges(config: Config, edges: tuple[Edge, ...], *, kept: bool = False) -> RunLinks:

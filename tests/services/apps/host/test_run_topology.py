@@ -14,6 +14,7 @@ from memory_swarm import config_of
 
 from services.apps.host import topology
 from services.apps.host.topology import CONFIGURED, SETTLED, TopologyWatch, lacking
+from services.apps.persistence import run_file
 from swarm.core.lockstep.frames import Channel
 from swarm.messages import Topology
 from swarm.messages.codec import encode
@@ -112,11 +113,13 @@ def test_what_is_kept_belongs_to_one_run(runtime) -> None:
     links = topology.of_edges(config, STAR)
     path = runtime / "app.consensus.topology"
     topology.save(runtime, "consensus", 2**64 - 1, links)
-    assert topology._load(path, 2**64 - 1) == STAR
-    assert topology._load(path, 7) is None
+    kept = run_file.read(topology._Kept, path, 2**64 - 1, "")
+    assert kept is not None
+    assert kept.edges == STAR
+    assert run_file.read(topology._Kept, path, 7, "") is None
     path.write_bytes(path.read_bytes()[:-1])
-    assert topology._load(path, 2**64 - 1) is None
-    assert topology._load(runtime / "none", 7) is None
+    assert run_file.read(topology._Kept, path, 2**64 - 1, "") is None
+    assert run_file.read(topology._Kept, runtime / "none", 7, "") is None
 
 
 def test_only_a_missing_link_that_is_waited_for_is_a_reason() -> None:
