@@ -6,6 +6,7 @@ from dataclasses import field
 
 from sim.core.scene_record import SceneRecord
 from sim.scenario.scenario import Scenario
+from swarm.app.parameters import number_or_text
 from swarm.core.percentile import percentile
 from swarm.frozen import frozen
 from swarm.messages import BalancerState
@@ -277,13 +278,10 @@ def _mismatch(scenario: Scenario, paths: Mapping[str, Trajectory], deviation: fl
 
 def _number(text: str) -> object:
     """Return a table's cell as the value from which it was written."""
-    for convert in (int, float):
-        try:
-            number = convert(text)
-        except ValueError:
-            continue
-        return number if math.isfinite(number) else None
-    return {"True": True, "False": False, "": None}.get(text, text)
+    value = number_or_text(text)
+    if isinstance(value, str):
+        return {"True": True, "False": False, "": None}.get(value, value)
+    return value if math.isfinite(value) else None
 
 
 def _rounded(value: float | None, digits: int) -> float | None:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 from sim import scene
 from sim.report import Json, RunOutcome, estimate, is_consensus, is_metric, result
+from swarm.process.terminal import columns
 from swarm.recording import trajectory
 from swarm.recording.trajectory import Trajectory
 
@@ -21,21 +22,14 @@ def table(report: Json, outcome: RunOutcome) -> str:
     for name in names[:MOST_ROWS]:
         path = outcome.trajectories.get(name, trajectory.EMPTY)
         rows.append((name, str(max(path.last, 0)), *_cells(outcome, name), str(outcome.restarts[name])))
-    lines = _aligned(rows)
+    lines = columns(rows, right=True, rule=True)
     for app, others in outcome.beside.items():
         rows = [("robot", "iterations", f"result of {app}, which ran beside")]
         rows += [(name, str(max(others[name].last, 0)), _results(others[name])) for name in names[:MOST_ROWS]]
-        lines += ["", *_aligned(rows)]
+        lines += ["", *columns(rows, right=True, rule=True)]
     if len(names) > MOST_ROWS:
         lines.append(f"... and {len(names) - MOST_ROWS} robots more (--json has all)")
     return "\n".join([*lines, "", *_sentences(report, outcome)])
-
-
-def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
-    lines.insert(1, "  ".join("-" * width for width in widths))
-    return lines
 
 
 def _results(path: Trajectory) -> str:

@@ -6,13 +6,13 @@ A datagram to RUN/orders.sock, which the simulation answers: msgpack maps both w
 import socket
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import msgpack
 
 from swarm.app.settings import parse
 from swarm.errors import LocalError, PayloadError
-from swarm.messages.codec import unpack as unpack_value
+from swarm.frozen import frozen
+from swarm.messages.codec import decode, encode
 from swarm.messages.keys import is_name
 from swarm.process.paths import socket_path
 
@@ -24,7 +24,8 @@ ANSWER_S = 20.0
 each robot."""
 
 
-class AppRequest(NamedTuple):
+@frozen
+class AppRequest:
     """A request to start, stop or change an app of the simulation."""
 
     act: str
@@ -37,7 +38,7 @@ class AppRequest(NamedTuple):
 
 def give(run_dir: Path, act: str, app: str, robots: Sequence[str], settings: Sequence[str] = ()) -> str:
     """Have it done by the simulation in `run_dir`; what was done, in words. Raises `LocalError`."""
-    order = pack(check(act, app, robots, settings))
+    order = encode(check(act, app, robots, settings))
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
         sock.bind("")  # a name that the kernel chooses, for the answer
         sock.settimeout(ANSWER_S)
@@ -66,17 +67,10 @@ def check(act: str, app: str, robots: Sequence[str], settings: Sequence[str] = (
     return AppRequest(act, app, tuple(robots), tuple(settings))
 
 
-def pack(order: AppRequest) -> bytes:
-    """Pack a request as a datagram."""
-    datagram: bytes = msgpack.packb(order._asdict())
-    return datagram
-
-
 def unpack(datagram: bytes) -> AppRequest:
     """The order in a datagram; `PayloadError` where there is none."""
     try:
-        found: Any = unpack_value(datagram)
-        robots, settings = ([str(each) for each in found[name]] for name in ("robots", "settings"))
-        return check(str(found["act"]), str(found["app"]), robots, settings)
-    except (PayloadError, KeyError, IndexError, TypeError, LocalError) as error:
+        found = decode(AppRequest, datagram, SOCKET)
+        return check(found.act, found.app, found.robots, found.settings)
+    except (PayloadError, LocalError) as error:
         raise PayloadError(f"no order: {error}") from None

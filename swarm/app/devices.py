@@ -253,7 +253,7 @@ class Devices:
     def _take_buttons(self, buttons: Buttons) -> None:
         held = (buttons.a, buttons.b, buttons.c)
         self._held = tuple(name for name, down in zip(BUTTONS, held, strict=True) if down)
-        presses = (buttons.presses_a, buttons.presses_b, buttons.presses_c)
+        presses = buttons.presses
         # What was pressed before the app came is not for it; a balancer that was started anew counts from 0.
         before, self._presses = self._presses, presses
         if before is None or self._on_button is None:

@@ -5,7 +5,7 @@ that order, and edges are sorted by it, so two equal graphs compare equal.
 """
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import combinations
 
 from swarm.errors import LocalError
@@ -22,6 +22,18 @@ _THESIS_D = ((0, 1), (0, 3), (0, 4), (0, 5), (1, 2), (2, 3), (2, 5), (3, 4), (4,
 """The irregular six-robot topology (d) of the thesis."""
 
 _MASK = (1 << 64) - 1
+
+
+def hops_from(neighbours: Mapping[str, Collection[str]], start: str) -> dict[str, int]:
+    """Hops from `start` to every node that it can reach, itself included, nearest first."""
+    hops, todo = {start: 0}, deque((start,))
+    while todo:
+        here = todo.popleft()
+        for other in neighbours.get(here, ()):
+            if other not in hops:
+                hops[other] = hops[here] + 1
+                todo.append(other)
+    return hops
 
 
 class Graph:
@@ -122,15 +134,7 @@ class Graph:
 
     def distances(self, name: str) -> dict[str, int]:
         """Hops from `name` to every robot it can reach, itself included, nearest first."""
-        hops = {name: 0}
-        todo = deque([name])
-        while todo:
-            here = todo.popleft()
-            for other in self._neighbours[here]:
-                if other not in hops:
-                    hops[other] = hops[here] + 1
-                    todo.append(other)
-        return hops
+        return hops_from(self._neighbours, name)
 
     def components(self) -> list[tuple[str, ...]]:
         """The connected parts, each in the order of `names`."""

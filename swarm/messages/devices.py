@@ -108,6 +108,11 @@ class Buttons:
     presses_b: int
     presses_c: int
 
+    @property
+    def presses(self) -> tuple[int, int, int]:
+        """The presses of A, B and C."""
+        return self.presses_a, self.presses_b, self.presses_c
+
 
 @frozen
 class ImuRequest:

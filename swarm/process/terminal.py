@@ -49,9 +49,12 @@ def write_lines(lines: Iterable[str]) -> None:
     sys.stdout.write("".join(printable(line, None) + "\n" for line in lines))
 
 
-def columns(rows: Sequence[Sequence[str]], *, right: bool = False) -> list[str]:
-    """Return a line for each row, its cells in columns that are as wide as their widest cell."""
+def columns(rows: Sequence[Sequence[str]], *, right: bool = False, rule: bool = False) -> list[str]:
+    """Return a line for each row, its cells in columns that are as wide as their widest cell. `rule`: a line of dashes
+    stands below the first."""
     widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
+    if rule:
+        rows = [rows[0], ["-" * width for width in widths], *rows[1:]]
     lines = (
         "  ".join(cell.rjust(width) if right else cell.ljust(width) for cell, width in zip(row, widths, strict=True))
         for row in rows

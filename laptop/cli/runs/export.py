@@ -1,7 +1,6 @@
 """`swarm export RUN`: a recorded run as CSV files, in the thesis' layouts or as plain tables, or as one MCAP file."""
 
 import argparse
-import contextlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -9,6 +8,7 @@ from laptop.cli.runs.import_csv import FILES
 from laptop.foxglove.recorded import RecordedScenes
 from laptop.runs import tables
 from laptop.view.feeds.feed import config_of
+from swarm.app.parameters import number_or_text
 from swarm.errors import LocalError, RecordingError
 from swarm.process.arguments import add_json, show
 from swarm.recording import thesis_csv
@@ -148,12 +148,7 @@ def _table(path: Trajectory) -> tables.Table:
 
 def _value(text: str) -> object:
     """Return a cell as the value from which it was written."""
-    if text in ("True", "False"):
-        return text == "True"
-    for convert in (int, float):
-        with contextlib.suppress(ValueError):
-            return convert(text)
-    return text
+    return text == "True" if text in ("True", "False") else number_or_text(text)
 
 
 def _merge(recorded: Run, path: Path) -> None:

@@ -47,7 +47,7 @@ def table(points: Sequence[SweepPoint], found: Sequence[SweptRun]) -> str:
         for name in metrics:
             numbers += [each.metrics.get(name), each.metrics.get(f"{name}_most")]
         rows.append([*(value for _, value in point.choices), *map(_shown, numbers)])
-    text = _aligned(rows)
+    text = "\n".join(columns(rows, right=True, rule=True))
     touched = [
         f"contacts{_named(point)}: {each.contacts}" for point, each in zip(points, sums, strict=True) if each.contacts
     ]
@@ -63,7 +63,7 @@ def limits(points: Sequence[SweepPoint], name: str, brackets: Sequence[Bracket])
     rows = [[*(name for name, _ in points[0].choices), f"{name} settles", "fails"]]
     for point, each in zip(points, brackets, strict=True):
         rows.append([*(value for _, value in point.choices), _shown(each.good), _shown(each.bad)])
-    return _aligned(rows)
+    return "\n".join(columns(rows, right=True, rule=True))
 
 
 def as_json(points: Sequence[SweepPoint], found: Sequence[SweptRun]) -> list[dict[str, object]]:
@@ -187,8 +187,3 @@ def _named(point: SweepPoint) -> str:
 
 def _shown(value: object) -> str:
     return "-" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _aligned(rows: Sequence[Sequence[str]]) -> str:
-    rule = ["-" * max(map(len, cells)) for cells in zip(*rows, strict=True)]
-    return "\n".join(columns([rows[0], rule, *rows[1:]], right=True))

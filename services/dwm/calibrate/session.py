@@ -79,7 +79,7 @@ class Presses:
 
     def take(self, message: Buttons) -> list[GuideButton]:
         """Return the buttons that were pressed since the message before."""
-        counts = (message.presses_a, message.presses_b, message.presses_c)
+        counts = message.presses
         last, self._last = self._last, counts
         if last is None or any(new < old for new, old in zip(counts, last, strict=True)):
             return []  # the first message, or the balancer began anew

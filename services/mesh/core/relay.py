@@ -139,15 +139,15 @@ class KeyRelay:
 
     def carries(self, key: str) -> bool:
         """Return whether a key is for the neighbours of the robot that it belongs to."""
-        for rule in self._rules:
-            if rule.overlay == NEIGHBOURS and (found := match(rule.config.keys, key)) is not None:
-                return may_cross(key, found["self"])
-        return False
+        return self._may_cross(NEIGHBOURS, key)
 
     def admits_flood(self, key: str) -> bool:
         """Return whether a key may be flooded by the robot it belongs to."""
+        return self._may_cross(FLOOD, key)
+
+    def _may_cross(self, overlay: int, key: str) -> bool:
         for rule in self._rules:
-            if rule.overlay == FLOOD and (found := match(rule.config.keys, key)) is not None:
+            if rule.overlay == overlay and (found := match(rule.config.keys, key)) is not None:
                 return may_cross(key, found["self"])
         return False
 

@@ -20,6 +20,7 @@ from sim.processes.processes import Processes
 from swarm import clock
 from swarm.app.settings import Setting
 from swarm.errors import LocalError, PayloadError
+from swarm.messages.codec import encode
 from swarm.process.simulations import pid_of
 from swarm.recording import trajectory
 from swarm.recording.reader import SUFFIX
@@ -30,7 +31,7 @@ NAMES = st.from_regex(r"[a-z][a-z0-9_-]{0,15}", fullmatch=True)
 @given(st.sampled_from(app_requests.ACTS), NAMES, st.lists(NAMES, min_size=1, max_size=5), st.floats() | st.text())
 def test_an_order_comes_as_it_was_given(act: str, app: str, robots: list[str], value: float | str) -> None:
     order = app_requests.check(act, app, robots, [Setting(None, "gain", value).text])
-    assert app_requests.unpack(app_requests.pack(order)) == order
+    assert app_requests.unpack(encode(order)) == order
 
 
 @given(

@@ -2,7 +2,6 @@
 
 WIDTH = 5
 """Points; letters stand a column apart."""
-HEIGHT = 7
 FIRST = 32
 """Code of the first letter."""
 

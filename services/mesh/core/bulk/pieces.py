@@ -92,14 +92,12 @@ def encode(packet: Packet) -> bytes:
 
 def decode(data: bytes) -> Packet:
     """Any packet. Where it is no flood's the origin is who offers."""
-    if len(data) < _HEAD.size:
-        raise FrameError(f"packet of {len(data)} bytes about a large message: it has at least {_HEAD.size}")
-    kind, ttl, flags, incarnation, number = _HEAD.unpack_from(data)
+    reader = PacketReader(data)
+    kind, ttl, flags, incarnation, number = reader.unpack(_HEAD)
     # A flood is announced by a SPREAD. An OFFER of one would pass by the bounds of both overlays.
     wrong_flags = flags > _OF_FLOOD or (flags and kind in (OFFER, STATE))
     if not OFFER <= kind <= GONE or wrong_flags or not number:
         raise FrameError(f"packet kind {kind}, flags {flags:#x}, number {number} about a large message: not known")
-    reader = PacketReader(data, _HEAD.size)
     sender, to = reader.name(), reader.name()
     offers = to if kind in (WANT, STATE) else sender
     origin = reader.name() if flags else offers
@@ -118,7 +116,7 @@ def encode_offer(total: int, key: str) -> bytes:
 
 def decode_offer(body: bytes) -> tuple[int, str]:
     """Bytes and key of the message that is offered."""
-    reader = PacketReader(body, 0)
+    reader = PacketReader(body)
     (total,) = reader.unpack(_OFFER)
     key = reader.key()
     reader.end()
@@ -147,7 +145,7 @@ def encode_want(have: int, indexes: Iterable[int]) -> bytes:
 
 def decode_want(body: bytes) -> WantBody:
     """Decode the body of a WANT."""
-    reader = PacketReader(body, 0)
+    reader = PacketReader(body)
     have, count = reader.unpack(_WANT)
     if count > MAX_RANGES:
         raise FrameError(f"WANT of {count} runs: at most {MAX_RANGES} are allowed")

@@ -21,7 +21,7 @@ its second try or before, that those who are left are all: this word (`final`) g
 """
 
 import struct
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -31,6 +31,7 @@ from services.mesh.core.overlays.echo import LIFE, MAX_WAVES, FloodId
 from services.mesh.core.routing.automatic_topology import place_of
 from services.mesh.core.wire.frames import FLOOD
 from services.mesh.core.wire.packets import KNOWN, PacketReader, packed_bits
+from swarm.core.graph import hops_from
 from swarm.errors import FrameError
 
 _KNOWN = struct.Struct("<BBQI")
@@ -55,12 +56,10 @@ def encode_known(packet: Known) -> bytes:
 
 def decode_known(data: bytes) -> Known:
     """Decode a KNOWN packet. Raises `FrameError`."""
-    if len(data) < _KNOWN.size:
-        raise FrameError(f"KNOWN of {len(data)} bytes: it has at least {_KNOWN.size}")
-    kind, flags, incarnation, sequence = _KNOWN.unpack_from(data)
+    reader = PacketReader(data)
+    kind, flags, incarnation, sequence = reader.unpack(_KNOWN)
     if kind != KNOWN or flags > 1:
         raise FrameError(f"KNOWN kind {kind}, flags {flags:#x}: bit 0 is known")
-    reader = PacketReader(data, _KNOWN.size)
     robots = int.from_bytes(reader.octets(), "little")
     reader.end()
     return Known(incarnation, sequence, robots, bool(flags))
@@ -235,12 +234,12 @@ class Completion:
         """The sets of robots, each of which we tell a neighbour when we know all of it: those with a shortest way to it
         over us. Over a link of the tree to our parent also those on our side, to a child only those."""
         if (origin, peer) not in self._through:
-            ours, theirs = _hops(self._map, self._me), _hops(self._map, peer)
+            ours, theirs = hops_from(self._map, self._me), hops_from(self._map, peer)
             told = {self._bits((self._me, *(name for name, hops in ours.items() if theirs.get(name) == hops + 1)))}
             tree = _tree(self._map, origin)
             if peer in tree.get(self._me, ()):
                 rest = {name: peers - {peer} if name == self._me else peers for name, peers in tree.items()}
-                side = _hops(rest, self._me)
+                side = hops_from(rest, self._me)
                 own_side = {self._bits(side)}
                 # Towards a child, the robots with a shortest way to it over us are all on our side.
                 told = own_side if origin in side else told | own_side
@@ -258,22 +257,10 @@ class Completion:
             raise FrameError("a flood with robots that are not in our configuration")
 
 
-def _hops(graph: Mapping[str, Collection[str]], start: str) -> dict[str, int]:
-    """The hops to each robot that can be reached."""
-    hops, queue = {start: 0}, deque((start,))
-    while queue:
-        name = queue.popleft()
-        for peer in graph.get(name, ()):
-            if peer not in hops:
-                hops[peer] = hops[name] + 1
-                queue.append(peer)
-    return hops
-
-
 def _tree(graph: Mapping[str, Collection[str]], origin: str) -> dict[str, set[str]]:
     """The neighbours of each robot in the tree of shortest ways to the origin; the first way by name where there are
     several."""
-    hops = _hops(graph, origin)
+    hops = hops_from(graph, origin)
     tree: dict[str, set[str]] = {name: set() for name in hops}
     for name in hops:
         nearer = [

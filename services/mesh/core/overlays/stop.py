@@ -75,10 +75,8 @@ def _parts(entries: list[bytes]) -> list[list[bytes]]:
 def decode_halt(data: bytes) -> Halt:
     """Decode a HALT packet. Each stop that can be read counts, whatever follows it: another release may append to
     it. A re-arm counts only in a packet that is understood to its end."""
-    if len(data) < _HALT.size:
-        raise FrameError(f"HALT of {len(data)} bytes: it has at least {_HALT.size}")
-    _, stops, arms = _HALT.unpack_from(data)
-    reader = PacketReader(data, _HALT.size)
+    reader = PacketReader(data)
+    _, stops, arms = reader.unpack(_HALT)
     halt = Halt({}, {})
     try:
         for _ in range(stops):

@@ -283,12 +283,10 @@ def decode_advertisement(data: bytes) -> Advertisement:
 
 
 def _decode_advertisement(data: bytes) -> Advertisement:
-    if len(data) < _LSA.size:
-        raise FrameError(f"LSA of {len(data)} bytes: it has at least {_LSA.size}")
-    flags, count = _LSA.unpack_from(data)
+    reader = PacketReader(data)
+    flags, count = reader.unpack(_LSA)
     if flags > 31:
         raise FrameError(f"LSA flags {flags:#x}: bits 0 to 4 are known")
-    reader = PacketReader(data, _LSA.size)
     neighbours: dict[str, int] = {}
     for _ in range(count):
         name = reader.name()

@@ -63,7 +63,6 @@ MAX_NETWORK = 32
 _LENGTH = struct.Struct("<H")
 _HEAD = struct.Struct("<HB")
 _DATA_HEAD = struct.Struct("<HBH")
-_CHANNEL = struct.Struct("<H")
 _HELLO = struct.Struct(f"<4sBBBBQ{NONCE_SIZE}s")
 _HEARTBEAT = struct.Struct("<QQQ")
 _BIND = struct.Struct("<HB")

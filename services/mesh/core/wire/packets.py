@@ -36,9 +36,9 @@ def _name(data: bytes) -> str:
 class PacketReader:
     """Goes through a packet; raises `FrameError` where it ends too early."""
 
-    def __init__(self, data: bytes, at: int) -> None:
+    def __init__(self, data: bytes) -> None:
         self._data = data
-        self.at = at
+        self.at = 0
 
     def unpack(self, layout: struct.Struct) -> tuple[int, ...]:
         """Read the next numbers."""
@@ -245,26 +245,17 @@ def decode_spread(data: bytes) -> Spread:
 
 
 def _decode_spread(data: bytes) -> Spread:
-    if len(data) < _SPREAD.size:
-        raise FrameError(f"SPREAD of {len(data)} bytes: it has at least {_SPREAD.size}")
-    _, flags, incarnation, sequence = _SPREAD.unpack_from(data)
+    reader = PacketReader(data)
+    _, flags, incarnation, sequence = reader.unpack(_SPREAD)
     if flags > 31 or (flags & 19).bit_count() > 1 or not sequence:
         raise FrameError(f"SPREAD flags {flags:#x}, sequence {sequence}: not known")
-    at, first = _SPREAD.size, 0
-    if flags & 4:
-        if len(data) < at + _FIRST.size:
-            raise FrameError("SPREAD without the number of its first try")
-        (first,) = _FIRST.unpack_from(data, at)
-        at += _FIRST.size
-        if not 0 < first < sequence:
-            raise FrameError(f"SPREAD {sequence} claims to repeat {first}")
-    known = 0
-    if flags & 16:
-        reader = PacketReader(data, at)
-        known, at = int.from_bytes(reader.octets(), "little"), reader.at
-        if not known:
-            raise FrameError("SPREAD that nobody has")
-    payload, size = data[at:], 0
+    (first,) = reader.unpack(_FIRST) if flags & 4 else (0,)
+    if flags & 4 and not 0 < first < sequence:
+        raise FrameError(f"SPREAD {sequence} claims to repeat {first}")
+    known = int.from_bytes(reader.octets(), "little") if flags & 16 else 0
+    if flags & 16 and not known:
+        raise FrameError("SPREAD that nobody has")
+    payload, size = data[reader.at :], 0
     if flags & 8:
         if len(payload) != _SIZE.size:
             raise FrameError(f"SPREAD announces a message by {len(payload)} bytes: it takes {_SIZE.size}")
@@ -296,12 +287,10 @@ def encode_echo(packet: EchoPacket) -> bytes:
 
 def decode_echo(data: bytes) -> EchoPacket:
     """Decode an ECHO packet."""
-    if len(data) < _ECHO.size:
-        raise FrameError(f"ECHO of {len(data)} bytes: it has at least {_ECHO.size}")
-    _, flags, ttl, incarnation, sequence, count = _ECHO.unpack_from(data)
+    reader = PacketReader(data)
+    _, flags, ttl, incarnation, sequence, count = reader.unpack(_ECHO)
     if flags > 3:
         raise FrameError(f"ECHO flags {flags:#x}: bits 0 and 1 are known")
-    reader = PacketReader(data, _ECHO.size)
     robots = tuple([reader.name() for _ in range(count)])
     reader.end()
     return EchoPacket(incarnation, sequence, robots, bool(flags & 1), bool(flags & 2), ttl)
@@ -327,12 +316,10 @@ def encode_digests(origins: Mapping[str, tuple[int, int]], *, answer: bool) -> l
 
 def decode_digest(data: bytes) -> Digest:
     """Decode a DIGEST packet."""
-    if len(data) < _DIGEST.size:
-        raise FrameError(f"DIGEST of {len(data)} bytes: it has at least {_DIGEST.size}")
-    _, flags, count = _DIGEST.unpack_from(data)
+    reader = PacketReader(data)
+    _, flags, count = reader.unpack(_DIGEST)
     if flags > 1:
         raise FrameError(f"DIGEST flags {flags:#x}: bit 0 is known")
-    reader = PacketReader(data, _DIGEST.size)
     low, high = reader.name(empty=True), reader.name(empty=True)
     origins: dict[str, tuple[int, int]] = {}
     for _ in range(count):
@@ -367,10 +354,8 @@ def encode_message(packet: UnicastMessage) -> bytes:
 
 def decode_message(data: bytes) -> UnicastMessage:
     """Decode a MESSAGE packet."""
-    if len(data) < _MESSAGE.size:
-        raise FrameError(f"MESSAGE of {len(data)} bytes: it has at least {_MESSAGE.size}")
-    _, ttl, incarnation, number = _MESSAGE.unpack_from(data)
-    reader = PacketReader(data, _MESSAGE.size)
+    reader = PacketReader(data)
+    _, ttl, incarnation, number = reader.unpack(_MESSAGE)
     sender, to, key = reader.name(), reader.name(), reader.key()
     return UnicastMessage(sender, to, incarnation, number, key, data[reader.at :], ttl)
 
@@ -383,12 +368,10 @@ def encode_ack(packet: Ack) -> bytes:
 
 def decode_ack(data: bytes) -> Ack:
     """Decode an ACK packet."""
-    if len(data) < _ACK.size:
-        raise FrameError(f"ACK of {len(data)} bytes: it has at least {_ACK.size}")
-    _, ttl, refused, incarnation, number = _ACK.unpack_from(data)
+    reader = PacketReader(data)
+    _, ttl, refused, incarnation, number = reader.unpack(_ACK)
     if refused > 1:
         raise FrameError(f"ACK says {refused}: 0 and 1 are known")
-    reader = PacketReader(data, _ACK.size)
     sender, to = reader.name(), reader.name()
     reader.end()
     return Ack(sender, to, incarnation, number, bool(refused), ttl)

@@ -105,7 +105,7 @@ def buttons(desk: Desk) -> Script:
 
 def _presses(desk: Desk) -> tuple[int, int, int]:
     found = desk.robot.buttons
-    return (0, 0, 0) if found is None else (found.presses_a, found.presses_b, found.presses_c)
+    return (0, 0, 0) if found is None else found.presses
 
 
 def display(desk: Desk) -> Script:
