@@ -2,7 +2,8 @@
 
 from collections.abc import Callable, Sequence
 
-from swarm.app.overlays import Message
+from swarm.app.overlays import Message, check_payload
+from swarm.errors import LocalError
 from swarm.frozen import frozen
 from swarm.messages import Flooded, Sent
 
@@ -31,6 +32,7 @@ class RehearsalOverlays:
         self._answers: dict[str, Flooded | Sent] = {}
 
     def flood(self, payload: bytes, **_: object) -> Request:
+        check_payload(payload)
         for name in self._others:
             self._deliver(name, Message(self._robot, payload, flooded=True))
         ticket = self._next()
@@ -38,9 +40,13 @@ class RehearsalOverlays:
         return Request(ticket)
 
     def send(self, to: str, payload: bytes, **_: object) -> Request:
-        self._deliver(to, Message(self._robot, payload, flooded=False))
+        check_payload(payload)
+        if to == self._robot:
+            raise LocalError(f"send: {to} is this robot itself")
+        if known := to in self._others:
+            self._deliver(to, Message(self._robot, payload, flooded=False))
         ticket = self._next()
-        self._answers[ticket] = Sent(0.0, ticket, "app", to, True, "")
+        self._answers[ticket] = Sent(0.0, ticket, "app", to, known, "" if known else f"there is no robot {to}")
         return Request(ticket)
 
     def answer(self, ticket: str) -> Flooded | Sent | None:

@@ -19,7 +19,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 from swarm import clock
 from swarm.bus.protocol import BusLike, Now
-from swarm.errors import LocalError
+from swarm.errors import LocalError, shown
 from swarm.messages import Arm, Flooded, FloodRequest, Progress, Reminder, SendRequest, Sent
 from swarm.messages.codec import MAX_BINARY, decoded, encode
 from swarm.messages.keys import key, parse
@@ -54,6 +54,17 @@ class Message(NamedTuple):
     sender: str
     payload: bytes
     flooded: bool
+
+
+def check_payload(payload: object) -> None:
+    """Raise `LocalError` for what no flood and no message carries."""
+    if not isinstance(payload, bytes | bytearray):
+        raise LocalError(
+            f"a payload is of bytes, got {shown(payload)}: text.encode() gives those of a text, msgpack.packb(value) "
+            "those of numbers, lists and dicts"
+        )
+    if len(payload) > MAX_BINARY:
+        raise LocalError(f"a payload of {len(payload)} bytes, the bus takes at most {MAX_BINARY} (960 KiB)")
 
 
 class Handle(Generic[A]):
@@ -164,7 +175,10 @@ class Overlays:
         return self._open(request, self._flood_key, refused)
 
     def send(self, to: str, payload: bytes, *, priority: str = "bulk", timeout: float = 30.0) -> Handle[Sent]:
-        """Send `payload` to one robot. The mesh gives it up after `timeout` s, if not sooner."""
+        """Send `payload` to one robot. The mesh gives it up after `timeout` s, if not sooner. Raises `LocalError` where
+        `to` is this robot."""
+        if to == self._robot:
+            raise LocalError(f"send: {to} is this robot itself")
         request = SendRequest(self._ticket(), self._app, to, payload, priority, timeout)
         refused = Sent(self._now(), request.ticket, self._app, to, delivered=False, problem=_REFUSED)
         return self._open(request, self._send_key, refused)
@@ -236,10 +250,9 @@ class Overlays:
 
     def _open(self, request: FloodRequest | SendRequest, key: str, refused: A) -> Handle[A]:
         """Make a request; `refused` is its answer where too many bytes wait already."""
+        check_payload(request.payload)
         size = len(request.payload)
         small = size <= SMALL
-        if size > MAX_BINARY:
-            raise LocalError(f"a payload of {size} bytes, the bus takes at most {MAX_BINARY} (960 KiB)")
         encode(request)  # names that are too long are refused here and now, too
         self.asked(request)
         # The bus has room for large ones in its ordinary queue alone.

@@ -18,6 +18,7 @@ import copy
 import difflib
 import inspect
 import math
+from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, cast
 
@@ -28,6 +29,8 @@ from swarm.core.arrays import shape_of
 from swarm.core.state import type_of
 from swarm.errors import AppError, shown
 from swarm.messages.codec import Value
+
+_MUTABLE = (list, dict, set, bytearray, deque)
 
 WEIGHTS = ("metropolis", "row")
 """Consensus weights: Metropolis (symmetric, the mean) or row-normalised adjacency (thesis rule 4.1)."""
@@ -130,7 +133,7 @@ class BaseApp:
 
     @classmethod
     def check_state(cls) -> None:
-        """Raise `AppError` where the shared state cannot be sent."""
+        """Raise `AppError` where the shared state cannot be sent, or robots of a simulation would share a value."""
         own = {name: value for name, value in vars(cls).items() if not hasattr(cls.__base__, name) and name[0] != "_"}
         untyped = next(((name, kind) for name, value in own.items() if (kind := _type_of(value))), None)
         if not cls.spec.schema.fields and untyped is not None:
@@ -139,6 +142,19 @@ class BaseApp:
                 f"{_place(cls)}class {cls.__name__} shares no state: {name} has no type: declare `{name}: {kind} = ...`"
             )
         cls.spec.schema.check_size()
+        declared = (*cls.spec.schema.names, *cls.spec.private, *cls.spec.parameters, *dir(BaseApp))
+        for kind in cls.__mro__:
+            untyped = vars(kind).keys() - inspect.get_annotations(kind).keys() - set(declared)
+            for name in sorted(untyped if issubclass(kind, BaseApp) else ()):
+                value = vars(kind)[name]
+                # A name in capitals is a constant, by Python's convention.
+                if (isinstance(value, _MUTABLE) or shape_of(value)) and not name.isupper():
+                    plain, type_name = name.lstrip("_"), _type_of(value)
+                    mend = f"{name}: {type_name}" if type_name else f"_{plain}: {type(value).__name__}"
+                    raise AppError(
+                        f"{_place(kind)}class {kind.__name__}: {name} has no type, so all robots of a simulation would "
+                        f"share it: declare `{mend} = ...`, or write it in capitals if it never changes"
+                    )
 
     @classmethod
     def check_change(cls, values: Mapping[str, object]) -> dict[str, Value]:

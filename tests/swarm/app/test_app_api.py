@@ -5,8 +5,9 @@ import enum
 import logging
 import math
 import re
+from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import pytest
@@ -171,6 +172,32 @@ def test_no_state_and_too_much_state_are_refused() -> None:
         make(type("Untyped", (SyncApp,), {"measured": True, "x": np.zeros(2)}))
     with pytest.raises(AppError, match="takes 800 bytes"):
         make(type("Big", (SyncApp,), {"__annotations__": {"x": Annotated[Vector, 100]}}))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "mend"),
+    [
+        ("_seen", np.zeros(1), "_seen: Array[1]"),
+        ("_seen", [], "_seen: list"),
+        ("seen", {}, "_seen: dict"),
+        ("seen", deque([1]), "_seen: deque"),
+    ],
+)
+def test_a_value_that_all_robots_of_a_simulation_would_share_is_refused(name: str, value: object, mend: str) -> None:
+    base = type("Base", (SyncApp,), {"__annotations__": {"x": float}, name: value})
+    with pytest.raises(AppError, match=re.escape(f"{name} has no type, so all robots of a simulation would share it")):
+        make(base)
+    with pytest.raises(AppError, match=re.escape(f"declare `{mend} = ...`")):
+        make(type("Derived", (base,), {"__annotations__": {"y": float}}))
+
+
+def test_constants_and_declared_values_in_a_class_are_no_shared_state() -> None:
+    typed = {"x": float, "_seen": list, "names": ClassVar[list[str]]}
+    body = {"step": Tracker.step, "_seen": [], "names": [], "_GAINS": [1], "f": (1,)}
+    fine = type("Fine", (SyncApp,), {"__annotations__": typed, **body})
+    first, second = make(fine), make(fine)
+    first._seen.append(1)
+    assert second._seen == []
 
 
 # Parameters

@@ -1,6 +1,7 @@
 """The client of the overlays, and of the mesh clock, on a bus that a test plays."""
 
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 
@@ -117,6 +118,20 @@ def test_what_was_asked_while_the_bus_was_away_is_asked_again_when_it_is_back(bu
 def test_no_answer_in_time_is_said(bus: FakeBus) -> None:
     with pytest.raises(TimeoutError, match=r"no answer of the mesh within 0\.01 s"):
         client(bus).send("r1", b"x").result(0.01)
+
+
+@pytest.mark.parametrize("payload", ["text", {"x": 1}, 5, None])
+def test_a_payload_that_is_not_of_bytes_is_refused_with_what_makes_some(bus: FakeBus, payload: Any) -> None:
+    each = client(bus)
+    for ask in (lambda: each.flood(payload), lambda: each.send("r1", payload)):
+        with pytest.raises(LocalError, match=r"a payload is of bytes, got .*: text\.encode\(\)"):
+            ask()
+    assert not bus.published
+
+
+def test_a_robot_sends_nothing_to_itself(bus: FakeBus) -> None:
+    with pytest.raises(LocalError, match="send: r0 is this robot itself"):
+        client(bus).send("r0", b"x")
 
 
 def test_old_requests_are_forgotten(bus: FakeBus) -> None:
