@@ -3,6 +3,9 @@
 `differential` follows speed and turn rate by the ramps and limits of the balancer's drive core, and its sensors err;
 `point` follows them at once and knows its own motion exactly. What the physics would add, a sway of centimetres and the
 lag behind the set-point, is left out. Times and ways of getting up are those of the simulated body with physics.
+
+A body moves in whole ticks, and what is done to it acts from its last tick on. So who looks at it, and when, changes
+nothing: a run that is recorded is the run that is not.
 """
 
 import math
@@ -20,6 +23,8 @@ MODELS = (DIFFERENTIAL, POINT)
 
 PERIOD = 0.01
 """Seconds between two steps of a motion, the balancer's tick."""
+_SECOND = 100
+"""Ticks for which the drift of a gyro at rest is drawn in one go."""
 
 STAND_UP, LIE_DOWN = 0.85, 0.41
 """Seconds from the command until it balances or lies; measured with physics (0.84 to 1.06, and 0.41)."""
@@ -76,9 +81,10 @@ class VirtualBody:
         body = body_model("zero2w", shape)
         self._track = body.track
         self._drive = Drive(body, limits)
-        self._now = 0.0
-        self._until = 0.0
-        """The time at which the manoeuvre under way is over, or the command to drive."""
+        self._tick = 0
+        """Ticks that the body has made."""
+        self._until = 0
+        """The tick at which the manoeuvre under way is over, or the command to drive."""
         self._roll = 0.0
         """m/s, during a manoeuvre."""
         self._gauss = gauss
@@ -105,24 +111,24 @@ class VirtualBody:
     @property
     def next_change(self) -> float:
         """Return when its mode changes by itself, s; infinity where it does not."""
-        return self._until if self.mode in (STANDING, FALLING) else math.inf
+        return self._until * PERIOD if self.mode in (STANDING, FALLING) else math.inf
 
     @property
     def moves(self) -> bool:
         """Whether it drives, stands up or lies down, or may still do so by its last command."""
-        drives = self._drive.speed != 0.0 or self._drive.turn_rate != 0.0 or self._now < self._until
+        drives = self._drive.speed != 0.0 or self._drive.turn_rate != 0.0 or self._tick < self._until
         return self.mode in (STANDING, FALLING) or (self.mode == BALANCING and drives)
 
     # -- what is done to it ------------------------------------------------------------------------------------
 
     def command(self, mode: str, now: float) -> None:
         """`stand`, `rest`, `lie` or `calibrate`, as the balancer obeys them; `LocalError` for what cannot be now."""
-        self.advance(now)
+        self._settle(now)
         match mode:
             case "stand" if self.mode not in (BALANCING, STANDING):
                 self.fault = ""
                 side = {"front": -1.0, "back": 1.0, "upright": 0.0}[self.posture]
-                self._manoeuvre(STANDING, now, STAND_UP if side else 5 * PERIOD, side * RISE_WAY)
+                self._manoeuvre(STANDING, STAND_UP if side else 5 * PERIOD, side * RISE_WAY)
             case "stand":
                 pass
             case "rest":
@@ -130,7 +136,7 @@ class VirtualBody:
             case "lie":
                 if self.mode != BALANCING:
                     raise LocalError(f"mode lie: only a balancing robot can lie down, this one is {self.mode}")
-                self._manoeuvre(FALLING, now, LIE_DOWN, FALL_WAY)
+                self._manoeuvre(FALLING, LIE_DOWN, FALL_WAY)
             case "calibrate":
                 if self.mode != IDLE:
                     raise LocalError(f"mode calibrate: the robot must be idle, this one is {self.mode}")
@@ -139,29 +145,30 @@ class VirtualBody:
 
     def drive(self, speed: float, turn_rate: float, seconds: float, now: float) -> str:
         """Drive for a time. Returns what was cut to the limits, or ""; `LocalError` where it cannot be done."""
-        self.advance(now)
+        self._settle(now)
         check_command(speed, turn_rate, seconds)
         if self.mode != BALANCING:
             raise LocalError(f"velocity: only a balancing robot drives, this one is {self.mode}")
-        self._until = now + seconds
-        return self._drive.command(speed, turn_rate, self._until)
+        self._until = self._tick + math.ceil(seconds / PERIOD - 1e-6)
+        # Half a tick sooner: what ticks add up to is not exact.
+        return self._drive.command(speed, turn_rate, (self._until - 0.5) * PERIOD)
 
     def stop(self, reason: str, now: float) -> None:
         """Motors off: a robot that stood falls on its front."""
-        self.advance(now)
+        self._settle(now)
         self._fall(FAULT)
         self.fault = reason
 
     def lay(self, side: str, now: float) -> None:
         """Somebody lays it down, on its back or front."""
-        self.advance(now)
+        self._settle(now)
         self._fall(IDLE if self.mode != FAULT else FAULT)
         self.tilt = -LYING if side == "back" else LYING
 
     def push(self, impulse: float, now: float) -> None:
         """Somebody pushes it, N s forward. What it bears it has rolled back from a few seconds later; more than that
         throws it over, and it slides on as it falls."""
-        self.advance(now)
+        self._settle(now)
         if self.mode not in (BALANCING, STANDING):
             return
         impulse += self._borne * math.exp((self._borne_at - now) / RECOVERS_S)
@@ -178,7 +185,7 @@ class VirtualBody:
 
     def knock(self, impulse: float, dx: float, dy: float, now: float) -> None:
         """Another robot hits it: it slides aside (m, the wheels do not turn), and is pushed forward, N s."""
-        self.advance(now)
+        self._settle(now)
         self.x += dx
         self.y += dy
         self.push(impulse, now)
@@ -186,29 +193,31 @@ class VirtualBody:
     # -- motion ------------------------------------------------------------------------------------------------
 
     def advance(self, now: float) -> None:
-        """Advance the body to the time `now`."""
-        while self._now < now:
-            if self.mode == BALANCING:
-                if self._drive.speed == 0.0 == self._drive.turn_rate and self._now >= self._until:
-                    self._rest(now - self._now)
-                    self._now = now
-                    return
-                # A command ends when it ends, wherever in a period that is.
-                left = self._until - self._now
-                self._step(min(PERIOD, now - self._now, max(left, 1e-9) if left > 0.0 else PERIOD))
-            elif self.mode in (STANDING, FALLING):
-                self._step(min(PERIOD, now - self._now, max(self._until - self._now, 1e-9)))
-                if self._now >= self._until:
+        """Advance the body to its last tick, at rest to its last whole second, up to the time `now`."""
+        tick = _tick_at(now)
+        while self._tick < tick:
+            if self.moves:
+                self._step()
+                if self.mode in (STANDING, FALLING) and self._tick >= self._until:
                     self._arrive()
             else:
-                self._rest(now - self._now)
-                self._now = now
+                second = self._tick - self._tick % _SECOND + _SECOND
+                if second > tick:
+                    return
+                self._rest(second - self._tick)
+
+    def _settle(self, now: float) -> None:
+        """Advance the body to its last tick up to the time `now`, before something is done to it."""
+        self.advance(now)
+        if (ticks := _tick_at(now) - self._tick) > 0:
+            self._rest(ticks)
 
     def odometry(self, now: float) -> Odometry:
         """Return the sums of its sensors."""
         self.advance(now)
         self._sequence += 1
         half = 0.5 * self._track * self._turned
+        gyro = self._gyro + self._bias * (now - self._tick * PERIOD)
         return Odometry(
             t=now,
             sequence=self._sequence,
@@ -216,16 +225,16 @@ class VirtualBody:
             right=self._way + half,
             x=self._own[0],
             y=self._own[1],
-            heading=self._gyro,
-            gyro_heading=self._gyro,
+            heading=gyro,
+            gyro_heading=gyro,
             wheel_heading=self._turned,
             tilt=self.tilt,
         )
 
-    def _step(self, dt: float) -> None:
-        drive = self._drive
+    def _step(self) -> None:
+        drive, dt = self._drive, PERIOD
         if self.mode == BALANCING:
-            drive.step(drive.way, drive.heading, self._now, dt)
+            drive.step(drive.way, drive.heading, self._tick * PERIOD, dt)
             speed, turn_rate = drive.speed, drive.turn_rate
         else:
             speed, turn_rate = self._roll, 0.0
@@ -239,22 +248,23 @@ class VirtualBody:
         self._way += way
         self._turned += self._scale * turn_rate * dt
         self._gyro += turn_rate * dt
-        self._rest(dt)
-        self._now += dt
+        self._rest(1)
 
-    def _rest(self, dt: float) -> None:
-        """Add the gyro's own drift."""
+    def _rest(self, ticks: int) -> None:
+        """Let ticks pass, and add the gyro's own drift."""
+        self._tick += ticks
         if self._walk:
-            self._gyro += self._bias * dt + self._gauss(0.0, self._walk * math.sqrt(dt))
+            seconds = ticks * PERIOD
+            self._gyro += self._bias * seconds + self._gauss(0.0, self._walk * math.sqrt(seconds))
 
-    def _manoeuvre(self, mode: str, now: float, seconds: float, way: float) -> None:
-        self.mode, self._until, self._roll = mode, now + seconds, way / seconds
+    def _manoeuvre(self, mode: str, seconds: float, way: float) -> None:
+        self.mode, self._until, self._roll = mode, self._tick + round(seconds / PERIOD), way / seconds
 
     def _arrive(self) -> None:
         """The end of a manoeuvre."""
         self._roll = 0.0
         if self.mode == STANDING:
-            self.mode, self.tilt, self._until = BALANCING, 0.0, self._now
+            self.mode, self.tilt = BALANCING, 0.0
             self._drive.begin(0.0, 0.0)
         else:
             self.mode, self.tilt = IDLE, LYING
@@ -264,3 +274,8 @@ class VirtualBody:
             self.tilt = LYING
         self.mode, self.fault, self._roll = mode, "", 0.0
         self._drive.begin(0.0, 0.0)
+
+
+def _tick_at(now: float) -> int:
+    """Return the number of the last tick up to a time."""
+    return int(now / PERIOD + 1e-6)
