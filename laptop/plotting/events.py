@@ -36,7 +36,7 @@ def leds(figure: Any, run: Run) -> None:
     period = periods[len(periods) // 2] if periods else 1.0
     end = max(times[-1] for times in flashes.values())
     first = next(name for name in robots if flashes[name][-1] > end - 2 * period)  # one that has not stopped
-    begin = end - PERIODS * period
+    begin = max(0.0, end - PERIODS * period)
     farthest = 0.0
     for index, name in enumerate(robots):
         colour = style.colour(index, len(robots))
@@ -90,7 +90,7 @@ def standup(figure: Any, run: Run) -> None:
         )
     robots = [name for name in run.robots if name in tilts]
     if not robots:
-        raise LocalError(f"{run.path}: no state of a balancer is recorded")
+        raise LocalError(f"{run.path}: no state of a balancer is recorded{style.DEVICES}")
     figure.set_size_inches(6.4, 1.0 + 0.55 * len(robots))
     axes = figure.add_subplot()
     for index, name in enumerate(robots):

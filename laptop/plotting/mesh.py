@@ -51,7 +51,7 @@ def mesh(figure: Any, run: Run) -> None:
         for peer in peers:
             ends.setdefault(_pair(robot, peer), []).append(seen[_pair(robot, peer)][robot])
     if not newest:
-        raise LocalError(f"{run.path}: no state of the mesh's links is recorded")
+        raise LocalError(f"{run.path}: no state of the mesh's links is recorded{style.DEVICES}")
     if not ends:
         raise LocalError(f"{run.path}: at the end no robot had a link")
     names = sorted({name for pair in ends for name in pair}, key=natural)

@@ -42,10 +42,15 @@ def states(figure: Any, run: Run, columns: Sequence[str] = (), labels: Mapping[s
         panels = panels[:PANELS]
     else:
         raise LocalError(f"{run.path}: no column of states can be drawn")
+    labels = labels or {}
+    names = [panel[0].removeprefix("result.") for panel in panels]
+    if unused := labels.keys() - {panel[0] for panel in panels} - set(names):
+        raise LocalError(f"label of {min(unused)!r}: no such column is drawn; drawn are: {_listed(names)}")
     figure.set_size_inches(7.2, max(2.9, 2.3 * len(panels)))
     grid = figure.add_gridspec(len(panels), 2)
     for row, (label, column, paths) in enumerate(panels):
-        title = (labels or {}).get(label, label.removeprefix("result."))
+        plain = label.removeprefix("result.")
+        title = labels.get(label, labels.get(plain, plain))
         if _is_truth(column, paths):
             _truth(figure.add_subplot(grid[row, :]), title, column, paths)
             continue

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from swarm.errors import LocalError, MissingPackageError
+from swarm.process.arguments import picture
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#999933")
 """Okabe and Ito's palette and one more."""
 MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")
+
+DEVICES = " (swarm sim --record and simulate(..., devices=True) record it)"
+"""What a message adds where a picture needs what devices say."""
 
 GREY = "0.45"
 NOTE_PT = 8.0
@@ -133,7 +137,7 @@ def rows_of_robots(axes: Any, robots: Sequence[str]) -> None:
 
 
 def add_plot(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="write a picture: .png, .pdf or .svg")
+    parser.add_argument("--plot", type=picture, metavar="FILE", help="write a picture: .png, .pdf or .svg")
 
 
 @contextlib.contextmanager

@@ -1,6 +1,8 @@
 """Arguments of `swarm sim`, checked before anything starts."""
 
 import argparse
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
@@ -26,7 +28,7 @@ from swarm.app.run_options import RunOptions
 from swarm.config.types import LINKS
 from swarm.errors import ConfigError
 from swarm.frozen import frozen
-from swarm.process.arguments import number, whole
+from swarm.process.arguments import number, picture, whole
 
 FROM_START, SETTLED, DELAY = "start", "settled", "delay"
 MESHES = (FROM_START, SETTLED, DELAY)
@@ -263,7 +265,7 @@ def parser(kind: type[argparse.ArgumentParser] = argparse.ArgumentParser) -> arg
     )
     run_options.add_arguments(p)
     run.add_argument("--json", action="store_true", help="one JSON object as the last line of the output")
-    run.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the run")
+    run.add_argument("--plot", type=picture, metavar="FILE.png", help="draw the run")
     run.add_argument("--record", type=Path, metavar="DIR", help="write the recording of the run to this folder")
     run.add_argument("--run-dir", type=Path, metavar="DIR", help="directory for sockets and logs during the run")
     p.add_argument(
@@ -307,7 +309,7 @@ def parse(arguments: list[str], *, ends: bool = True) -> Options:
     """Read the command line; where it is wrong, argparse ends the process with code 2 and a message, or with `ends`
     false `ConfigError` is raised."""
     reader = parser(argparse.ArgumentParser if ends else _Refusing)
-    read = _tuples(reader.parse_intermixed_args(arguments))
+    read = _tuples(reader.parse_intermixed_args(_negative_joined(arguments)))
     read.like = None if read.like is None else commission_report.read(read.like)
     if read.latency is None:
         measured = None if read.like is None else read.like.latency
@@ -356,6 +358,17 @@ def parse(arguments: list[str], *, ends: bool = True) -> Options:
         if options.run_options.arguments:
             raise ConfigError("--until, --for and --absent need an APP, e.g. swarm sim consensus")
     return options
+
+
+def _negative_joined(arguments: Sequence[str]) -> list[str]:
+    """Write `--latency -5ms` as `--latency=-5ms`: argparse would take what begins with - for another option."""
+    words: list[str] = []
+    for word in arguments:
+        if words and re.match(r"-[0-9.]", word) and re.fullmatch("--[a-z-]+", words[-1]):
+            words[-1] += f"={word}"
+        else:
+            words.append(word)
+    return words
 
 
 def _tuples(namespace: argparse.Namespace) -> argparse.Namespace:

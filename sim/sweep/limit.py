@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from sim.sweep.engines import Engine
+from sim.sweep.measure import SweptRun
 from sim.sweep.plan import SweepPoint, jobs_of
 
 PRECISION = 0.01
@@ -18,6 +19,12 @@ class Bracket:
     """The largest value with which all runs settled; None where none did."""
     bad: float | None = None
     """The smallest with which one did not."""
+    why: str = ""
+    """What happened with the smallest: the first problem of its runs, or that their results do not settle."""
+
+
+def _failed(run: SweptRun) -> bool:
+    return bool(run.problem) or run.settled is None
 
 
 def search(
@@ -43,10 +50,11 @@ def search(
         tried = [points[index].with_value(name, value) for index, value in values.items()]
         found = engine(jobs_of(app, tried, seeds, rest, within), done)
         for place, (index, value) in enumerate(values.items()):
-            if all(not run.problem and run.settled is not None for run in found if run.point == place):
-                brackets[index].good = value
+            whys = [run.problem or "the results do not settle" for run in found if run.point == place and _failed(run)]
+            if whys:
+                brackets[index].bad, brackets[index].why = value, whys[0]
             else:
-                brackets[index].bad = value
+                brackets[index].good = value
 
     judge(dict.fromkeys(range(len(points)), low))
     judge({index: high for index, each in enumerate(brackets) if each.good is not None})

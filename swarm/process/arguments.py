@@ -9,6 +9,9 @@ from pathlib import Path
 from swarm.messages.keys import is_name
 from swarm.process.terminal import write_lines
 
+PICTURES = (".png", ".pdf", ".svg")
+"""Endings of pictures' names."""
+
 
 def add_json(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object")
@@ -34,6 +37,17 @@ def names(text: str) -> list[str]:
     if not found or not all(map(is_name, found)):
         raise argparse.ArgumentTypeError(f"{text!r}: expected names of robots, like r0,r3")
     return list(dict.fromkeys(found))
+
+
+def picture(text: str) -> Path:
+    """Return the path of a picture that is to be drawn; a name without an ending gets that of PNG. What is wrong with
+    it is said before anything is computed."""
+    path = Path(text) if Path(text).suffix else Path(f"{text}.png")
+    if path.suffix.lower() not in PICTURES:
+        raise argparse.ArgumentTypeError(f"{text!r}: a picture is a file that ends in {', '.join(PICTURES)}")
+    if not path.parent.is_dir():
+        raise argparse.ArgumentTypeError(f"{text!r}: there is no folder {path.parent}")
+    return path
 
 
 def number(least: float, most: float = math.inf, unit: str = "", *, above: bool = False) -> Callable[[str], float]:

@@ -1,14 +1,14 @@
 """`swarm plot RUN`: a picture of a recorded run."""
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from laptop.plotting import events, journeys, mesh, places, states, style
 from swarm.errors import LocalError
-from swarm.process.arguments import add_json, show
+from swarm.process.arguments import add_json, picture, show
 from swarm.recording.run import Run
 
 HELP = "draw a recorded run: states, map, mesh, LEDs, floods, ..."
@@ -24,8 +24,8 @@ KINDS: dict[str, Callable[[Any, Run], None]] = {
     "standup": events.standup,
 }
 
-TIME = "time / s"
-"""The label of an axis that shows the run's time."""
+TIME, ITERATION = "time / s", "iteration"
+"""The label of an axis that shows the run's time, and of one that shows iterations."""
 
 OF_APP = {
     "localization": "map",
@@ -64,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--between", nargs=2, type=float, metavar=("FROM", "TO"), help="draw only this part of the run, in s"
     )
     parser.add_argument(
-        "-o", "--output", type=Path, metavar="FILE", help="file to write: PNG, PDF or SVG (RUN-KIND.png)"
+        "-o", "--output", type=picture, metavar="FILE", help="file to write: PNG, PDF or SVG (RUN-KIND.png)"
     )
     add_json(parser)
 
@@ -74,13 +74,14 @@ def run(args: argparse.Namespace) -> int:
     recorded = Run(args.run, args.app)
     labels = dict(_label(text) for text in args.label)
     kind = args.kind or ("states" if args.column or labels else _of(recorded))
+    _check(kind, args.column or labels)
     drawing = partial(states.states, columns=args.column, labels=labels) if kind == "states" else KINDS[kind]
     name = "-".join(filter(None, (args.run.resolve().stem, args.app, kind)))
     path = args.output or Path(f"{name}.png")
     with style.figure(path, settings=style.RC, layout="constrained") as made:
         drawing(made, recorded)
         if args.between:
-            _cut(made, *args.between)
+            _cut(made, recorded, *args.between)
     damage = list(recorded.damage)
     show(args, {"picture": str(path), "damage": damage}, [*(f"note: {each}" for each in damage), str(path)])
     return 0
@@ -100,17 +101,25 @@ def draw(run: Path, app: str, path: Path, references: Mapping[str, Sequence[plac
 def draw_on(made: Any, recorded: Run, kind: str | None, columns: Sequence[str]) -> None:
     """Draw a run on a figure: these columns of its states, a picture of this kind, or what suits its app. Raises
     `LocalError`."""
-    if kind is not None and kind not in KINDS:
-        raise LocalError(f"there is no picture of kind {kind!r}; there are: {', '.join(KINDS)}")
     kind = kind or ("states" if columns else _of(recorded))
+    _check(kind, columns)
     if kind == "states":
         states.states(made, recorded, columns)
     else:
         KINDS[kind](made, recorded)
 
 
-def _cut(made: Any, begin: float, end: float) -> None:
-    """Show only the part of a figure from `begin` to `end`, s. Raises `LocalError` where nothing is drawn there."""
+def _check(kind: str, columns: Collection[str]) -> None:
+    """Raise `LocalError` where there is no such picture, or none with columns."""
+    if kind not in KINDS:
+        raise LocalError(f"there is no picture of kind {kind!r}; there are: {', '.join(KINDS)}")
+    if columns and kind != "states":
+        raise LocalError(f"columns and their labels belong to a picture of kind states, not to {kind}")
+
+
+def _cut(made: Any, recorded: Run, begin: float, end: float) -> None:
+    """Show only the part of a figure from `begin` to `end`, s, and the iterations of that time. Raises `LocalError`
+    where nothing is drawn there."""
     over_time = [axes for axes in made.axes if axes.get_xlabel() == TIME]
     if not over_time:
         raise LocalError("--between: nothing in this picture is drawn over time")
@@ -119,6 +128,11 @@ def _cut(made: Any, begin: float, end: float) -> None:
         raise LocalError(f"--between {begin:g} {end:g}: expected FROM < TO within {first:.6g} s to {last:.6g} s")
     for axes in over_time:
         axes.set_xlim(begin, end)
+    paths = recorded.trajectories().values() if recorded.states() else ()
+    ks = [k for path in paths for k, t in path.times.items() if begin <= t <= end]
+    for axes in made.axes:
+        if ks and axes.get_xlabel() == ITERATION:
+            axes.set_xlim(min(ks), max(*ks, min(ks) + 1))
 
 
 def _label(text: str) -> tuple[str, str]:

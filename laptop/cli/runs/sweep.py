@@ -7,7 +7,6 @@ import os
 import sys
 import time
 from dataclasses import asdict
-from pathlib import Path
 from typing import TextIO
 
 from laptop.cli.runs import sweep_results
@@ -18,7 +17,7 @@ from sim.sweep.measure import check
 from sim.sweep.plan import SweepPoint, jobs_of, points_of, seeds_of, setting_of, values_of
 from swarm.errors import ConfigError
 from swarm.process import log, service
-from swarm.process.arguments import whole
+from swarm.process.arguments import picture, whole
 from swarm.process.terminal import bar, steer
 
 WITHIN = 0.01
@@ -71,12 +70,12 @@ def parser() -> argparse.ArgumentParser:
     where.add_argument("--scheduler", metavar="ADDRESS", help="address of a running Dask cluster, e.g. tcp://big:8786")
     out = p.add_argument_group("what comes out")
     out.add_argument("--json", action="store_true", help="one JSON object as the last line of the output")
-    out.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the results")
+    out.add_argument("--plot", type=picture, metavar="FILE.png", help="draw the results")
     return p
 
 
 def main() -> int:
-    """0 where no run failed."""
+    """0 where no run failed, or, with `--limit`, where each point has a value that settles."""
     log.setup("sweep")
     args, rest = parser().parse_known_args()
     lists = [(name, getattr(args, name)) for name in ("robots", "topology", "algorithm") if getattr(args, name)]
@@ -117,6 +116,8 @@ def _limits(
         raise ConfigError(f"--limit {args.limit}: expected NAME=LOW,HIGH") from None
     if not low < high:
         raise ConfigError(f"--limit {args.limit}: {low:g} is not below {high:g}, expected NAME=LOW,HIGH")
+    lowest = [point.with_value(name, low) for point in points]
+    check(jobs_of(args.app, lowest, args.seeds[:1], rest, args.within))
     progress = _Progress(sys.stderr, None)
     with engine as run:
         brackets = search(args.app, points, args.seeds, rest, args.within, name, (low, high), run, progress.done)
@@ -125,7 +126,7 @@ def _limits(
     if args.json:
         rows = [{**dict(point.choices), **asdict(each)} for point, each in zip(points, brackets, strict=True)]
         print(json.dumps({"app": args.app, "limit": name, "points": rows}))
-    return 0
+    return 1 if any(each.good is None for each in brackets) else 0
 
 
 class _Progress:

@@ -63,7 +63,12 @@ def limits(points: Sequence[SweepPoint], name: str, brackets: Sequence[Bracket])
     rows = [[*(name for name, _ in points[0].choices), f"{name} settles", "fails"]]
     for point, each in zip(points, brackets, strict=True):
         rows.append([*(value for _, value in point.choices), _shown(each.good), _shown(each.bad)])
-    return "\n".join(columns(rows, right=True, rule=True))
+    whys = [
+        f"fails{_named(point)} {name}={_shown(each.bad)}: {each.why}"
+        for point, each in zip(points, brackets, strict=True)
+        if each.why
+    ]
+    return "\n".join([*columns(rows, right=True, rule=True), *([""] if whys else []), *whys])
 
 
 def as_json(points: Sequence[SweepPoint], found: Sequence[SweptRun]) -> list[dict[str, object]]:

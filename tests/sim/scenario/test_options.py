@@ -1,4 +1,5 @@
 import argparse
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -112,3 +113,25 @@ def test_wrong_numbers_end_with_code_2(arguments, capsys):
         options.parse(arguments)
     assert ended.value.code == 2
     assert capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [("--target-velocity", "-0.05,0.02"), ("--target-velocity=-0.05,0.02",)])
+def test_a_value_may_begin_with_a_minus(words):
+    assert options.parse(["localization", *words, "--virtual"]).target_velocity == (-0.05, 0.02)
+
+
+def test_a_negative_time_is_refused_for_what_it_is():
+    with pytest.raises(ConfigError, match="--latency: '-5ms' is not a time"):
+        options.parse(["consensus", "--latency", "-5ms"], ends=False)
+
+
+@pytest.mark.parametrize(
+    ("name", "problem"), [("x.xyz", r"ends in \.png, \.pdf"), ("no/x.png", "there is no folder no")]
+)
+def test_a_picture_that_cannot_be_drawn_is_refused_before_the_run(name, problem):
+    with pytest.raises(ConfigError, match=problem):
+        options.parse(["consensus", "--plot", name], ends=False)
+
+
+def test_a_picture_without_an_ending_is_a_png():
+    assert options.parse(["consensus", "--plot", "run"]).plot == Path("run.png")

@@ -2,8 +2,10 @@
 
 import argparse
 import json
+import re
 import subprocess
 import sys
+from unittest import mock
 
 import pytest
 from conftest import thinned
@@ -140,7 +142,20 @@ def test_the_limit_of_a_gain_is_found(tmp_path):
     for bracket, limit in zip(brackets, (1.0, 2 / 3), strict=True):
         assert bracket.good == pytest.approx(limit, rel=0.05)
         assert bracket.good < bracket.bad
-    assert "gain settles" in sweep_results.limits(points, "gain", brackets)
+    told = sweep_results.limits(points, "gain", brackets)
+    assert "gain settles" in told
+    assert re.search(r"fails robots=2 gain=[\d.]+: the results do not settle", told)
+
+
+def test_a_limit_of_what_the_app_does_not_have_is_refused_and_one_that_is_not_found_says_why(tmp_path, capsys):
+    app = tmp_path / "gain.py"
+    app.write_text(UNSTABLE)
+    command = ["sweep", str(app), "--robots", "2", "--iterations", "20", "--jobs", "1", "--limit"]
+    with mock.patch("sys.argv", [*command, "nope=1,2"]), pytest.raises(AppError, match="unknown parameter 'nope'"):
+        sweep_command.main()
+    with mock.patch("sys.argv", [*command, "diverges_above=1e-6,1e-5"]):
+        assert sweep_command.main() == 1
+    assert re.search(r"fails robots=2 diverges_above=1e-06: .* is beyond diverges_above", capsys.readouterr().out)
 
 
 @pytest.mark.parametrize("engine", thinned(engines.ENGINES))
