@@ -120,7 +120,7 @@ class RunData:
         of a matrix (iteration, robot, n, m). The type is float64; bool and int64 as long as no entry is missing;
         texts (and members of an enum, by name) are objects. Raises `LocalError` with the names that there are."""
         if name not in self._columns:
-            raise LocalError(f"there is no column {name!r}; there are: {', '.join(self.columns) or 'none'}")
+            raise self._unknown(name)
         channel, places = self._columns[name]
         paths = self._trajectories[channel]
         parts = [_array(paths, place) for place in places]
@@ -151,14 +151,12 @@ class RunData:
         return table_of(table)
 
     def plot(self, *columns: str, kind: str | None = None, path: str | Path | None = None) -> "Figure":
-        """Draw the run as `swarm plot` does: these columns over iterations and time, or a picture of this kind (by
-        default what suits the app). Returns the figure, which a notebook shows; with `path` it is a file, too."""
+        """Draw the run as `swarm plot` does: these columns, or entries as "P[0,0]", over iterations and time, or a
+        picture of this kind (by default what suits the app). Returns the figure, which a notebook shows; with `path` it
+        is a file, too."""
         from laptop.cli.runs.plot import draw_on
         from laptop.plotting.style import shown_figure
 
-        unknown = [name for name in columns if name not in self]
-        if unknown:
-            self[unknown[0]]
         wanted = [part for name in columns for part in self._parts(name)]
         with shown_figure(None if path is None else Path(path)) as figure:
             draw_on(figure, self.recording, kind, wanted)
@@ -169,14 +167,19 @@ class RunData:
         place = Path(path)
         if place.exists() and (not place.is_dir() or any(place.iterdir())):
             raise LocalError(f"{place}: it is there already; name a new folder")
-        if self.path.is_dir():
-            shutil.copytree(self.path, place, dirs_exist_ok=True)
-        else:
-            place.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(self.path, place)
+        try:
+            if self.path.is_dir():
+                shutil.copytree(self.path, place, dirs_exist_ok=True)
+            else:
+                place.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(self.path, place)
+        except OSError as error:
+            raise LocalError(f"{place}: the run cannot be saved there: {error.strerror or error}") from None
 
     def __repr__(self) -> str:
         problems = f", problems: {'; '.join(self.problems)}" if self.problems else ""
+        if not self.recording.states():
+            return f"<run of {self.app or 'no app'} without states{problems}>"
         return (
             f"<run of {self.app}: {len(self.robots)} robots, {self.iterations} iterations; "
             f"{', '.join(self.columns)}{problems}>"
@@ -199,7 +202,8 @@ class RunData:
         """Return the trajectories by channel (the app itself is empty) and robot."""
         found = {channel: self.recording.trajectories(channel=channel) for channel in self.recording.states()}
         if not found:
-            raise RecordingError(f"{self.path}: no app's states are recorded")
+            why = "".join(f"; {problem}" for problem in self.problems)
+            raise RecordingError(f"{self.path}: no app's states are recorded{why}")
         return found
 
     @cached_property
@@ -218,8 +222,17 @@ class RunData:
         return found
 
     def _parts(self, name: str) -> list[str]:
-        channel, places = self._columns[name]
-        return [f"{channel}.{place}" if channel else place for place in places]
+        """Return the columns of the recording that a name, or that of an entry, means; raises `LocalError`."""
+        channel, places = self._columns.get(name) or self._columns.get(name.partition("[")[0]) or ("", [])
+        prefix = f"{channel}." if channel else ""
+        whole = name in self._columns
+        parts = [f"{prefix}{each}" for each in places if whole or prefix + each.removeprefix(RESULT) == name]
+        if not parts:
+            raise self._unknown(name)
+        return parts
+
+    def _unknown(self, name: str) -> LocalError:
+        return LocalError(f"there is no column {name!r}; there are: {', '.join(self.columns) or 'none'}")
 
     def _along(self, topic: str, fields: Sequence[str]) -> Array | None:
         """Return what the world told of each robot under a topic, at the times of its states."""

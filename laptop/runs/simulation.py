@@ -23,10 +23,13 @@ from sim.virtual.run import PLACE, VirtualRun
 from swarm import config as configuration
 from swarm.app.settings import Setting
 from swarm.app.sync_app import BaseApp
-from swarm.errors import AppError, ConfigError
+from swarm.errors import AppError, ConfigError, shown
 from swarm.recording.recorded_topics import TOPICS
 
 App = type[BaseApp] | str | Path
+
+ROBOTS = 6
+"""Robots of a simulation that names none."""
 
 DEVICES = ("dwm/pose", "balancer/state", "mesh/links", "mesh/clock", "mesh/topology", "mesh/members")
 """What is recorded with `devices` alone: to compute it takes longer than the run of a small app, and each robot's
@@ -41,8 +44,8 @@ ELSEWHERE = {"apps", "help", "json", "plot", "record", "run_dir", "settings", "v
 def simulate(
     app: App,
     *,
-    robots: int = 6,
-    topology: str = "line",
+    robots: int | None = None,
+    topology: str | Path | None = None,
     values: Mapping[str, Any] | None = None,
     latency: float | str = 0.03,
     faults: Sequence[str] = (),
@@ -56,8 +59,9 @@ def simulate(
 ) -> RunData:
     """Run an app on a simulated swarm in virtual time, as `swarm sim APP --virtual` does, and return the run.
 
-    `app`: the class, the path of its file, or the name of a built-in app. The robots are r0, r1...; `topology` is line,
-    loop, full, thesis-d, random:SEED, auto or a matrix file. `values` are first values of the state and parameters: for
+    `app`: the class, the path of its file, or the name of a built-in app. The robots are r0, r1..., six by default;
+    `topology` is line (the default), loop, full, thesis-d, random:SEED, auto or a matrix file. The option `config`
+    names both itself. `values` are first values of the state and parameters: for
     all robots, as a list with one for each, or by robot (`{"x": {"r2": 3.0}}`). `latency` of the links: s, one way,
     or a text such as "30ms". `faults` are written as on the command line, with times in s after the first iteration:
     "cut r0-r1@1s,2s", "kill r2.app@5s", "off r3@5s,10s", "press r0.A@2s", "push r1@5s,0.2". The seed may
@@ -97,12 +101,14 @@ def app_of(app: App) -> loader.LoadedApp:
 
 
 def settings_for(
-    app: loader.LoadedApp, values: Mapping[str, Any] | None, robots: int, options: Mapping[str, Any]
+    app: loader.LoadedApp, values: Mapping[str, Any] | None, robots: int | None, options: Mapping[str, Any]
 ) -> list[Setting]:
-    """First values and parameters as settings."""
+    """First values and parameters as settings. Raises `ConfigError`."""
+    if values is not None and not isinstance(values, Mapping):
+        raise ConfigError(f'values: expected them by name, such as {{"x": [1.0, 2.0]}}, got {shown(values)}')
     choice = options.get("algorithm") or (values or {}).get("algorithm")
     kind, _ = app.choose({"algorithm": choice} if isinstance(choice, str) else {})
-    names = [f"r{index}" for index in range(robots)]
+    names = [f"r{index}" for index in range(ROBOTS if robots is None else robots)]
     if options.get("config") is not None:
         names = list(configuration.load(Path(options["config"]), addressed=False).names)
     return settings_of(kind, values or {}, names)
@@ -118,8 +124,8 @@ def flags_of_options() -> dict[str, str]:
 
 
 def arguments_of(
-    robots: int,
-    topology: str,
+    robots: int | None,
+    topology: str | Path | None,
     latency: float | str,
     faults: Sequence[str],
     iterations: int | None,
@@ -130,16 +136,24 @@ def arguments_of(
     flags = flags_of_options()
     words = [f"--latency={latency}"]
     if options.get("config") is None:
-        words += ["--robots", str(robots), "--topology", topology]
-    for name, value in (("iterations", iterations), ("seconds", seconds)):
-        words += [] if value is None else [f"--{name}", str(value)]
-    if isinstance(faults, str):
-        raise ConfigError(f"faults: expected a list of texts, got the text {faults!r}")
+        robots = ROBOTS if robots is None else robots
+        topology = "line" if topology is None else topology
+    if not isinstance(robots, int | None):
+        raise ConfigError(f"robots: expected a whole number, got {shown(robots)}")
+    if not isinstance(topology, str | Path | None):
+        raise ConfigError(
+            "topology: expected a name, such as loop, or the path of a file with an adjacency matrix, which "
+            'numpy.savetxt("graph.txt", matrix, fmt="%d") writes'
+        )
+    for name, value in (("robots", robots), ("topology", topology), ("iterations", iterations), ("seconds", seconds)):
+        words += [] if value is None else [f"--{name}={value}"]
+    if isinstance(faults, str) or not all(isinstance(fault, str) for fault in faults):
+        raise ConfigError(f"faults: expected a list of texts, got {shown(faults)}")
     for fault in faults:
         kind, _, text = fault.partition(" ")
         if kind not in EVENTS or not text:
             raise ConfigError(f'{fault!r} is no fault such as "cut r0-r1@1s,2s"; there are {", ".join(EVENTS)}')
-        words += [f"--{kind}", text.strip()]
+        words.append(f"--{kind}={text.strip()}")
     for name, value in options.items():
         if name not in flags:
             raise ConfigError(f"there is no option {name!r}; beside its own simulate has {', '.join(sorted(flags))}")

@@ -74,8 +74,8 @@ def sweep(
     over: Mapping[str, Sequence[Any]],
     *,
     seeds: int | Sequence[int] = 1,
-    robots: int = 6,
-    topology: str = "line",
+    robots: int | None = None,
+    topology: str | Path | None = None,
     values: Mapping[str, Any] | None = None,
     latency: float | str = 0.03,
     faults: Sequence[str] = (),
@@ -103,6 +103,8 @@ def sweep(
     kinds = found.algorithms.values()
     own = {name for kind in kinds for name in (*kind.spec.parameters, *kind.spec.schema.names)}
     for name, choices in over.items():
+        if name == "seed" and name not in own:
+            raise ConfigError("over: a sweep has its seeds by seeds=..., a number of them or a list")
         if name in {*flags_of_options(), *OF_ALL_RUNS} - own - {*OF_EACH_RUN}:
             raise ConfigError(
                 f"over: {name} is an argument of all runs of a sweep: call sweep once for each value, with {name}=...; "
@@ -120,7 +122,7 @@ def sweep(
     planned: list[Job] = []
     for index, point in enumerate(points):
         chosen = dict(point.choices)
-        count = int(chosen.pop("robots", robots))
+        count = int(chosen.pop("robots")) if "robots" in chosen else robots
         graph = chosen.pop("topology", topology)
         words = arguments_of(count, graph, latency, faults, iterations, seconds, options)
         which = options | ({"algorithm": chosen.pop("algorithm")} if "algorithm" in chosen else {})

@@ -39,6 +39,16 @@ class Raises(SyncApp):
         self.x = 1.0 / (3 - self.k)
 
 
+class NeverStarts(SyncApp):
+    x: float
+
+    def start(self):
+        self.x = 1.0 / self.x
+
+    def step(self, neighbours):
+        self.x += 1.0
+
+
 class Light(PeriodicApp):
     lit: bool
     period = 0.2

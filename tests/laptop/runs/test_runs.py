@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from runs_apps import Beside, Light, Mean, Place, Raises
+from runs_apps import Beside, Light, Mean, NeverStarts, Place, Raises
 
 import swarm
+from laptop.cli.runs.plot import _cut as cut
 from services.apps import loader
 from sim.virtual.run import simulate as by_command
 from swarm import SyncApp, load, rehearse, simulate, sweep
@@ -81,6 +82,49 @@ def test_an_unknown_column_is_an_error_that_names_the_columns() -> None:
     assert "y" not in run
 
 
+def test_an_entry_of_a_vector_is_drawn_by_its_name() -> None:
+    run = simulate(Place, robots=2, iterations=2)
+    assert [axes.get_ylabel() for axes in run.plot("q[1]").axes] == ["q[1]", ""]
+    with pytest.raises(LocalError, match=r"no column 'q\[2\]'; there are: q, "):
+        run.plot("q[2]")
+    with pytest.raises(LocalError, match="belong to a picture of kind states, not to mesh"):
+        run.plot("q", kind="mesh")
+    with pytest.raises(LocalError, match=r"links is recorded \(swarm sim --record and simulate\(..., devices=True\)"):
+        run.plot(kind="mesh")
+
+
+def test_a_part_of_the_run_is_drawn_over_its_time_and_over_its_iterations() -> None:
+    run = simulate(Mean, robots=2, iterations=60)
+    figure = run.plot("x")
+    cut(figure, run.recording, 0.5, 1.0)
+    over_iterations, over_time = (axes.get_xlim() for axes in figure.axes)
+    assert over_time == (0.5, 1.0)
+    there = np.flatnonzero(((run.times >= 0.5) & (run.times <= 1.0)).any(axis=1))
+    assert over_iterations == (there[0], there[-1])
+
+
+def test_a_run_that_never_began_can_be_printed_and_says_why_it_has_no_states() -> None:
+    run = simulate(NeverStarts, robots=2, check=False)
+    assert "without states, problems: " in repr(run)
+    for look in (lambda: run.times, lambda: run.columns):
+        with pytest.raises(RecordingError, match=r"no app's states are recorded; .*start\(\): .*ZeroDivisionError"):
+            look()
+
+
+def test_a_run_that_cannot_be_saved_says_where(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(LocalError, match="file/run: the run cannot be saved there: Not a directory"):
+        simulate(Mean, robots=2, iterations=2).save(tmp_path / "file" / "run")
+
+
+@pytest.mark.parametrize("app", ["formation", "goto"])
+def test_a_run_whose_devices_are_recorded_is_the_run_that_is_not(app: str) -> None:
+    plain, recorded = (simulate(app, robots=3, seconds=8.0, devices=devices) for devices in (False, True))
+    assert plain.truth is not None
+    assert recorded.truth is not None
+    assert np.array_equal(plain.truth, recorded.truth, equal_nan=True)
+
+
 def test_an_apps_fault_is_raised_with_file_and_line_and_can_be_looked_at_instead() -> None:
     with pytest.raises(AppError, match=r"Raises on r\d, iteration 3: .*runs_apps.py, line \d+: ZeroDivisionError"):
         simulate(Raises, robots=2)
@@ -130,10 +174,17 @@ def test_periodic_apps_and_channels_are_runs_too() -> None:
         ({"values": {"x": object()}}, "x: expected numbers"),
         ({"values": {"gain": True}}, "gain: expected a finite number, got True"),
         ({"faults": ["burn r0@1s"]}, "no fault such as .* there are cut"),
-        ({"faults": "cut r0-r1@1s,2s"}, "faults: expected a list of texts, got the text 'cut"),
+        ({"faults": "cut r0-r1@1s,2s"}, "faults: expected a list of texts, got 'cut"),
         ({"faults": ["cut r0-r1"]}, "--cut: 'r0-r1' is not a cut"),
         ({"topology": "ring"}, "--topology ring"),
         ({"iterations": 3, "seconds": 2.0}, "not allowed with"),
+        ({"values": [1.0]}, r'values: expected them by name, such as {"x": \[1.0, 2.0\]}, got \[1.0\]'),
+        ({"faults": [1]}, r"faults: expected a list of texts, got \[1\]"),
+        ({"robots": "6"}, "robots: expected a whole number, got '6'"),
+        ({"robots": 0}, "--robots: '0': expected 1 or more"),
+        ({"topology": np.ones((3, 3))}, r'numpy.savetxt\("graph.txt"'),
+        ({"config": "swarm.toml", "robots": 4}, "--config names robots and topology itself"),
+        ({"config": "swarm.toml", "topology": "loop"}, "--config names robots and topology itself"),
         ({"latency": "soon"}, "--latency: 'soon'"),
         ({"faults": ["off r3@200ms,1s"]}, 'has lost its state .*absent="drop" in a program'),
     ],
