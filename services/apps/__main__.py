@@ -34,7 +34,7 @@ from swarm.app.truth import TruthWatch
 from swarm.config import Config
 from swarm.core.asynchronous import HANG
 from swarm.core.lockstep.frames import MAX_ITERATION
-from swarm.errors import AppError, LocalError
+from swarm.errors import AppError, ConfigError, LocalError
 from swarm.process.arguments import whole
 from swarm.process.paths import state_dir
 from swarm.process.service import Service, run
@@ -86,6 +86,8 @@ def main() -> int:
         let_speak(instance.robot, service.bus, service.log, *([recorder.said] if recorder is not None else []))
         how = run_options.of(options)
         place = topology.RunPlace.of(number, app.digest, how, links.config, links.epoch, claim.incarnation)
+        if isinstance(instance, EventApp) and how.rule is not None:
+            raise ConfigError(f"--until and --for are for apps in lockstep, which {app.name} is not")
         if isinstance(instance, EventApp):
             events = EventRunner(instance, app.source)
             host = EventHost(runtime, app.name, events, place, service.config, storage, recorder)

@@ -185,6 +185,8 @@ def build(options: Options, run_dir: Path, app: loader.LoadedApp | None = None) 
         config = replace(config, apps={**config.apps, each.name: parameters})
         each.check(config)
     disturbances = _disturbances(config, options)
+    if app is not None:
+        _check_end(config, app, options)
     iterations = options.iterations
     if app is not None and iterations is None and options.seconds is None and options.run_options.rule is None:
         iterations = ITERATIONS.get(app.name if app.is_built_in else "", DEFAULT_ITERATIONS)
@@ -257,6 +259,15 @@ def _study(config: Config, options: Options, iterations: int | None, run_dir: Pa
     return made
 
 
+def _check_end(config: Config, app: loader.LoadedApp, options: Options) -> None:
+    """Raise `ConfigError` for an end that the app never comes to."""
+    kind, _ = app.choose(config.app(app.name).of(config.names[0]))
+    if issubclass(kind, EventApp) and options.run_options.rule is not None:
+        raise ConfigError(f"--until and --for are for apps in lockstep, which {app.name} is not: use --seconds")
+    if options.iterations is not None and _reacts_only(config, app):
+        raise ConfigError(f"--iterations: {app.name} has none, it reacts to events: use --seconds")
+
+
 def _reacts_only(config: Config, app: loader.LoadedApp) -> bool:
     kind, _ = app.choose(config.app(app.name).of(config.names[0]))
     return issubclass(kind, EventApp) and not issubclass(kind, PeriodicApp)
@@ -288,7 +299,9 @@ def _edges(topology: str, names: list[str]) -> tuple[tuple[str, str], ...]:
         try:
             return Graph.of_shape(topology, names).edges
         except LocalError as error:
-            raise ConfigError(f"--topology {topology}: {error} (nor is there a file of that name)") from None
+            raise ConfigError(
+                f"--topology {topology}: {error}; auto, or the path of a file with a matrix, would do, too"
+            ) from None
     rows = [line.replace(",", " ").split() for line in Path(topology).read_text().splitlines() if line.strip()]
     try:
         return Graph.of_matrix([[int(float(cell)) for cell in row] for row in rows], names).edges

@@ -42,14 +42,15 @@ def parse(text: str) -> Setting:
 
 
 def on_top(app: AppConfig, settings: Iterable[Setting], robots: Iterable[str]) -> AppConfig:
-    """The app's parameters with these settings, the later ones above; one for all robots is above the file's for one.
+    """The app's parameters with these settings: those of one robot above those of all, else the later ones above. One
+    for all robots is above the file's for one.
 
     Raises `ConfigError` for a robot that there is not.
     """
     common: dict[str, Value] = dict(app.parameters)
     single: dict[str, dict[str, Value]] = {robot: dict(values) for robot, values in app.robots.items()}
     names = tuple(robots)
-    for setting in settings:
+    for setting in sorted(settings, key=lambda each: each.robot is not None):
         if setting.robot is None:
             common[setting.name] = setting.value
             for values in single.values():

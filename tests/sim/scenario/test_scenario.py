@@ -65,6 +65,9 @@ def test_the_config_a_run_uses_is_a_valid_file(tmp_path):
         (["nonsense"], "expected consensus, flooding_demo, "),
         (["consensus", "--algorithm", "magic"], "expected 'metropolis' or 'thesis'"),
         (["consensus", "--set", "valu=3"], "unknown parameter 'valu'"),
+        (["flooding_demo", "--iterations", "5"], "--iterations: flooding_demo has none, it reacts to events"),
+        (["stand_up", "--until", "converged"], "--until and --for are for apps in lockstep, which stand_up is not"),
+        (["flooding_demo", "--for", "5"], "--until and --for are for apps in lockstep"),
     ],
 )
 def test_wrong_scenarios_are_refused(tmp_path, arguments, words):

@@ -36,3 +36,10 @@ def test_settings_are_above_the_file_and_later_ones_above_earlier() -> None:
     assert found == AppConfig({"gain": 1.0, "value": 3}, {"r1": {"gain": 9.0}, "r2": {"value": 6}})
     with pytest.raises(ConfigError, match=r"--set r7\.value: the robots are r0, r1, r2"):
         on_top(app, [parse("r7.value=1")], NAMES)
+
+
+def test_a_setting_of_one_robot_holds_wherever_it_stands_and_one_of_all_robots_is_above_the_files() -> None:
+    app = AppConfig({}, {"r2": {"value": 7.0}})
+    for texts in (("r1.value=4", "value=3"), ("value=3", "r1.value=4")):
+        found = on_top(app, map(parse, texts), NAMES)
+        assert [found.of(name)["value"] for name in ("r0", "r1", "r2")] == [3, 4, 3]
