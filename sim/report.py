@@ -8,6 +8,7 @@ from sim.core.scene_record import SceneRecord
 from sim.scenario.scenario import Scenario
 from swarm.app.parameters import number_or_text
 from swarm.core.percentile import percentile
+from swarm.errors import LocalError
 from swarm.frozen import frozen
 from swarm.messages import BalancerState
 from swarm.recording import trajectory
@@ -211,6 +212,10 @@ def estimate(path: Trajectory, k: int | None = None) -> tuple[float, float]:
     at = path.last if k is None else k
     if at not in path.rows:
         return (math.nan, math.nan)
+    if not {*TARGET_COLUMNS} <= {*path.columns}:
+        raise LocalError(
+            "a replay compares the results x and y of each robot with what was recorded: this app has none"
+        )
     x, y = (path.value(at, name) for name in TARGET_COLUMNS)
     return (x, y)
 

@@ -5,6 +5,8 @@ how to mend it; a command ends with it. `RemoteError`: bytes from elsewhere were
 the receiver drops and counts them and goes on.
 """
 
+import re
+
 LONGEST_SHOWN = 60
 """Letters of a value within an error."""
 
@@ -28,7 +30,8 @@ def shown(value: object) -> str:
         text = repr(value)
     except Exception:  # noqa: BLE001 - whatever an author's `__repr__` raises
         return f"a {type(value).__name__}"
-    return cut(" ".join(text.split()), LONGEST_SHOWN)
+    # An address in memory would make each text another one.
+    return cut(" ".join(re.sub(" at 0x[0-9A-Fa-f]+", "", text).split()), LONGEST_SHOWN)
 
 
 def cut(text: str, longest: int) -> str:

@@ -85,7 +85,10 @@ class EventRunner(AppRunner):
                 return self._packed(where, call.handler)
         answer: object = self._call(where, lambda: getattr(app, call.handler)(*arguments), call.handler)
         if answer is not None:
-            raise AppError(f"{self._where(where)}: it returned {shown(answer)}; a handler assigns to the state instead")
+            line = self._from_line(call.handler)
+            raise AppError(
+                f"{self._where(where)}: {line}it returned {shown(answer)}; a handler assigns to the state instead"
+            )
         return self._packed(where, call.handler)
 
     def _views(self, known: Sequence[NeighbourState]) -> dict[Any, Any]:

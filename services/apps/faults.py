@@ -33,7 +33,11 @@ def mend_of(error: BaseException, fields: Iterable[Field]) -> str:
         import difflib  # of mistakes alone: robots do without it
 
         near = difflib.get_close_matches(error.name, [name for name in dir(error.obj) if name[0] != "_"], 1)
+        if not near and hasattr(error.obj, "_fields"):
+            return f" (it has {', '.join(error.obj._fields)})"
         return f" (is {near[0]!r} meant?)" if near else ""
+    if isinstance(error, AttributeError) and str(error) == "can't set attribute":
+        return " (what a robot is given of others cannot be changed: assign to self)"
     return ""
 
 

@@ -69,7 +69,8 @@ class AppRunner:
         where = f"result() at iteration {self.k}"
         answer: object = self._call(where, self.app.result, "result")
         if not isinstance(answer, dict | Mapping) or not all(isinstance(name, str) for name in answer):
-            raise AppError(f"{self._where(where)}: expected a dict by name, got {shown(answer)}")
+            line = self._from_line("result")
+            raise AppError(f"{self._where(where)}: {line}expected a dict by name, got {shown(answer)}")
         result = {name: self._value(where, name, value) for name, value in answer.items()}
         for name in self._fields.keys() & result.keys():
             self._check_same(where, self._fields[name], result[name])
@@ -286,7 +287,10 @@ class Runner(AppRunner):
         where = f"iteration {k}"
         answer: object = self._call(where, lambda: app.step(neighbours), "step")
         if answer is not None:
-            raise AppError(f"{self._where(where)}: it returned {shown(answer)}; a step assigns to the state instead")
+            line = self._from_line("step")
+            raise AppError(
+                f"{self._where(where)}: {line}it returned {shown(answer)}; a step assigns to the state instead"
+            )
         packed = self._pack(where, "step")
         self._be_at(k + 1)
         self._step = own, packed[0]

@@ -143,16 +143,16 @@ class BaseApp:
             )
         cls.spec.schema.check_size()
         declared = (*cls.spec.schema.names, *cls.spec.private, *cls.spec.parameters, *dir(BaseApp))
-        for kind in cls.__mro__:
-            untyped = vars(kind).keys() - inspect.get_annotations(kind).keys() - set(declared)
-            for name in sorted(untyped if issubclass(kind, BaseApp) else ()):
-                value = vars(kind)[name]
+        for base in cls.__mro__:
+            names = vars(base).keys() - inspect.get_annotations(base).keys() - set(declared)
+            for name in sorted(names if issubclass(base, BaseApp) else ()):
+                value = vars(base)[name]
                 # A name in capitals is a constant, by Python's convention.
                 if (isinstance(value, _MUTABLE) or shape_of(value)) and not name.isupper():
                     plain, type_name = name.lstrip("_"), _type_of(value)
                     mend = f"{name}: {type_name}" if type_name else f"_{plain}: {type(value).__name__}"
                     raise AppError(
-                        f"{_place(kind)}class {kind.__name__}: {name} has no type, so all robots of a simulation would "
+                        f"{_place(base)}class {base.__name__}: {name} has no type, so all robots of a simulation would "
                         f"share it: declare `{mend} = ...`, or write it in capitals if it never changes"
                     )
 

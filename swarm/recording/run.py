@@ -30,7 +30,8 @@ class Run:
         self.path = path
         self.files = tuple(sorted(path.glob(f"*{SUFFIX}"))) if path.is_dir() else (path,)
         if not self.files:
-            raise RecordingError(f"{path}: there is no recording (*{SUFFIX}) in this folder")
+            tables = "; swarm import reads the thesis' CSV files" if any(path.glob("*.csv")) else ""
+            raise RecordingError(f"{path}: there is no recording (*{SUFFIX}) in this folder{tables}")
         self.info = folder.read_run(path) if path.is_dir() else {}
         """App, run, version, seed and digest."""
         self.topics: dict[str, list[Path]] = {}

@@ -55,10 +55,12 @@ def run(args: argparse.Namespace) -> int:
         sys.stderr.write(f"note: {damage}\n")
     samples = (it for it in recorded.samples(*args.keys) if args.start is None or it.t >= args.start)
     if args.json:
+        count = 0
         for sample in samples:
+            count += 1
             line = {"t": round(sample.t, 9), "key": sample.topic, "message": sample.message}
             sys.stdout.write(json.dumps(line) + "\n")
-        return 0
+        return _played(args, count)
     with _bus(args) as bus:
         if not bus.wait_connected(OPENING_S):
             place = args.on or "the run directory"
@@ -67,6 +69,15 @@ def run(args: argparse.Namespace) -> int:
         count = _play(bus, samples, args.speed)
         time.sleep(SETTLE_S)
     print(f"{count} messages")
+    return _played(args, count)
+
+
+def _played(args: argparse.Namespace, count: int) -> int:
+    """0; raises `LocalError` where there was nothing to play."""
+    if not count:
+        keys = f" under {' '.join(args.keys)}" if args.keys else ""
+        start = "" if args.start is None else f" from {args.start:g} s on"
+        raise LocalError(f"{args.run}: the recording has no message{keys}{start}")
     return 0
 
 

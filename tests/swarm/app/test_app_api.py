@@ -335,7 +335,10 @@ LINE_OF_STEP = r"Tracker on r1, iteration 4: .*test_app_api.py, from line \d+ on
         (lambda self, n: setattr(self, "valeu", 1), r"iteration 4: .*AttributeError: Tracker declares no 'valeu'"),
         (lambda self, n: self.robot.measurement, r"iteration 4: .*no measurement: write `measured = True`"),
         (lambda self: None, LINE_OF_STEP + r"TypeError: .* takes 1 positional argument"),
-        (lambda self, n: 5.0, r"Tracker on r1, iteration 4: it returned 5.0; a step assigns to the state instead"),
+        (
+            lambda self, n: 5.0,
+            r"Tracker on r1, iteration 4: .*, from line \d+ on: it returned 5.0; a step assigns to the state instead",
+        ),
     ],
 )
 def test_a_fault_names_robot_iteration_and_line(step: Callable[[Any, Any], Any], message: str) -> None:

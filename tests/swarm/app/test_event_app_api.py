@@ -378,7 +378,7 @@ def test_a_state_that_no_program_of_ours_sends_is_left_out() -> None:
         ("step", raises, r"Dancer on r1, step 4: .*test_event_app_api.py, line \d+: ValueError: I will not"),
         ("on_button", raises, r"Dancer on r1, on_button\(\) at k = 4: .*line \d+: ValueError: I will not"),
         ("step", lambda *_: sys.exit("bye"), r"step 4: .*line \d+: SystemExit: bye"),
-        ("step", lambda *_: 5, r"step 4: it returned 5; a handler assigns to the state instead"),
+        ("step", lambda *_: 5, r"step 4: .*, from line \d+ on: it returned 5; a handler assigns to the state instead"),
         (
             "step",
             lambda self, _: setattr(self, "turns", 1.5),

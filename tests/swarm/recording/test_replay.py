@@ -51,6 +51,16 @@ def test_what_was_none_is_there_again(tmp_path):
     assert found["swarm/r0/app/x/asked"] == {"t": 1.0}
 
 
+@pytest.mark.parametrize(
+    ("words", "what"), [(("foo/bar",), " under foo/bar"), (("--start", "1000"), " from 1000 s on")]
+)
+def test_a_replay_of_nothing_is_an_error(recorded, capsys, words, what):
+    with pytest.raises(SystemExit) as ended:
+        main(["replay", str(recorded), *words, "--json"])
+    assert ended.value.code == 2
+    assert f"the recording has no message{what}" in capsys.readouterr().err
+
+
 def test_a_replay_prints_messages_as_json(recorded, capsys):
     with pytest.raises(SystemExit) as ended:
         main(["replay", str(recorded), "swarm/r1/**/state", "--json"])
