@@ -27,11 +27,18 @@ PANELS = 6
 """The most columns that are shown if none are requested."""
 
 
-def states(figure: Any, run: Run, columns: Sequence[str] = (), labels: Mapping[str, str] | None = None) -> None:
+def states(
+    figure: Any,
+    run: Run,
+    columns: Sequence[str] = (),
+    labels: Mapping[str, str] | None = None,
+    between: Sequence[float] | None = None,
+) -> None:
     """Draw a row of two panels for each column: over iterations and over time. Truth values get one panel, over time.
 
     `columns`: names as in the app, or with the channel before them (`frequency.value`); default: what is shared.
-    `labels`: what stands at the axis of a column, with its unit; default: its name.
+    `labels`: what stands at the axis of a column, with its unit; default: its name. `between`: two times of the run, s;
+    only the iterations between them are shown.
     """
     every = _columns(run)
     if columns:  # in the order in which they are asked for
@@ -69,6 +76,10 @@ def states(figure: Any, run: Run, columns: Sequence[str] = (), labels: Mapping[s
         left.set(xlabel="iteration", ylabel=title)
         right.set(xlabel="time / s")
         style.whole(left.xaxis)
+        if between is not None:
+            begin, end = between
+            if ks := [k for path in paths.values() for k, t in path.times.items() if begin <= t <= end]:
+                left.set_xlim(min(ks), max(*ks, min(ks) + 1))
         if whole:
             style.whole(left.yaxis)
         right.tick_params(labelleft=False)

@@ -7,6 +7,7 @@ import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -138,7 +139,7 @@ def arguments_of(
     if options.get("config") is None:
         robots = ROBOTS if robots is None else robots
         topology = "line" if topology is None else topology
-    if not isinstance(robots, int | None):
+    if robots is not None and not isinstance(robots, Integral):  # numpy's integers are such
         raise ConfigError(f"robots: expected a whole number, got {shown(robots)}")
     if not isinstance(topology, str | Path | None):
         raise ConfigError(
@@ -147,7 +148,7 @@ def arguments_of(
         )
     for name, value in (("robots", robots), ("topology", topology), ("iterations", iterations), ("seconds", seconds)):
         words += [] if value is None else [f"--{name}={value}"]
-    if isinstance(faults, str) or not all(isinstance(fault, str) for fault in faults):
+    if isinstance(faults, str) or not isinstance(faults, Sequence) or not all(isinstance(it, str) for it in faults):
         raise ConfigError(f"faults: expected a list of texts, got {shown(faults)}")
     for fault in faults:
         kind, _, text = fault.partition(" ")

@@ -60,6 +60,9 @@ def main() -> int:
         number = options.run if options.run is not None else _default_run(app, service.config, options.settings)
         seed = _number("SWARM_SEED", os.environ.get("SWARM_SEED") or str(number), 10)
         instance = _make(service, app, service.config, seed)  # what is wrong with it is said at once
+        how = run_options.of(options)
+        if isinstance(instance, EventApp) and how.rule is not None:
+            raise ConfigError(f"--until and --for are for apps in lockstep, which {app.name} is not")
         runtime = ThreadedRuntime(service)
         measured = isinstance(instance, SyncApp) and instance.measured
         measurements = source_of(runtime, service.config, options.iterations) if measured else None
@@ -84,10 +87,7 @@ def main() -> int:
         keep = recorder.value if recorder is not None else None
         instance.robot.recording = RecordedValues(service.bus, service.robot, app.name, keep)
         let_speak(instance.robot, service.bus, service.log, *([recorder.said] if recorder is not None else []))
-        how = run_options.of(options)
         place = topology.RunPlace.of(number, app.digest, how, links.config, links.epoch, claim.incarnation)
-        if isinstance(instance, EventApp) and how.rule is not None:
-            raise ConfigError(f"--until and --for are for apps in lockstep, which {app.name} is not")
         if isinstance(instance, EventApp):
             events = EventRunner(instance, app.source)
             host = EventHost(runtime, app.name, events, place, service.config, storage, recorder)

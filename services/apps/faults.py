@@ -37,7 +37,7 @@ def mend_of(error: BaseException, fields: Iterable[Field]) -> str:
             return f" (it has {', '.join(error.obj._fields)})"
         return f" (is {near[0]!r} meant?)" if near else ""
     if isinstance(error, AttributeError) and str(error) == "can't set attribute":
-        return " (what a robot is given of others cannot be changed: assign to self)"
+        return " (a named tuple, as a neighbour is, cannot be changed: assign to self)"
     return ""
 
 

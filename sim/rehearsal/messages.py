@@ -2,8 +2,7 @@
 
 from collections.abc import Callable, Sequence
 
-from swarm.app.overlays import Message, check_payload
-from swarm.errors import LocalError
+from swarm.app.overlays import ITSELF, Message, check_payload
 from swarm.frozen import frozen
 from swarm.messages import Flooded, Sent
 
@@ -41,12 +40,11 @@ class RehearsalOverlays:
 
     def send(self, to: str, payload: bytes, **_: object) -> Request:
         check_payload(payload)
-        if to == self._robot:
-            raise LocalError(f"send: {to} is this robot itself")
         if known := to in self._others:
             self._deliver(to, Message(self._robot, payload, flooded=False))
         ticket = self._next()
-        self._answers[ticket] = Sent(0.0, ticket, "app", to, known, "" if known else f"there is no robot {to}")
+        problem = "" if known else ITSELF if to == self._robot else f"there is no robot {to}"
+        self._answers[ticket] = Sent(0.0, ticket, "app", to, known, problem)
         return Request(ticket)
 
     def answer(self, ticket: str) -> Flooded | Sent | None:

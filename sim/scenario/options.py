@@ -28,7 +28,7 @@ from swarm.app.run_options import RunOptions
 from swarm.config.types import LINKS
 from swarm.errors import ConfigError
 from swarm.frozen import frozen
-from swarm.process.arguments import number, picture, whole
+from swarm.process.arguments import number, picture_name, whole
 
 FROM_START, SETTLED, DELAY = "start", "settled", "delay"
 MESHES = (FROM_START, SETTLED, DELAY)
@@ -265,7 +265,7 @@ def parser(kind: type[argparse.ArgumentParser] = argparse.ArgumentParser) -> arg
     )
     run_options.add_arguments(p)
     run.add_argument("--json", action="store_true", help="one JSON object as the last line of the output")
-    run.add_argument("--plot", type=picture, metavar="FILE.png", help="draw the run")
+    run.add_argument("--plot", type=picture_name, metavar="FILE.png", help="draw the run")
     run.add_argument("--record", type=Path, metavar="DIR", help="write the recording of the run to this folder")
     run.add_argument("--run-dir", type=Path, metavar="DIR", help="directory for sockets and logs during the run")
     p.add_argument(
@@ -321,6 +321,10 @@ def parse(arguments: list[str], *, ends: bool = True) -> Options:
     options = Options(run_options=run_options.of(read), **vars(read))
     if options.config is not None and (options.robots is not None or options.topology is not None):
         raise ConfigError("--config names robots and topology itself: leave out --robots and --topology")
+    folder = None if options.plot is None else options.plot.parent
+    # The run makes the folder of its recording itself.
+    if folder is not None and not folder.is_dir() and folder != options.record:
+        raise ConfigError(f"--plot {options.plot}: there is no folder {folder}")
     if options.noise is not None and options.replay is not None:
         raise ConfigError("--noise makes the measurements, --replay has recorded ones: leave out one of them")
     if options.target_velocity is not None and (options.noise is not None or options.replay is not None):

@@ -35,6 +35,8 @@ MAX_OPEN_BYTES = 4 * 1024 * 1024
 
 _REFUSED = f"refused: requests of more than {MAX_OPEN_BYTES // 2**20} MiB wait for the mesh"
 
+ITSELF = "refused: a robot sends no message to itself"
+
 SMALL = 4096
 """Largest payload, in bytes, with which the whole request is repeated. Of a larger request only the ticket is
 repeated."""
@@ -58,7 +60,7 @@ class Message(NamedTuple):
 
 def check_payload(payload: object) -> None:
     """Raise `LocalError` for what no flood and no message carries."""
-    if not isinstance(payload, bytes | bytearray):
+    if not isinstance(payload, bytes | bytearray | memoryview):
         raise LocalError(
             f"a payload is of bytes, got {shown(payload)}: text.encode() gives those of a text, msgpack.packb(value) "
             "those of numbers, lists and dicts"
@@ -175,13 +177,11 @@ class Overlays:
         return self._open(request, self._flood_key, refused)
 
     def send(self, to: str, payload: bytes, *, priority: str = "bulk", timeout: float = 30.0) -> Handle[Sent]:
-        """Send `payload` to one robot. The mesh gives it up after `timeout` s, if not sooner. Raises `LocalError` where
-        `to` is this robot."""
-        if to == self._robot:
-            raise LocalError(f"send: {to} is this robot itself")
+        """Send `payload` to one other robot. The mesh gives it up after `timeout` s, if not sooner."""
         request = SendRequest(self._ticket(), self._app, to, payload, priority, timeout)
-        refused = Sent(self._now(), request.ticket, self._app, to, delivered=False, problem=_REFUSED)
-        return self._open(request, self._send_key, refused)
+        problem = ITSELF if to == self._robot else _REFUSED
+        refused = Sent(self._now(), request.ticket, self._app, to, delivered=False, problem=problem)
+        return self._open(request, self._send_key, refused, possible=to != self._robot)
 
     def answer(self, ticket: str) -> Flooded | Sent | None:
         """The answer to a request of this process, by its ticket; None as long as there is none, or of another one."""
@@ -248,8 +248,8 @@ class Overlays:
             self._count += 1
             return f"{self._prefix}-{self._count}"
 
-    def _open(self, request: FloodRequest | SendRequest, key: str, refused: A) -> Handle[A]:
-        """Make a request; `refused` is its answer where too many bytes wait already."""
+    def _open(self, request: FloodRequest | SendRequest, key: str, refused: A, *, possible: bool = True) -> Handle[A]:
+        """Make a request; `refused` is its answer where it is not `possible`, or too many bytes wait already."""
         check_payload(request.payload)
         size = len(request.payload)
         small = size <= SMALL
@@ -264,7 +264,7 @@ class Overlays:
             if len(self._handles) >= MAX_OPEN:
                 del self._handles[next(iter(self._handles))]
             self._handles[handle.ticket] = handle
-        if small or waiting + size <= MAX_OPEN_BYTES:
+        if possible and (small or waiting + size <= MAX_OPEN_BYTES):
             handle.ask()
         else:
             self.remind()  # an answer that was lost must not take room for ever

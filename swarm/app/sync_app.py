@@ -63,6 +63,8 @@ class BaseApp:
         super().__init_subclass__(**kwargs)
         try:
             cls.spec = read_spec(cls)
+            if cls.__module__ not in PLATFORM_MODULES:
+                _check_untyped(cls)
         except AppError as error:
             raise AppError(f"class {cls.__name__}: {error}") from None
         names = cls.plotted
@@ -133,7 +135,7 @@ class BaseApp:
 
     @classmethod
     def check_state(cls) -> None:
-        """Raise `AppError` where the shared state cannot be sent, or robots of a simulation would share a value."""
+        """Raise `AppError` where the shared state cannot be sent."""
         own = {name: value for name, value in vars(cls).items() if not hasattr(cls.__base__, name) and name[0] != "_"}
         untyped = next(((name, kind) for name, value in own.items() if (kind := _type_of(value))), None)
         if not cls.spec.schema.fields and untyped is not None:
@@ -142,19 +144,6 @@ class BaseApp:
                 f"{_place(cls)}class {cls.__name__} shares no state: {name} has no type: declare `{name}: {kind} = ...`"
             )
         cls.spec.schema.check_size()
-        declared = (*cls.spec.schema.names, *cls.spec.private, *cls.spec.parameters, *dir(BaseApp))
-        for base in cls.__mro__:
-            names = vars(base).keys() - inspect.get_annotations(base).keys() - set(declared)
-            for name in sorted(names if issubclass(base, BaseApp) else ()):
-                value = vars(base)[name]
-                # A name in capitals is a constant, by Python's convention.
-                if (isinstance(value, _MUTABLE) or shape_of(value)) and not name.isupper():
-                    plain, type_name = name.lstrip("_"), _type_of(value)
-                    mend = f"{name}: {type_name}" if type_name else f"_{plain}: {type(value).__name__}"
-                    raise AppError(
-                        f"{_place(base)}class {base.__name__}: {name} has no type, so all robots of a simulation would "
-                        f"share it: declare `{mend} = ...`, or write it in capitals if it never changes"
-                    )
 
     @classmethod
     def check_change(cls, values: Mapping[str, object]) -> dict[str, Value]:
@@ -279,6 +268,26 @@ class SyncApp(BaseApp):
     def regraph(self) -> None:
         """Called by the host when `robot.graph` is another one: the weights follow from it."""
         self._weigh()
+
+
+def _check_untyped(cls: type[BaseApp]) -> None:
+    """Raise `AppError` for a list, array or the like in the class that all robots of a simulation would share."""
+    bases = [base for base in cls.__mro__ if base is not object and base.__module__ not in PLATFORM_MODULES]
+    declared = {
+        *cls.spec.parameters,
+        *dir(BaseApp),
+        *(name for each in bases for name in inspect.get_annotations(each)),
+    }
+    for name, value in ((name, value) for base in bases for name, value in vars(base).items()):
+        if name in declared or name.isupper() or name[:2] == name[-2:] == "__":
+            continue  # a name in capitals is a constant, by Python's convention
+        if isinstance(value, _MUTABLE) or shape_of(value):
+            kind = _type_of(value)
+            mend = f"{name}: {kind}" if kind else f"_{name.lstrip('_')}: {type(value).__name__}"
+            raise AppError(
+                f"{name} has no type, so all robots of a simulation would share it: declare `{mend} = ...`, or write "
+                "it in capitals if it never changes"
+            )
 
 
 def _type_of(value: object) -> str:

@@ -133,7 +133,9 @@ class Graph:
         return len(self._neighbours[name])
 
     def distances(self, name: str) -> dict[str, int]:
-        """Hops from `name` to every robot it can reach, itself included, nearest first."""
+        """Hops from `name` to every robot it can reach, itself included, nearest first. Raises `KeyError` for a robot
+        that there is not."""
+        self._neighbours[name]
         return hops_from(self._neighbours, name)
 
     def components(self) -> list[tuple[str, ...]]:

@@ -40,13 +40,19 @@ def names(text: str) -> list[str]:
 
 
 def picture(text: str) -> Path:
-    """Return the path of a picture that is to be drawn; a name without an ending gets that of PNG. What is wrong with
-    it is said before anything is computed."""
+    """Return the path of a picture that is to be drawn into a folder that is there, as `picture_name` does. What is
+    wrong with it is said before anything is computed."""
+    path = picture_name(text)
+    if not path.parent.is_dir():
+        raise argparse.ArgumentTypeError(f"{text!r}: there is no folder {path.parent}")
+    return path
+
+
+def picture_name(text: str) -> Path:
+    """Return the path of a picture; a name without an ending gets that of PNG."""
     path = Path(text) if Path(text).suffix else Path(f"{text}.png")
     if path.suffix.lower() not in PICTURES:
         raise argparse.ArgumentTypeError(f"{text!r}: a picture is a file that ends in {', '.join(PICTURES)}")
-    if not path.parent.is_dir():
-        raise argparse.ArgumentTypeError(f"{text!r}: there is no folder {path.parent}")
     return path
 
 

@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from laptop.fleet import apps
@@ -54,8 +55,13 @@ def run(args: argparse.Namespace) -> int:
         if wrong := apps.differences(versions, config):
             raise LocalError(f"{wrong} (or --force)")
     _warn(args.app, config)
-    options = [*([] if args.no_record else ["--record"]), *run_options.of(args).arguments]
-    starts = [apps.AppStart(name, files, arguments=options, settings=settings[name]) for name, files in found.items()]
+    record = [] if args.no_record else ["--record"]
+    how = run_options.of(args)
+    beside = replace(how, last=None, rule=None)  # the first app decides when the run ends, as in `swarm sim`
+    starts = [
+        apps.AppStart(name, files, arguments=[*record, *options.arguments], settings=settings[name])
+        for (name, files), options in zip(found.items(), (how, *[beside] * (len(found) - 1)), strict=True)
+    ]
 
     async def job(host: Host, _: everyone.ReportProgress) -> str:
         return ", ".join([await start.until_first_state(ssh, host) for start in starts])

@@ -24,8 +24,8 @@ KINDS: dict[str, Callable[[Any, Run], None]] = {
     "standup": events.standup,
 }
 
-TIME, ITERATION = "time / s", "iteration"
-"""The label of an axis that shows the run's time, and of one that shows iterations."""
+TIME = "time / s"
+"""The label of an axis that shows the run's time."""
 
 OF_APP = {
     "localization": "map",
@@ -75,13 +75,17 @@ def run(args: argparse.Namespace) -> int:
     labels = dict(_label(text) for text in args.label)
     kind = args.kind or ("states" if args.column or labels else _of(recorded))
     _check(kind, args.column or labels)
-    drawing = partial(states.states, columns=args.column, labels=labels) if kind == "states" else KINDS[kind]
+    drawing = (
+        partial(states.states, columns=args.column, labels=labels, between=args.between)
+        if kind == "states"
+        else KINDS[kind]
+    )
     name = "-".join(filter(None, (args.run.resolve().stem, args.app, kind)))
     path = args.output or Path(f"{name}.png")
     with style.figure(path, settings=style.RC, layout="constrained") as made:
         drawing(made, recorded)
         if args.between:
-            _cut(made, recorded, *args.between)
+            _cut(made, *args.between)
     damage = list(recorded.damage)
     show(args, {"picture": str(path), "damage": damage}, [*(f"note: {each}" for each in damage), str(path)])
     return 0
@@ -117,9 +121,8 @@ def _check(kind: str, columns: Collection[str]) -> None:
         raise LocalError(f"columns and their labels belong to a picture of kind states, not to {kind}")
 
 
-def _cut(made: Any, recorded: Run, begin: float, end: float) -> None:
-    """Show only the part of a figure from `begin` to `end`, s, and the iterations of that time. Raises `LocalError`
-    where nothing is drawn there."""
+def _cut(made: Any, begin: float, end: float) -> None:
+    """Show only the part of a figure from `begin` to `end`, s. Raises `LocalError` where nothing is drawn there."""
     over_time = [axes for axes in made.axes if axes.get_xlabel() == TIME]
     if not over_time:
         raise LocalError("--between: nothing in this picture is drawn over time")
@@ -128,11 +131,6 @@ def _cut(made: Any, recorded: Run, begin: float, end: float) -> None:
         raise LocalError(f"--between {begin:g} {end:g}: expected FROM < TO within {first:.6g} s to {last:.6g} s")
     for axes in over_time:
         axes.set_xlim(begin, end)
-    paths = recorded.trajectories().values() if recorded.states() else ()
-    ks = [k for path in paths for k, t in path.times.items() if begin <= t <= end]
-    for axes in made.axes:
-        if ks and axes.get_xlabel() == ITERATION:
-            axes.set_xlim(min(ks), max(*ks, min(ks) + 1))
 
 
 def _label(text: str) -> tuple[str, str]:

@@ -149,7 +149,7 @@ class VirtualBody:
         check_command(speed, turn_rate, seconds)
         if self.mode != BALANCING:
             raise LocalError(f"velocity: only a balancing robot drives, this one is {self.mode}")
-        self._until = self._tick + math.ceil(seconds / PERIOD - 1e-6)
+        self._until = self._tick + max(1, math.ceil(seconds / PERIOD - 1e-6))
         # Half a tick sooner: what ticks add up to is not exact.
         return self._drive.command(speed, turn_rate, (self._until - 0.5) * PERIOD)
 

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from runs_apps import Beside, Light, Mean, NeverStarts, Place, Raises
 
 import swarm
-from laptop.cli.runs.plot import _cut as cut
+from laptop.plotting import states
 from services.apps import loader
 from sim.virtual.run import simulate as by_command
 from swarm import SyncApp, load, rehearse, simulate, sweep
@@ -39,7 +40,7 @@ def test_a_class_of_a_test_is_simulated_and_its_states_are_an_array_by_iteration
 
 
 def test_simulate_computes_what_swarm_sim_virtual_does_to_the_bit() -> None:
-    run = simulate("consensus", robots=6, topology="thesis-d", jitter=0.01, seed=3, iterations=40)
+    run = simulate("consensus", robots=np.int64(6), topology="thesis-d", jitter=0.01, seed=3, iterations=40)
     words = "consensus --robots 6 --topology thesis-d --jitter 0.01 --seed 3 --iterations 40"
     _, outcome = by_command(*words.split(), rows=True)
     for place, path in enumerate(outcome.trajectories.values()):
@@ -93,14 +94,12 @@ def test_an_entry_of_a_vector_is_drawn_by_its_name() -> None:
         run.plot(kind="mesh")
 
 
-def test_a_part_of_the_run_is_drawn_over_its_time_and_over_its_iterations() -> None:
+def test_of_a_part_of_the_run_the_iterations_of_that_time_are_drawn() -> None:
     run = simulate(Mean, robots=2, iterations=60)
-    figure = run.plot("x")
-    cut(figure, run.recording, 0.5, 1.0)
-    over_iterations, over_time = (axes.get_xlim() for axes in figure.axes)
-    assert over_time == (0.5, 1.0)
+    figure = Figure()
+    states.states(figure, run.recording, between=(0.5, 1.0))
     there = np.flatnonzero(((run.times >= 0.5) & (run.times <= 1.0)).any(axis=1))
-    assert over_iterations == (there[0], there[-1])
+    assert figure.axes[0].get_xlim() == (there[0], there[-1])
 
 
 def test_a_run_that_never_began_can_be_printed_and_says_why_it_has_no_states() -> None:
@@ -180,6 +179,7 @@ def test_periodic_apps_and_channels_are_runs_too() -> None:
         ({"iterations": 3, "seconds": 2.0}, "not allowed with"),
         ({"values": [1.0]}, r'values: expected them by name, such as {"x": \[1.0, 2.0\]}, got \[1.0\]'),
         ({"faults": [1]}, r"faults: expected a list of texts, got \[1\]"),
+        ({"faults": None}, "faults: expected a list of texts, got None"),
         ({"robots": "6"}, "robots: expected a whole number, got '6'"),
         ({"robots": 0}, "--robots: '0': expected 1 or more"),
         ({"topology": np.ones((3, 3))}, r'numpy.savetxt\("graph.txt"'),

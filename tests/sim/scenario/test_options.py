@@ -135,3 +135,8 @@ def test_a_picture_that_cannot_be_drawn_is_refused_before_the_run(name, problem)
 
 def test_a_picture_without_an_ending_is_a_png():
     assert options.parse(["consensus", "--plot", "run"]).plot == Path("run.png")
+
+
+def test_a_picture_may_be_drawn_into_the_folder_of_the_recording(tmp_path):
+    words = ["consensus", "--record", str(tmp_path / "new"), "--plot", str(tmp_path / "new" / "x.svg")]
+    assert options.parse(words).plot == tmp_path / "new" / "x.svg"

@@ -14,7 +14,7 @@ import pytest
 
 from services.apps.faults import bounded
 from services.apps.runner import Runner
-from swarm import Array, SyncApp, Vector, float32, parameter
+from swarm import Array, EventApp, SyncApp, Vector, float32, parameter
 from swarm.app.robot import Robot
 from swarm.core.graph import Graph
 from swarm.errors import AppError
@@ -168,8 +168,8 @@ def test_classes_that_cannot_be_are_refused_when_made(body: dict[str, Any], mess
 def test_no_state_and_too_much_state_are_refused() -> None:
     with pytest.raises(AppError, match="Empty shares no state"):
         make(type("Empty", (SyncApp,), {}))
-    with pytest.raises(AppError, match=r"shares no state: x has no type: declare `x: Array\[2\] = ...`"):
-        make(type("Untyped", (SyncApp,), {"measured": True, "x": np.zeros(2)}))
+    with pytest.raises(AppError, match=r"shares no state: x has no type: declare `x: float = \.\.\.`"):
+        make(type("Untyped", (SyncApp,), {"measured": True, "x": 1.0}))
     with pytest.raises(AppError, match="takes 800 bytes"):
         make(type("Big", (SyncApp,), {"__annotations__": {"x": Annotated[Vector, 100]}}))
 
@@ -184,17 +184,22 @@ def test_no_state_and_too_much_state_are_refused() -> None:
     ],
 )
 def test_a_value_that_all_robots_of_a_simulation_would_share_is_refused(name: str, value: object, mend: str) -> None:
-    base = type("Base", (SyncApp,), {"__annotations__": {"x": float}, name: value})
-    with pytest.raises(AppError, match=re.escape(f"{name} has no type, so all robots of a simulation would share it")):
-        make(base)
-    with pytest.raises(AppError, match=re.escape(f"declare `{mend} = ...`")):
-        make(type("Derived", (base,), {"__annotations__": {"y": float}}))
+    mixin = type("Mixin", (), {name: value})
+    message = f"{name} has no type, so all robots of a simulation would share it: declare `{mend} = ...`"
+    for kind, bases, body in (
+        (SyncApp, (SyncApp,), {"__annotations__": {"x": float}, name: value}),
+        (SyncApp, (mixin, SyncApp), {"__annotations__": {"x": float}}),
+        (EventApp, (EventApp,), {name: value}),
+    ):
+        with pytest.raises(AppError, match=re.escape(f"class Shared{kind.__name__}: {message}")):
+            type(f"Shared{kind.__name__}", bases, body)
 
 
 def test_constants_and_declared_values_in_a_class_are_no_shared_state() -> None:
     typed = {"x": float, "_seen": list, "names": ClassVar[list[str]]}
-    body = {"step": Tracker.step, "_seen": [], "names": [], "_GAINS": [1], "f": (1,)}
-    fine = type("Fine", (SyncApp,), {"__annotations__": typed, **body})
+    body = {"step": Tracker.step, "_seen": [], "names": [], "_GAINS": [1], "f": (1,), "plotted": ["x"]}
+    base = type("Base", (SyncApp,), {"__annotations__": typed, **body})
+    fine = type("Fine", (base,), {"names": ["a"], "__slots__": []})
     first, second = make(fine), make(fine)
     first._seen.append(1)
     assert second._seen == []
