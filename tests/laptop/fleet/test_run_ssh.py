@@ -60,6 +60,16 @@ def test_an_app_goes_with_the_modules_beside_it_and_settings_with_spaces_arrive_
     assert before != after  # the digest is of all of it
 
 
+def test_only_the_first_of_several_apps_decides_when_the_run_ends(robots: FakeRobots, run: Run) -> None:
+    home = add_robot(robots, "r0")
+    assert run("run", "consensus", "led_sync", "--until", "converged", "--absent", "drop", "--no-record") == 0
+    first, beside = (files(home / "etc")[f"apps/{name}.env"] for name in ("consensus", "led_sync"))
+    assert " --until converged --rounds 10 " in first
+    assert "--until" not in beside  # it has no common iteration, and would not start
+    assert " --absent drop " in first
+    assert " --absent drop " in beside
+
+
 def test_run_names_the_robot_whose_app_has_no_first_state_with_its_last_words(
     robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
 ) -> None:
