@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import warnings
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -76,8 +77,9 @@ class RunData:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """Problems of the run, such as an app in fault or a minute without an iteration; empty if there was none."""
-        return tuple(json.loads(self._outcome.get("problems", "[]")))
+        """Problems of the run, such as an app in fault or a minute without an iteration, and damage of its recording;
+        empty if there was none."""
+        return (*json.loads(self._outcome.get("problems", "[]")), *self.recording.damage)
 
     @property
     def never(self) -> tuple[str, ...]:
@@ -267,9 +269,12 @@ def load(path: str | Path, app: str = "") -> RunData:
     """Load a recorded run, of real robots (`swarm fetch`) or of a simulation (`swarm sim --record`, `RunData.save`).
 
     `path` is its folder, or one recording (.mcap) of it; `app` chooses one app if robots ran
-    several. Raises `RecordingError` if there is no recording or it cannot be read.
+    several. Raises `RecordingError` if there is no recording or it cannot be read. What is damaged in it is warned of.
     """
-    return RunData(Path(path), app)
+    run = RunData(Path(path), app)
+    for damage in run.recording.damage:
+        warnings.warn(f"swarm.load: {damage}", stacklevel=2)
+    return run
 
 
 def _interpolated(times: Array, known: Array, values: Array) -> Array:

@@ -101,7 +101,8 @@ def end_with(program: str, run: Callable[[], int], *, interrupted: int = 130, un
         code = unread
         _leave_output()
     except OSError as error:
-        complain(program, str(error))  # a full disk behind stdout, mostly
+        # A full disk behind stdout, mostly, or a file that cannot be made.
+        complain(program, f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error))
         code = 2
         _leave_output()
     leave(code)

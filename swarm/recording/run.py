@@ -39,6 +39,8 @@ class Run:
         self.schemas: dict[str, McapSchema] = {}
         """The schema of each topic."""
         self._metadata: list[tuple[str, dict[str, str]]] = []
+        self._numbers: dict[str, str] = {}
+        """The run's number by app, as the first file has it."""
         self.damage: list[str] = []
         """What cannot be read in the files, and doubts about their times, in words."""
         self._begun: dict[bool, dict[str, float]] = {True: {}, False: {}}
@@ -145,6 +147,9 @@ class Run:
         self._metadata += reader.metadata
         for name, entries in reader.metadata:
             if name == "run":
+                app, number = entries.get("app", ""), entries.get("run", "")
+                if (known := self._numbers.setdefault(app, number)) != number:
+                    self.damage.append(f"{file}: it is of run {number} of {app}, other files are of run {known}")
                 self.info = {**{key: entries[key] for key in folder.KEYS if key in entries}, **self.info}
             elif name == WORLD_CLOCK:
                 try:

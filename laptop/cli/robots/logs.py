@@ -100,7 +100,8 @@ def _of_run(args: argparse.Namespace) -> int:
             lines.append((robot, AppLog(sample.t, str(message.get("level", "")), str(message.get("text", "")))))
     rows = [{"robot": robot, "t": line.t, "level": line.level, "text": line.text} for robot, line in lines]
     text = [said(robot, line) for robot, line in lines] or ["no app has printed or logged anything in this run"]
-    show(args, {"lines": rows}, text)
+    damage = list(recorded.damage)
+    show(args, {"lines": rows, "damage": damage}, [*(f"note: {each}" for each in damage), *text])
     return 0
 
 

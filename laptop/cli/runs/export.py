@@ -3,6 +3,7 @@
 import argparse
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NoReturn
 
 from laptop.cli.runs.import_csv import FILES
 from laptop.foxglove.recorded import RecordedScenes
@@ -54,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     made: list[Path] = []
     notes: list[str] = []
     if args.csv:
-        made += _write(args.csv, _lines(recorded) or _layouts(recorded, notes))
+        made += _write(args.csv, _lines(recorded) or _layouts(recorded, notes) or _nothing(recorded))
     if args.table:
         for name, table in _tables(recorded, args.topic).items():
             made.append(args.table / f"{name}.{args.format}")
@@ -68,8 +69,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _write(place: Path, files: Mapping[str, str]) -> list[Path]:
-    if not files:
-        raise RecordingError("no app's states are recorded in this run")
     for name, text in files.items():
         path = place / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -111,6 +110,9 @@ def _layouts(recorded: Run, notes: list[str]) -> dict[str, str]:
                 if lost := sum(k not in measured for k in ks[1:]):
                     notes.append(f"{robot}: {lost} states without a recorded measurement are not in {number}.csv")
             else:
+                if ks and len(ks) < ks[-1] + 1:
+                    lost = ks[-1] + 1 - len(ks)
+                    notes.append(f"{robot}: {lost} iterations are missing: the layout has none, later rows move up")
                 shared = [index for index, name in enumerate(path.columns) if not name.startswith("result.")]
                 cells = [[path.rows[k][index] for index in shared] for k in ks]
                 files[f"{prefix}{number}.csv"] = thesis_csv.states(list(zip(times, cells, strict=True)))
@@ -136,8 +138,12 @@ def _tables(recorded: Run, topics: Sequence[str]) -> dict[str, tables.Table]:
         for robot, path in recorded.trajectories(channel=channel).items()
     }
     if not found:
-        raise RecordingError("no app's states are recorded in this run")
+        return _nothing(recorded)
     return found
+
+
+def _nothing(recorded: Run) -> NoReturn:
+    raise RecordingError("; ".join([f"{recorded.path}: no app's states are recorded", *recorded.damage]))
 
 
 def _table(path: Trajectory) -> tables.Table:

@@ -45,14 +45,20 @@ def run(args: argparse.Namespace) -> int:
     digest = hashlib.blake2b("".join(texts.values()).encode(), digest_size=16).digest()
     app = min(kinds.values())
     info = folder.describe(app, int.from_bytes(digest[:8], "big"), 0, digest)
+    made = [path for path in (output / folder.RUN_FILE,) if not path.exists()]
     folder.begin(output, info, {})
-    recording = DirectRecording(output / f"{app}{SUFFIX}", info, clock=UNIX)
+    file = output / f"{app}{SUFFIX}"
+    recording = DirectRecording(file, info, clock=UNIX)
     try:
         recording.metadata(FILES, {str(name): topic for name, topic in topics.items()})
         for name, text in texts.items():
-            _put(recording, name, kinds[name], text, topics[name])
-    finally:
+            _put(recording, name, kinds[name], text, topics[name], str(args.source / name))
+    except RecordingError:
         recording.close()
+        for path in (file, *made):  # or the next attempt would find them
+            path.unlink()
+        raise
+    recording.close()
     show(args, {"run": str(output), "files": len(texts)}, [str(output)])
     return 0
 
@@ -64,15 +70,15 @@ def _read(path: Path) -> str:
         raise RecordingError(f"{path}: cannot be read: {error}") from None
 
 
-def _put(recording: DirectRecording, name: PurePosixPath, kind: str, text: str, topic: str) -> None:
-    """Record one file: every line as it is, and its values."""
+def _put(recording: DirectRecording, name: PurePosixPath, kind: str, text: str, topic: str, where: str) -> None:
+    """Record one file: every line as it is, and its values. Raises `RecordingError` with `where` and the line."""
     prefix = f"swarm/{thesis_csv.robot_of(name)}/app/{kind}"
     # Several experiments in one folder, and files that are of no robot, are told apart as channels are.
     place = ".".join(name.parent.parts) if name.stem.isdecimal() else name.stem
     part = thesis_csv.channel_of(name) or place
     states = f"{prefix}/{part}/state" if part else f"{prefix}/state"
     t = 0.0
-    for raw, line in thesis_csv.read(text, kind, str(name)):
+    for raw, line in thesis_csv.read(text, kind, where):
         t = line.t if line.t is not None else t + 1.0
         recording.write(topic, t, {"t": t, "line": raw}, "thesis.Line")
         if line.k is not None:

@@ -82,10 +82,13 @@ def run(args: argparse.Namespace) -> int:
     )
     name = "-".join(filter(None, (args.run.resolve().stem, args.app, kind)))
     path = args.output or Path(f"{name}.png")
-    with style.figure(path, settings=style.RC, layout="constrained") as made:
-        drawing(made, recorded)
-        if args.between:
-            _cut(made, *args.between)
+    try:
+        with style.figure(path, settings=style.RC, layout="constrained") as made:
+            drawing(made, recorded)
+            if args.between:
+                _cut(made, *args.between)
+    except LocalError as error:  # what is damaged may be what it lacks
+        raise LocalError("; ".join([str(error), *recorded.damage])) from None
     damage = list(recorded.damage)
     show(args, {"picture": str(path), "damage": damage}, [*(f"note: {each}" for each in damage), str(path)])
     return 0

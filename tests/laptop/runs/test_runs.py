@@ -102,6 +102,25 @@ def test_of_a_part_of_the_run_the_iterations_of_that_time_are_drawn() -> None:
     assert figure.axes[0].get_xlim() == (there[0], there[-1])
 
 
+def test_damage_of_a_recording_is_warned_of_and_a_problem_of_the_run(tmp_path: Path) -> None:
+    simulate(Mean, robots=2, iterations=40).save(tmp_path)
+    (file,) = tmp_path.glob("*.mcap")
+    file.write_bytes(file.read_bytes()[:-400])
+    with pytest.warns(UserWarning, match="it was cut off"):
+        run = load(tmp_path)
+    assert "it was cut off" in run.problems[-1]
+    assert "it was cut off" in repr(run)
+
+
+def test_files_of_two_runs_in_one_folder_are_named(tmp_path: Path) -> None:
+    for name, seed in (("a", 1), ("b", 2)):
+        simulate(Mean, robots=2, iterations=4, seed=seed).save(tmp_path / name)
+    (file,) = (tmp_path / "b").glob("*.mcap")
+    file.rename(tmp_path / "a" / "z.mcap")
+    with pytest.warns(UserWarning, match=r"z\.mcap: it is of run [0-9a-f]+ of mean, other files are of run"):
+        load(tmp_path / "a")
+
+
 def test_a_run_that_never_began_can_be_printed_and_says_why_it_has_no_states() -> None:
     run = simulate(NeverStarts, robots=2, check=False)
     assert "without states, problems: " in repr(run)

@@ -1,6 +1,7 @@
 """The thesis' CSV layouts: in and out to the byte, and what their lines say."""
 
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -104,7 +105,10 @@ def test_truth_values_round_trips_and_places_are_told_apart(tmp_path):
 def test_what_is_none_of_the_layouts_is_named(tmp_path, capsys, name, text, words):
     write(tmp_path / "in", name, text)
     assert swarm("import", tmp_path / "in", "-o", tmp_path / "out") == 2
-    assert __import__("re").search(words, capsys.readouterr().err)
+    told = capsys.readouterr().err
+    assert re.search(words, told)
+    assert str(tmp_path / "in" / name) in told
+    assert not list((tmp_path / "out").iterdir()), "the next attempt finds nothing of this one"
 
 
 @given(st.text(max_size=60), st.sampled_from(thesis_csv.FOLDERS))
