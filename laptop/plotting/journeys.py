@@ -1,7 +1,7 @@
 """Floods, and messages from one robot to another, on their way through the swarm (thesis figures 3.13 to 3.16)."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from laptop.plotting import style
@@ -22,10 +22,11 @@ def floods(figure: Any, run: Run) -> None:
     (thesis figures 3.13 and 3.14)."""
     requests = [it for it in _requests(run) if not it.to]
     answers, heard = _answers(run), _heard(run)
+    arrivals = _arrivals(requests, answers, heard)
     panels, some = _panels(figure, run, requests, "flood")
     for axes, request in panels:
-        arrivals = _arrivals(request, requests, heard)
-        _flood(axes, request, answers.get((request.origin, request.ticket)), arrivals, list(run.robots))
+        which = request.origin, request.ticket
+        _flood(axes, request, answers.get(which), arrivals[which], list(run.robots))
     figure.suptitle(f"bar: until its origin knows; dot: it has arrived{some}", fontsize=9)
 
 
@@ -34,10 +35,11 @@ def unicasts(figure: Any, run: Run) -> None:
     sender knew (thesis figure 3.16)."""
     requests = [it for it in _requests(run) if it.to]
     answers, heard, passes = _answers(run), _heard(run), _passes(run)
+    arrivals = _arrivals(requests, answers, heard)
     panels, some = _panels(figure, run, requests, "message")
     for axes, request in panels:
         answer = answers.get((request.origin, request.ticket))
-        arrived = min((t for t, _ in _arrivals(request, requests, heard)), default=None)
+        arrived = min((t for t, _ in arrivals[request.origin, request.ticket]), default=None)
         known = answer[0] if answer is not None and answer[1]["delivered"] else None
         told = _of(request, passes, answer[0] if answer is not None else math.inf)
         way = legs(told, request.origin, request.to, arrived, known)
@@ -174,19 +176,36 @@ def _panels(figure: Any, run: Run, requests: Sequence[_Request], what: str) -> t
     return list(zip(panels.flat, shown, strict=False)), some
 
 
-def _arrivals(request: _Request, requests: Sequence[_Request], heard: Sequence[_Heard]) -> list[tuple[float, str]]:
-    """Return when a request's payload came to which robot: what came from its origin before that one's next request
-    to them."""
-    later = [it.t for it in requests if it.origin == request.origin and it.to == request.to and it.t > request.t]
-    until = min(later, default=math.inf)
-    return [
-        (t, robot)
-        for t, robot, message in heard
-        if message["sender"] == request.origin
-        and message["flooded"] == (not request.to)
-        and request.t <= t < until
-        and request.to in ("", robot)
-    ]
+def _arrivals(
+    requests: Sequence[_Request], answers: Mapping[tuple[str, str], _Answer], heard: Sequence[_Heard]
+) -> dict[tuple[str, str], list[tuple[float, str]]]:
+    """Return by origin and ticket when a request's payload came to which robot. An arrival has no ticket: it belongs to
+    the first request of its size that was under way then, and has not come to that robot before."""
+    found: dict[tuple[str, str], list[tuple[float, str]]] = {(it.origin, it.ticket): [] for it in requests}
+    for t, robot, message in heard:
+        candidates = [
+            it
+            for it in requests
+            if it.origin == message["sender"]
+            and message["flooded"] == (not it.to)
+            and it.to in ("", robot)
+            and it.size == message["size"]
+            and it.t <= t + CLOCKS
+            and all(robot != other for _, other in found[it.origin, it.ticket])
+        ]
+        under_way = [it for it in candidates if t <= _end(it, requests, answers) + CLOCKS]
+        if candidates:
+            it = under_way[0] if under_way else candidates[-1]
+            found[it.origin, it.ticket].append((t, robot))
+    return found
+
+
+def _end(request: _Request, requests: Sequence[_Request], answers: Mapping[tuple[str, str], _Answer]) -> float:
+    """Return when a request's answer was known, or where there is none when its origin made the next request."""
+    if (answer := answers.get((request.origin, request.ticket))) is not None:
+        return answer[0]
+    later = [it.t for it in requests if (it.origin, it.to) == (request.origin, request.to) and it.t > request.t]
+    return min(later, default=math.inf)
 
 
 def _flood(

@@ -13,7 +13,7 @@ from laptop.cli import main
 from laptop.cli.runs.plot import KINDS
 from laptop.plotting import style
 from laptop.plotting.events import _flashes
-from laptop.plotting.journeys import JourneyLeg, Pass, legs
+from laptop.plotting.journeys import JourneyLeg, Pass, _answers, _arrivals, _heard, _requests, legs
 from laptop.plotting.mesh import layout, spots
 from laptop.plotting.mesh import mesh as mesh_plot
 from laptop.plotting.style import figure
@@ -248,6 +248,14 @@ def test_words_of_links_that_cross_stand_apart():
     found = spots(SQUARE, links)
     assert set(found) == set(links)
     assert min(math.dist(a, b) for a, b in combinations(found.values(), 2)) > 0.13
+
+
+def test_each_of_two_floods_under_way_at_once_has_its_own_arrivals(tmp_path):
+    press = ("--press", "r0.A@1s", "--press", "r0.B@1.02s", "--press", "r0.C@3s")
+    simulate("flooding_demo", "--robots", "4", "--seconds", "4", *press, "--record", str(tmp_path))
+    run = Run(tmp_path)
+    found = _arrivals(_requests(run), _answers(run), _heard(run))
+    assert [sorted(robot for _, robot in each) for each in found.values()] == [["r1", "r2", "r3"]] * 3
 
 
 def test_what_was_not_recorded_cannot_be_drawn(runs, tmp_path, capsys):
