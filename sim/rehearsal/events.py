@@ -44,9 +44,8 @@ class RehearsedRobot:
 
     @property
     def fault(self) -> str:
-        """Why the app ended; empty while it runs."""
-        progress = self.host.progress
-        return progress.reason if progress.phase == "fault" else ""
+        """Why the app, or the lockstep of one of its channels, ended; empty while all run."""
+        return self.host.progress.reason if self.host.failed else ""
 
     @prints_heard()
     def press(self, button: str) -> None:

@@ -311,6 +311,15 @@ def test_a_bad_handler_is_named(tmp_path: Path, short: None) -> None:
     assert f"{file}, line " in found["problems"][0]
 
 
+def test_a_fault_in_the_lockstep_of_a_channel_is_a_problem(tmp_path: Path, short: None) -> None:
+    text = "from swarm import PeriodicApp, SyncApp, channel\nclass Mean(SyncApp):\n    v: float\n"
+    text += "    def step(self, neighbours):\n        self.v = 1 / (self.k - 3)\n"
+    text += "class Outer(PeriodicApp):\n    x: float\n    mean = channel(Mean)\n    def step(self, neighbours):\n"
+    file = write(tmp_path, text + "        self.x = self.mean.v\n")
+    found = check.judge(findings(file), findings(file))
+    assert re.search(f"channel mean: Mean on .*{file}, line 5: ZeroDivisionError", found["problems"][0])
+
+
 PERIODIC = "from swarm import PeriodicApp\nclass Mine(PeriodicApp):\n    on: bool\n    period = 0.2\n"
 
 
