@@ -42,14 +42,15 @@ class SweepTable:
     def rows(self) -> list[dict[str, Any]]:
         """Return one row for each combination: the values that make it, and over all seeds `runs`, `failed`,
         `unsettled`, `settled` (iterations, median), `settled_most`, `error` (median), `error_most`, `iteration_s`,
-        `problem` (the first), and each metric `error_NAME` of the app like `error`. None where a value is unknown."""
+        `problem` (the first), `never` (faults that did not happen), and each metric `error_NAME` of the app like
+        `error`. None where a value is unknown."""
         runs = sweep_results.by_point(self._points, self._found)
         return [{**_values(point), **_flat(summarize(each))} for point, each in zip(self._points, runs, strict=True)]
 
     @property
     def runs(self) -> list[dict[str, Any]]:
         """Return one row for each combination and seed: the values, `seed`, `iterations`, `settled`, `error`,
-        `seconds` (virtual), `iteration_s`, `computed_s`, `problem`, and the app's metrics `error_NAME`."""
+        `seconds` (virtual), `iteration_s`, `computed_s`, `problem`, `never`, and the app's metrics `error_NAME`."""
         return [{**_values(self._points[run.point]), **_flat(run)} for run in self._found]
 
     def to_pandas(self) -> "pd.DataFrame":

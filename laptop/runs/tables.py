@@ -114,6 +114,8 @@ def _even(values: list[Any]) -> list[Any]:
     there = [value for value in values if value is not None]
     if all(isinstance(value, bool) for value in there) and len(there) == len(values):
         return values
+    if all(type(value) is int and -(2**63) <= value < 2**63 for value in there) and len(there) == len(values):
+        return values
     if all(isinstance(value, int | float) for value in there):
         return [math.nan if value is None else float(value) for value in values]
     return ["" if value is None else str(value) for value in values]

@@ -205,14 +205,13 @@ def other_form(form: Form, first: Form) -> str:
 
 def metrics_of(kind: type[BaseApp]) -> tuple[str, ...]:
     """The methods `error` and `error_NAME` of an app's class: how far it is from what is true. An author's app that
-    ranges to a target and has none of them has `error` all the same: how far its results x and y are from the target.
-    """
+    ranges to a target and has no `error` has it all the same: how far its results x and y are from the target."""
     names = sorted(name for name in dir(kind) if name == ERROR or name.startswith(f"{ERROR}_"))
     own = tuple(name for name in names if callable(getattr(kind, name)) and name not in kind.spec.schema.names)
-    if own or not getattr(kind, "measured", False) or kind.__module__.startswith(BUILT_IN):
+    if ERROR in own or not getattr(kind, "measured", False) or kind.__module__.startswith(BUILT_IN):
         return own
     told = {f.name for f in kind.spec.schema.fields} if kind.result is BaseApp.result else {"x", "y"}
-    return (ERROR,) if {"x", "y"} <= told and ERROR not in kind.spec.schema.names else ()
+    return (ERROR, *own) if {"x", "y"} <= told and ERROR not in kind.spec.schema.names else own
 
 
 class Runner(AppRunner):

@@ -248,7 +248,11 @@ def _study(config: Config, options: Options, iterations: int | None, run_dir: Pa
     """The measurements of a simulation study, by robot; also as files, where there is a run directory to replay them
     from."""
     assert options.noise is not None
-    rows = iterations or math.ceil((options.seconds or 0.0) / SHORTEST_ITERATION)
+    rule = options.run_options.rule
+    seconds = options.seconds or (rule.seconds if rule is not None else None)
+    if not iterations and seconds is None:
+        raise ConfigError("--noise: give --iterations or --seconds, too: they say how many measurements are made")
+    rows = iterations or math.ceil((seconds or 0.0) / SHORTEST_ITERATION)
     places = {name: config.simulation.places[name][:2] for name in config.names}
     numbers = random.Random(f"{options.seed} noise")
     made = noise.scene(options.noise, places, config.simulation.target, rows, numbers)

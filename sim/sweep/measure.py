@@ -43,6 +43,8 @@ class SweptRun:
     """How often two robots touched."""
     metrics: Mapping[str, float] = field(default_factory=dict)
     """What the app's methods `error_NAME` say at the end, by name: the mean over the robots."""
+    never: str = ""
+    """Faults that were planned and did not happen, because the run ended before; empty where all did."""
 
 
 def check(jobs: Sequence[Job], app: LoadedApp | None = None) -> None:
@@ -86,6 +88,7 @@ def measure(job: Job, app: LoadedApp | None = None) -> SweptRun:
         computed_s=outcome.computed_s or 0.0,
         problem="; ".join(outcome.problems),
         contacts=contacts if isinstance(contacts := outcome.scene.get("contacts"), int) else 0,
+        never="; ".join(outcome.never),
         metrics={name: x for name, x in own.items() if name != ERROR and f"{name}_most" in own and type(x) is float},
     )
 
@@ -130,6 +133,8 @@ class Summary:
     """The first problem."""
     contacts: int
     """Of all runs together: how often two robots touched."""
+    never: str
+    """The first fault that never happened, and in how many runs one did not; empty where all did."""
     metrics: Mapping[str, float]
     """Of each of the app's methods `error_NAME` the median over the runs, and under `error_NAME_most` the largest."""
 
@@ -138,6 +143,7 @@ def summarize(runs: Sequence[SweptRun]) -> Summary:
     """Return the statistics over the runs of one point."""
     good = [run for run in runs if not run.problem]
     rounds = [run.settled for run in good if run.settled is not None]
+    away = [run.never for run in runs if run.never]
     errors = [run.error for run in good if run.error is not None]
     times = [run.iteration_s for run in good if run.iteration_s is not None]
     return Summary(
@@ -151,6 +157,7 @@ def summarize(runs: Sequence[SweptRun]) -> Summary:
         iteration_s=statistics.median(times) if times else None,
         problem=next((run.problem for run in runs if run.problem), ""),
         contacts=sum(run.contacts for run in runs),
+        never=f"{away[0]}; in {len(away)} of {len(runs)} runs" if away else "",
         metrics=_summed([run.metrics for run in good]),
     )
 

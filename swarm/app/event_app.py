@@ -100,7 +100,8 @@ class EventApp(BaseApp):
         `ticket`: that of the handle which `flood` or `send` returned."""
 
     def on_announced(self, origin: str, outcome: Flooded) -> None:
-        """React to the news that all robots have a flood of another robot with `announce`; `outcome` names them."""
+        """React to the news that all robots in reach have a flood of another robot with `announce`; `outcome` names
+        them."""
 
     def on_neighbour(self, neighbour: Any) -> None:
         """React to a new state of a neighbour. If it has changed several times since the last call, this is the

@@ -77,6 +77,9 @@ def test_an_apps_own_errors_are_results_and_stand_in_the_report(tmp_path: Path) 
 def test_an_app_that_measures_and_says_where_gets_the_error_of_the_target(tmp_path: Path) -> None:
     report, _ = simulate(write(tmp_path, FINDS), "--robots", "2", "--iterations", "5")
     assert report["error"] == pytest.approx(0.1)
+    further = FINDS + "\n    def error_far(self, truth):\n        return 2.0\n"
+    report, _ = simulate(write(tmp_path, further), "--robots", "2", "--iterations", "5")
+    assert (report["error"], report["error_far"]) == (pytest.approx(0.1), 2.0)
     report, _ = simulate("goto", "--robots", "2", "--seconds", "2")  # x and y are its own place
     assert "error" not in report
 

@@ -17,7 +17,7 @@ from sim.sweep.measure import check
 from sim.sweep.plan import SweepPoint, jobs_of, points_of, seeds_of, setting_of, values_of
 from swarm.errors import ConfigError
 from swarm.process import log, service
-from swarm.process.arguments import picture, whole
+from swarm.process.arguments import number, picture, whole
 from swarm.process.terminal import bar, steer
 
 WITHIN = 0.01
@@ -31,9 +31,9 @@ def parser() -> argparse.ArgumentParser:
         epilog="All other options of swarm sim apply to every run: --iterations 200 --jitter 10ms --noise thesis ...",
     )
     p.add_argument("app", metavar="APP", help="a built-in app, or a file with one")
-    p.add_argument("--robots", type=values_of, metavar="N,N", help="numbers of robots")
-    p.add_argument("--topology", type=values_of, metavar="NAME,NAME", help="topologies")
-    p.add_argument("--algorithm", type=values_of, metavar="NAME,NAME", help="algorithms of the app")
+    p.add_argument("--robots", action="extend", type=values_of, metavar="N,N", help="numbers of robots")
+    p.add_argument("--topology", action="extend", type=values_of, metavar="NAME,NAME", help="topologies")
+    p.add_argument("--algorithm", action="extend", type=values_of, metavar="NAME,NAME", help="algorithms of the app")
     p.add_argument(
         "--set",
         dest="settings",
@@ -46,7 +46,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--seeds", type=seeds_of, default=(1,), metavar="N|A-B", help="seeds 1 to N, or A to B (1)")
     p.add_argument(
         "--within",
-        type=float,
+        type=number(0.0),
         default=WITHIN,
         metavar="X",
         help=f"a result counts as settled this near to its last value, in its unit ({WITHIN:g})",
@@ -80,6 +80,10 @@ def main() -> int:
     args, rest = parser().parse_known_args()
     lists = [(name, getattr(args, name)) for name in ("robots", "topology", "algorithm") if getattr(args, name)]
     points = points_of([*lists, *args.settings])
+    if any(word.partition("=")[0] == "--record" for word in rest):
+        raise ConfigError(
+            "--record: a sweep has many runs, and they would all go to that folder; swarm sim records one"
+        )
     for point in points:  # what is wrong with the command is said before anything is computed
         simulation.parse([args.app, *point.arguments(), *rest, "--virtual"])
     check(jobs_of(args.app, points, args.seeds[:1], rest, args.within))

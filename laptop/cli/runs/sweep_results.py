@@ -54,7 +54,8 @@ def table(points: Sequence[SweepPoint], found: Sequence[SweptRun]) -> str:
     problems = [
         f"failed{_named(point)}: {each.problem}" for point, each in zip(points, sums, strict=True) if each.problem
     ]
-    notes = [*problems, *touched]
+    never = [f"never{_named(point)}: {each.never}" for point, each in zip(points, sums, strict=True) if each.never]
+    notes = [*problems, *never, *touched]
     return "\n".join([text, *([""] if notes else []), *notes])
 
 

@@ -125,6 +125,15 @@ def test_parquet_files_are_read_by_pyarrow(tmp_path: Path) -> None:
     assert found["name"] == ["a", ""]
 
 
+def test_whole_numbers_keep_all_their_bits(tmp_path: Path) -> None:
+    large = 4611686018427387916
+    tables.write(tmp_path / "a.npz", {"k": [0, large], "some": [1, None], "odd": [2**64, 1]})
+    found = np.load(tmp_path / "a.npz")
+    assert found["k"].tolist() == [0, large]
+    assert np.isnan(found["some"][1])
+    assert found["odd"].dtype == float
+
+
 def test_a_topic_that_is_none_is_named_with_those_that_are_there(recorded: Path, tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"no topic sim/nothing is recorded; there are: .*sim/leds"):
         tables.of_topic(Run(recorded), "sim/nothing")

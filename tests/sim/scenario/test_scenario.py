@@ -65,6 +65,7 @@ def test_the_config_a_run_uses_is_a_valid_file(tmp_path):
         (["nonsense"], "expected consensus, flooding_demo, "),
         (["consensus", "--algorithm", "magic"], "expected 'metropolis' or 'thesis'"),
         (["consensus", "--set", "valu=3"], "unknown parameter 'valu'"),
+        (["localization", "--noise", "none", "--until", "converged"], "--noise: give --iterations or --seconds, too"),
         (["flooding_demo", "--iterations", "5"], "--iterations: flooding_demo has none, it reacts to events"),
         (["stand_up", "--until", "converged"], "--until and --for are for apps in lockstep, which stand_up is not"),
         (["flooding_demo", "--for", "5"], "--until and --for are for apps in lockstep"),
@@ -115,3 +116,8 @@ def test_a_step_size_beyond_the_limit_of_the_scene_is_refused(tmp_path):
     assert "warning" in build(tmp_path, *thesis, "7e-6").notes[1]
     with pytest.raises(LocalError, match="would diverge"):
         build(tmp_path, *thesis, "8e-6")
+
+
+def test_measurements_are_made_for_a_run_that_ends_by_its_time(tmp_path):
+    recorded = build(tmp_path, "localization", "--noise", "none", "--for", "2").recordings
+    assert {len(each.rows) for each in recorded.values()} == {2000}

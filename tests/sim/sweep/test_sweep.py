@@ -158,6 +158,19 @@ def test_a_limit_of_what_the_app_does_not_have_is_refused_and_one_that_is_not_fo
     assert re.search(r"fails robots=2 diverges_above=1e-06: .* is beyond diverges_above", capsys.readouterr().out)
 
 
+def test_a_sweep_tells_of_faults_that_never_happened():
+    points = points_of([("robots", ("3",))])
+    words = ["--iterations", "5", "--latency", "10ms", "--off", "r1@5s,1s"]
+    found = [measure(job) for job in jobs_of("consensus", points, (1, 2), words, 0.01)]
+    assert re.search(r"never robots=3: --off r1@5s,1s: .*; in 2 of 2 runs", sweep_results.table(points, found))
+
+
+def test_the_runs_of_a_sweep_have_no_recording():
+    command = ["sweep", "consensus", "--record", "somewhere", "--seeds", "2"]
+    with mock.patch("sys.argv", command), pytest.raises(ConfigError, match="--record: a sweep has many runs"):
+        sweep_command.main()
+
+
 @pytest.mark.parametrize("engine", thinned(engines.ENGINES))
 def test_the_command_gives_what_one_process_gives(engine, tmp_path):
     if engine == "dask":
