@@ -2,6 +2,8 @@
 
 import argparse
 import json
+import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -88,8 +90,11 @@ def test_a_robot_whose_command_hangs_has_its_balancer_stopped(
 ) -> None:
     monkeypatch.setattr(halt_ssh, "_HANGS_S", 1.0)
     home = robots.add("r0")
-    robots.script("r0", "sudo", 'case $2 in env) exec sleep 600 ;; *) shift; "$@" ;; esac')
-    assert run("estop") == 0
+    robots.script("r0", "sudo", 'case $2 in env) echo $$ >hung; exec sleep 600 ;; *) shift; "$@" ;; esac')
+    try:
+        assert run("estop") == 0
+    finally:
+        os.kill(int((home / "hung").read_text()), signal.SIGKILL)
     assert "its balancer was stopped (its own command has not ended within 1 s)" in capsys.readouterr().out
     assert (home / "systemctl.log").read_text() == "stop swarm-balancer.service\n"
 
