@@ -182,6 +182,7 @@ def _arrivals(
     """Return by origin and ticket when a request's payload came to which robot. An arrival has no ticket: it belongs to
     the first request of its size that was under way then, and has not come to that robot before."""
     found: dict[tuple[str, str], list[tuple[float, str]]] = {(it.origin, it.ticket): [] for it in requests}
+    ends = {(it.origin, it.ticket): _end(it, requests, answers) for it in requests}
     for t, robot, message in heard:
         candidates = [
             it
@@ -193,7 +194,7 @@ def _arrivals(
             and it.t <= t + CLOCKS
             and all(robot != other for _, other in found[it.origin, it.ticket])
         ]
-        under_way = [it for it in candidates if t <= _end(it, requests, answers) + CLOCKS]
+        under_way = [it for it in candidates if t <= ends[it.origin, it.ticket] + CLOCKS]
         if candidates:
             it = under_way[0] if under_way else candidates[-1]
             found[it.origin, it.ticket].append((t, robot))

@@ -62,11 +62,11 @@ def simulate(
 
     `app`: the class, the path of its file, or the name of a built-in app. The robots are r0, r1..., six by default;
     `topology` is line (the default), loop, full, thesis-d, random:SEED, auto or a matrix file. The option `config`
-    names both itself. `values` are first values of the state and parameters: for
-    all robots, as a list with one for each, or by robot (`{"x": {"r2": 3.0}}`). `latency` of the links: s, one way,
-    or a text such as "30ms". `faults` are written as on the command line, with times in s after the first iteration:
-    "cut r0-r1@1s,2s", "kill r2.app@5s", "off r3@5s,10s", "press r0.A@2s", "push r1@5s,0.2". The seed may
-    draw robots and times, as in "off any@2s..8s,10s".
+    names both itself. `values` are first values of the state and parameters: for all robots, as a list with one for
+    each, or by robot (`{"x": {"r2": 3.0}}`). `latency` of the links: s, one way, or a text such as "30ms". `faults`
+    are written as on the command line, with times in s after the first iteration: "cut r0-r1@1s,2s",
+    "kill r2.app@5s", "off r3@5s,10s", "press r0.A@2s", "push r1@5s,0.2". The seed may draw robots and times, as in
+    "off any@2s..8s,10s".
 
     The run ends after `iterations` (100 if neither is given), or after `seconds` of virtual time. `devices`: record
     poses, tilt and links, too, as `swarm sim --record` does; that takes three times as long. `options` are all other

@@ -110,11 +110,11 @@ def _parquet(path: Path, table: Table) -> None:
 
 
 def _even(values: list[Any]) -> list[Any]:
-    """Values of one type: numbers with nan where there is none, truths as they are, all else as text."""
+    """Values of one type: truths and integers of 64 bits as they are, other numbers with nan where there is none, all
+    else as text."""
     there = [value for value in values if value is not None]
-    if all(isinstance(value, bool) for value in there) and len(there) == len(values):
-        return values
-    if all(type(value) is int and -(2**63) <= value < 2**63 for value in there) and len(there) == len(values):
+    whole = all(type(value) is int and -(2**63) <= value < 2**63 for value in there)
+    if len(there) == len(values) and (whole or all(isinstance(value, bool) for value in there)):
         return values
     if all(isinstance(value, int | float) for value in there):
         return [math.nan if value is None else float(value) for value in values]

@@ -85,10 +85,8 @@ class EventRunner(AppRunner):
                 return self._packed(where, call.handler)
         answer: object = self._call(where, lambda: getattr(app, call.handler)(*arguments), call.handler)
         if answer is not None:
-            line = self._from_line(call.handler)
-            raise AppError(
-                f"{self._where(where)}: {line}it returned {shown(answer)}; a handler assigns to the state instead"
-            )
+            text = f"it returned {shown(answer)}; a handler assigns to the state instead"
+            raise self._fault(where, call.handler, text)
         return self._packed(where, call.handler)
 
     def _views(self, known: Sequence[NeighbourState]) -> dict[Any, Any]:
@@ -106,7 +104,7 @@ class EventRunner(AppRunner):
         try:
             own = self.schema.pack({name: getattr(self.app, name) for name in names})
         except AppError as error:
-            raise AppError(f"{self._where(where)}: {self._from_line(method)}{error}") from None
+            raise self._fault(where, method, str(error)) from None
         # What others see is what we go on with: float32 rounds, numbers become floats, lists tuples.
         self._set(own)
         return own

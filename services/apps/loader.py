@@ -78,6 +78,10 @@ class LoadedApp:
             raise AppError(f"algorithm: expected {' or '.join(map(repr, self.algorithms))}, got {algorithm!r}")
         return self.algorithms[algorithm], rest
 
+    def kind_on(self, config: Config, robot: str) -> type[AnyApp]:
+        """The class that runs on a robot, as the configuration chooses it."""
+        return self.choose(config.app(self.name).of(robot))[0]
+
     def make(self, config: Config, robot: str, seed: int = 0) -> AnyApp:
         """The instance of one robot, with its parameters of swarm.toml; `AppError` names a wrong entry."""
         known = Robot(robot, config.graph, config.anchors, seed, app=self.name)

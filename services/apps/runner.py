@@ -69,8 +69,7 @@ class AppRunner:
         where = f"result() at iteration {self.k}"
         answer: object = self._call(where, self.app.result, "result")
         if not isinstance(answer, dict | Mapping) or not all(isinstance(name, str) for name in answer):
-            line = self._from_line("result")
-            raise AppError(f"{self._where(where)}: {line}expected a dict by name, got {shown(answer)}")
+            raise self._fault(where, "result", f"expected a dict by name, got {shown(answer)}")
         result = {name: self._value(where, name, value) for name, value in answer.items()}
         for name in self._fields.keys() & result.keys():
             self._check_same(where, self._fields[name], result[name])
@@ -78,7 +77,7 @@ class AppRunner:
         if self._form is None:
             self._form = form
         elif form != self._form:
-            raise AppError(f"{self._where(where)}: {self._from_line('result')}{other_form(form, self._form)}")
+            raise self._fault(where, "result", other_form(form, self._form))
         for name in self.metrics:
             result[name] = self._measured(name, result)
         return result
@@ -120,9 +119,7 @@ class AppRunner:
         where = f"{name}() at iteration {self.k}"
         answer: object = self._call(where, lambda: getattr(self.app, name)(truth), name)
         if isinstance(answer, bool) or not isinstance(answer, numbers.Real):  # numpy's numbers are such
-            raise AppError(
-                f"{self._where(where)}: {self._from_line(name)}expected a number, got {shown(answer)}: return a float"
-            )
+            raise self._fault(where, name, f"expected a number, got {shown(answer)}: return a float")
         return float(answer)
 
     def hangs(self, thread: int | None, limit: float) -> str:
@@ -160,6 +157,10 @@ class AppRunner:
             text = describe(error, self.source, self._from_line(method))
             hint = mend_of(error, self.schema.fields) or self._arguments(error, method)
             raise AppError(f"{self._where(where)}: {text}{hint}") from error
+
+    def _fault(self, where: str, method: str, text: str) -> AppError:
+        """Return what is wrong with a method of the author's where no line of its own is at fault."""
+        return AppError(f"{self._where(where)}: {self._from_line(method)}{text}")
 
     def _from_line(self, method: str) -> str:
         """File and first line of a method of the author's, with a colon, where no line of its own is at fault; empty
@@ -286,10 +287,7 @@ class Runner(AppRunner):
         where = f"iteration {k}"
         answer: object = self._call(where, lambda: app.step(neighbours), "step")
         if answer is not None:
-            line = self._from_line("step")
-            raise AppError(
-                f"{self._where(where)}: {line}it returned {shown(answer)}; a step assigns to the state instead"
-            )
+            raise self._fault(where, "step", f"it returned {shown(answer)}; a step assigns to the state instead")
         packed = self._pack(where, "step")
         self._be_at(k + 1)
         self._step = own, packed[0]
@@ -344,7 +342,7 @@ class Runner(AppRunner):
             own = self.schema.pack({name: getattr(app, name) for name in self.schema.names})
             private = pack_private({name: getattr(app, name) for name in spec.private if hasattr(app, name)})
         except AppError as error:
-            raise AppError(f"{self._where(where)}: {self._from_line(method)}{error}") from None
+            raise self._fault(where, method, str(error)) from None
         bound = app.diverges_above
         # What others see is what we go on with: float32 rounds, numbers become floats, lists tuples.
         for name, value in zip(self.schema.names, self.schema.unpack(own), strict=True):

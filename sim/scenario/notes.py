@@ -125,7 +125,7 @@ def _buttons(app: loader.LoadedApp, options: Options) -> tuple[str, ...]:
 
 def forgetting(config: Config, app: loader.LoadedApp, options: Options) -> tuple[str, ...]:
     """Tell that a lockstep does not go on by itself with a robot that was switched off."""
-    kind, _ = app.choose(config.app(app.name).of(config.names[0]))
+    kind = app.kind_on(config, config.names[0])
     lockstep = not issubclass(kind, EventApp) or bool(channels_of(kind))
     off = next((each for each in options.offs if each.at is not None), None)
     if off is None or options.run_options.drop or not lockstep:

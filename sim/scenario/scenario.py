@@ -24,6 +24,7 @@ from swarm import config as configuration
 from swarm.app.event_app import EventApp, PeriodicApp
 from swarm.app.run_options import RunOptions
 from swarm.app.settings import on_top
+from swarm.app.sync_app import BaseApp
 from swarm.config import Affine, Anchor, AppConfig, Config, Dwm, Linear, MeshConfig, RobotConfig, SimulationConfig
 from swarm.config.load import AUTO, wrong_links
 from swarm.config.types import DEFAULT_RELAY
@@ -211,7 +212,7 @@ def build(options: Options, run_dir: Path, app: loader.LoadedApp | None = None) 
         synthetic=options.noise is not None,
         mismatches=(*mismatches(recordings), *exchanged(base.simulation.places, recorded)) if recordings else (),
         beside=tuple(Beside(each.name, _program(each), each) for each in apps[1:]),
-        steps=app is not None and not _reacts_only(config, app),
+        steps=app is not None and not _reacts_only(app.kind_on(config, config.names[0])),
         disturbances=disturbances,
         lying=options.lying or (STANDING_UP_FROM if from_the_side else None),
         notes=tuple(notes(config, base, apps, options, {} if options.noise else recorded)),
@@ -265,15 +266,14 @@ def _study(config: Config, options: Options, iterations: int | None, run_dir: Pa
 
 def _check_end(config: Config, app: loader.LoadedApp, options: Options) -> None:
     """Raise `ConfigError` for an end that the app never comes to."""
-    kind, _ = app.choose(config.app(app.name).of(config.names[0]))
+    kind = app.kind_on(config, config.names[0])
     if issubclass(kind, EventApp) and options.run_options.rule is not None:
         raise ConfigError(f"--until and --for are for apps in lockstep, which {app.name} is not: use --seconds")
-    if options.iterations is not None and _reacts_only(config, app):
+    if options.iterations is not None and _reacts_only(kind):
         raise ConfigError(f"--iterations: {app.name} has none, it reacts to events: use --seconds")
 
 
-def _reacts_only(config: Config, app: loader.LoadedApp) -> bool:
-    kind, _ = app.choose(config.app(app.name).of(config.names[0]))
+def _reacts_only(kind: type[BaseApp]) -> bool:
     return issubclass(kind, EventApp) and not issubclass(kind, PeriodicApp)
 
 

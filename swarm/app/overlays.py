@@ -36,6 +36,7 @@ MAX_OPEN_BYTES = 4 * 1024 * 1024
 _REFUSED = f"refused: requests of more than {MAX_OPEN_BYTES // 2**20} MiB wait for the mesh"
 
 ITSELF = "refused: a robot sends no message to itself"
+"""The problem of such a message's answer."""
 
 SMALL = 4096
 """Largest payload, in bytes, with which the whole request is repeated. Of a larger request only the ticket is

@@ -31,6 +31,7 @@ from swarm.errors import AppError, shown
 from swarm.messages.codec import Value
 
 _MUTABLE = (list, dict, set, bytearray, deque)
+"""Types of values that robots would change for each other if they shared them. Arrays are such, too."""
 
 WEIGHTS = ("metropolis", "row")
 """Consensus weights: Metropolis (symmetric, the mean) or row-normalised adjacency (thesis rule 4.1)."""

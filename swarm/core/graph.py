@@ -135,7 +135,7 @@ class Graph:
     def distances(self, name: str) -> dict[str, int]:
         """Hops from `name` to every robot it can reach, itself included, nearest first. Raises `KeyError` for a robot
         that there is not."""
-        self._neighbours[name]
+        self.neighbours(name)  # raises where there is no such robot
         return hops_from(self._neighbours, name)
 
     def components(self) -> list[tuple[str, ...]]:

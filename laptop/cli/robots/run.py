@@ -56,11 +56,11 @@ def run(args: argparse.Namespace) -> int:
             raise LocalError(f"{wrong} (or --force)")
     _warn(args.app, config)
     record = [] if args.no_record else ["--record"]
-    how = run_options.of(args)
+    first, how = next(iter(found)), run_options.of(args)
     beside = replace(how, last=None, rule=None)  # the first app decides when the run ends, as in `swarm sim`
+    arguments = {name: [*record, *(how if name == first else beside).arguments] for name in found}
     starts = [
-        apps.AppStart(name, files, arguments=[*record, *options.arguments], settings=settings[name])
-        for (name, files), options in zip(found.items(), (how, *[beside] * (len(found) - 1)), strict=True)
+        apps.AppStart(name, files, arguments=arguments[name], settings=settings[name]) for name, files in found.items()
     ]
 
     async def job(host: Host, _: everyone.ReportProgress) -> str:

@@ -45,7 +45,8 @@ def run(args: argparse.Namespace) -> int:
     digest = hashlib.blake2b("".join(texts.values()).encode(), digest_size=16).digest()
     app = min(kinds.values())
     info = folder.describe(app, int.from_bytes(digest[:8], "big"), 0, digest)
-    made = [path for path in (output / folder.RUN_FILE,) if not path.exists()]
+    about = output / folder.RUN_FILE
+    is_new = not about.exists()
     folder.begin(output, info, {})
     file = output / f"{app}{SUFFIX}"
     recording = DirectRecording(file, info, clock=UNIX)
@@ -55,8 +56,9 @@ def run(args: argparse.Namespace) -> int:
             _put(recording, name, kinds[name], text, topics[name], str(args.source / name))
     except RecordingError:
         recording.close()
-        for path in (file, *made):  # or the next attempt would find them
-            path.unlink()
+        file.unlink()  # or the next attempt would find it
+        if is_new:
+            about.unlink()
         raise
     recording.close()
     show(args, {"run": str(output), "files": len(texts)}, [str(output)])

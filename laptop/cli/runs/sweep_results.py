@@ -48,14 +48,12 @@ def table(points: Sequence[SweepPoint], found: Sequence[SweptRun]) -> str:
             numbers += [each.metrics.get(name), each.metrics.get(f"{name}_most")]
         rows.append([*(value for _, value in point.choices), *map(_shown, numbers)])
     text = "\n".join(columns(rows, right=True, rule=True))
-    touched = [
-        f"contacts{_named(point)}: {each.contacts}" for point, each in zip(points, sums, strict=True) if each.contacts
+    notes = [
+        f"{word}{_named(point)}: {said}"
+        for word, name in (("failed", "problem"), ("never", "never"), ("contacts", "contacts"))
+        for point, each in zip(points, sums, strict=True)
+        if (said := getattr(each, name))
     ]
-    problems = [
-        f"failed{_named(point)}: {each.problem}" for point, each in zip(points, sums, strict=True) if each.problem
-    ]
-    never = [f"never{_named(point)}: {each.never}" for point, each in zip(points, sums, strict=True) if each.never]
-    notes = [*problems, *never, *touched]
     return "\n".join([text, *([""] if notes else []), *notes])
 
 

@@ -61,7 +61,7 @@ class AppRecording:
         epoch_ns = self._file.epoch_ns
         own = {"robot": service.robot, EPOCH: str(epoch_ns), CLOCK: _clock(service.robot, epoch_ns)}
         self._file.metadata(RUN, entries | own)
-        kind, _ = app.choose(service.config.app(app.name).of(service.robot))
+        kind = app.kind_on(service.config, service.robot)
         if shapes := kind.spec.schema.shapes:
             self._file.metadata(SHAPES, shapes)
         if kind.plotted:

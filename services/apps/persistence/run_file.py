@@ -12,7 +12,7 @@ from swarm.process.paths import VOLATILE
 _log = logging.getLogger("run_file")
 
 
-class Kept(Protocol):
+class OfRun(Protocol):
     """A message that is kept for one run."""
 
     @property
@@ -20,10 +20,10 @@ class Kept(Protocol):
         """The run's number."""
 
 
-K = TypeVar("K", bound=Kept)
+T = TypeVar("T", bound=OfRun)
 
 
-def read(kind: type[K], path: Path, run: int, otherwise: str) -> K | None:
+def read(kind: type[T], path: Path, run: int, otherwise: str) -> T | None:
     """Return what was kept for this run; None where that is nothing, or where the file cannot be read: `otherwise`
     tells in the log what follows from that."""
     try:
@@ -36,6 +36,6 @@ def read(kind: type[K], path: Path, run: int, otherwise: str) -> K | None:
     return kept if kept.run == run else None
 
 
-def write(path: Path, kept: Kept) -> None:
+def write(path: Path, kept: OfRun) -> None:
     """Keep a message. Raises `OSError`."""
     atomic_write(path, encode(kept), unsynced=VOLATILE)

@@ -44,7 +44,7 @@ class AppRecords:
         else:
             self._files = [DirectRecording(place / f"{app.name}{SUFFIX}", run)]
             files = dict.fromkeys(world.robots, self._files[0])
-        kind, _ = app.choose(world.config.app(app.name).of(world.config.names[0]))
+        kind = app.kind_on(world.config, world.config.names[0])
         if shapes := kind.spec.schema.shapes:
             for file in self._files:
                 file.metadata(SHAPES, shapes)
