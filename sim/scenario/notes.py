@@ -39,6 +39,9 @@ def notes(
 
     `recordings` are those that are replayed, by robot.
     """
+    rows = min((len(each.rows) for each in recordings.values()), default=None)
+    if rows is not None and options.iterations is not None and options.iterations > rows:
+        yield f"the recordings have {rows} rows: the run ends after {rows} iterations"
     # Where nobody has named the places, the table's need not be those of the recording.
     if not given.simulation.places:
         yield from (f"warning: {each}" for each in exchanged(config.simulation.places, recordings))

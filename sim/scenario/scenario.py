@@ -6,7 +6,7 @@ its three places. The simulated modules read as its modules did, so the thesis' 
 
 import math
 import random
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -188,6 +188,7 @@ def build(options: Options, run_dir: Path, app: loader.LoadedApp | None = None) 
     disturbances = _disturbances(config, options)
     if app is not None:
         _check_end(config, app, options)
+        _check_measured(config, apps, options)
     iterations = options.iterations
     if app is not None and iterations is None and options.seconds is None and options.run_options.rule is None:
         iterations = ITERATIONS.get(app.name if app.is_built_in else "", DEFAULT_ITERATIONS)
@@ -271,6 +272,16 @@ def _check_end(config: Config, app: loader.LoadedApp, options: Options) -> None:
         raise ConfigError(f"--until and --for are for apps in lockstep, which {app.name} is not: use --seconds")
     if options.iterations is not None and _reacts_only(kind):
         raise ConfigError(f"--iterations: {app.name} has none, it reacts to events: use --seconds")
+
+
+def _check_measured(config: Config, apps: Sequence[loader.LoadedApp], options: Options) -> None:
+    """Raise `ConfigError` for measurements that no app takes. Real processes of dwm tell them to event apps, too."""
+    kinds = [each.kind_on(config, robot) for each in apps for robot in config.names]
+    hears = EventApp if not options.virtual else ()
+    if not any(issubclass(kind, hears) or getattr(kind, "measured", False) for kind in kinds):
+        for given, name in ((options.noise, "--noise"), (options.replay, "--replay")):
+            if given is not None:
+                raise ConfigError(f"{name}: {apps[0].name} takes no measurements: its class says no `measured = True`")
 
 
 def _reacts_only(kind: type[BaseApp]) -> bool:

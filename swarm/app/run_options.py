@@ -6,6 +6,7 @@
 import argparse
 
 from swarm.core.lockstep.stopping import Rule
+from swarm.errors import ConfigError
 from swarm.frozen import frozen
 from swarm.process.arguments import number, whole
 
@@ -60,14 +61,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     end.add_argument(
         "--rounds",
         type=whole(1, MAX_ROUNDS),
-        default=ROUNDS,
         metavar="R",
         help=f"end when they have been converged for R iterations ({ROUNDS})",
     )
     end.add_argument(
         "--tolerance",
         type=_positive,
-        default=TOLERANCE,
         metavar="X",
         help="an app without a method converged has converged if its state changes by at most X "
         f"in a step ({TOLERANCE:g})",
@@ -86,19 +85,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     away.add_argument(
         "--drop-after",
         type=_seconds,
-        default=AFTER,
         metavar="S",
         help=f"seconds of silence after which a robot counts as missing ({AFTER:g})",
     )
 
 
 def of(options: argparse.Namespace) -> RunOptions:
-    """Return the run options in `options` and remove their arguments from it."""
+    """Return the run options in `options` and remove their arguments from it. Raises `ConfigError` for an option that
+    would change nothing."""
     values = vars(options)
     until, rounds, seconds = values.pop("until"), values.pop("rounds"), values.pop("run_for")
     absent, after, tolerance = values.pop("absent"), values.pop("drop_after"), values.pop("tolerance")
-    rule = Rule(rounds if until else None, seconds) if until or seconds is not None else None
-    return RunOptions(values["iterations"], rule, absent == DROP, after, tolerance)
+    if until is None and (rounds is not None or tolerance is not None):
+        raise ConfigError("--rounds and --tolerance say what --until converged waits for: add it, or leave them out")
+    if absent != DROP and after is not None:
+        raise ConfigError("--drop-after says when --absent drop drops a robot: add it, or leave it out")
+    rule = Rule((rounds or ROUNDS) if until else None, seconds) if until or seconds is not None else None
+    return RunOptions(values["iterations"], rule, absent == DROP, after or AFTER, tolerance or TOLERANCE)
 
 
 def _seconds(text: str) -> float:

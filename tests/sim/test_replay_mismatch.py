@@ -14,6 +14,7 @@ from conftest import thinned
 from laptop.cli.runs import export
 from services.apps.builtin.localization import ALGORITHMS
 from sim.report import END_BOUND_CM
+from sim.scenario import options, scenario
 from sim.virtual.run import simulate
 from swarm.errors import RecordingError
 from swarm.recording import thesis_csv
@@ -197,6 +198,12 @@ def test_an_export_of_robots_at_one_time_is_accepted(tmp_path: Path) -> None:
     files = export._layouts(Run(run), [])
     report = simulate("localization", "--replay", written(tmp_path, files), "--algorithm", "flood")[0]
     assert report["problems"] == report["early_ends"] == []
+
+
+def test_a_replay_that_is_shorter_than_the_wanted_iterations_says_so(tmp_path: Path, recorded: dict[str, str]) -> None:
+    folder = written(tmp_path, recorded)
+    more = options.parse(["localization", "--replay", folder, "--iterations", "1000", "--virtual"])
+    assert "the recordings have 40 rows: the run ends after 40 iterations" in scenario.build(more, tmp_path).notes
 
 
 def test_what_is_wrong_with_a_file_is_named(tmp_path: Path, recorded: dict[str, str]) -> None:

@@ -69,6 +69,8 @@ def test_the_config_a_run_uses_is_a_valid_file(tmp_path):
         (["flooding_demo", "--iterations", "5"], "--iterations: flooding_demo has none, it reacts to events"),
         (["stand_up", "--until", "converged"], "--until and --for are for apps in lockstep, which stand_up is not"),
         (["flooding_demo", "--for", "5"], "--until and --for are for apps in lockstep"),
+        (["consensus", "--noise", "none"], "--noise: consensus takes no measurements"),
+        (["flooding_demo", "--noise", "none", "--seconds", "2", "--virtual"], "--noise: flooding_demo takes no"),
     ],
 )
 def test_wrong_scenarios_are_refused(tmp_path, arguments, words):
