@@ -1,5 +1,6 @@
 """Ports of this computer for servers that are started a moment later."""
 
+import atexit
 import contextlib
 import random
 import socket
@@ -27,3 +28,9 @@ def free_port() -> int:
             _held.append(claim)
             return port
         claim.close()
+
+
+@atexit.register
+def _let_go() -> None:
+    while _held:
+        _held.pop().close()
