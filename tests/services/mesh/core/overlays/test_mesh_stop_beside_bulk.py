@@ -4,6 +4,7 @@ import random
 import statistics
 
 import pytest
+from conftest import thinned
 from mesh_world import World
 
 from swarm.messages import SendRequest, Stop
@@ -66,7 +67,7 @@ class StopsOnALine:
 def test_a_large_message_delays_a_stop_over_three_hops_by_less_than_two_ticks() -> None:
     line = StopsOnALine(bandwidth=BANDWIDTH)
     began = line.world.now
-    beyond = line.beyond(60)
+    beyond = line.beyond(30)
     assert beyond[-1] <= 0.03
     assert line.messages >= 1
     assert line.messages * SIZE / (line.world.now - began) >= 0.4 * BANDWIDTH, "they are on their way all the time"
@@ -74,13 +75,15 @@ def test_a_large_message_delays_a_stop_over_three_hops_by_less_than_two_ticks() 
 
 @pytest.mark.parametrize(
     ("bandwidth", "latency", "jitter", "most"),
-    [
-        (200_000.0, 0.03, 0.0, 0.04),
-        (BANDWIDTH, 0.005, 0.0, 0.1),
-        (40_000.0, 0.03, 0.0, 0.2),
-        (BANDWIDTH, 0.03, 0.01, 0.2),
-        (10_000.0, 0.03, 0.0, 0.6),
-    ],
+    thinned(
+        [
+            (40_000.0, 0.03, 0.0, 0.2),
+            (200_000.0, 0.03, 0.0, 0.04),
+            (BANDWIDTH, 0.005, 0.0, 0.1),
+            (BANDWIDTH, 0.03, 0.01, 0.2),
+            (10_000.0, 0.03, 0.0, 0.6),
+        ]
+    ),
 )
 def test_on_other_links_the_delay_is_bounded_too(bandwidth: float, latency: float, jitter: float, most: float) -> None:
     """The first window is made for 78 kB/s and 60 ms. Where a link is slower, or its round trip shorter, more of it
