@@ -78,7 +78,6 @@ def local_of(
     keys: Mapping[int, bytes],
 ) -> Local:
     """Return what the links of a robot have in common, by its configuration."""
-    settings = config.mesh
     return Local(
         robot=robot,
         network=config.network,
@@ -86,11 +85,7 @@ def local_of(
         insecure=insecure,
         dials=dials,
         robots=robots,
-        heartbeat=settings.heartbeat,
-        suspect=settings.suspect,
-        dead=settings.dead,
-        handshake=settings.handshake,
-        patience=settings.patience,
+        times=config.mesh,
         pages=is_bluetooth(config),
         keys=keys,
     )

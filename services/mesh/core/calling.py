@@ -156,9 +156,9 @@ class Calling:
     def patience(self, peer: str) -> float:
         """Return how long a handshake with a neighbour that this robot has called may take, s: longer after calls in
         vain."""
-        link, least = self._links.get(peer), self._local.handshake
+        link, least = self._links.get(peer), self._local.times.handshake
         doubled = 0 if link is None else min(link.unanswered, 16)
-        return min(least * 2.0**doubled, max(self._local.patience, least))
+        return min(least * 2.0**doubled, max(self._local.times.patience, least))
 
     def lost(self) -> None:
         """Note that a link has ended."""

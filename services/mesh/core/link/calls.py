@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.auth import newest_common
-from swarm.config.types import RobotConfig
+from swarm.config.types import MeshConfig, RobotConfig
 from swarm.frozen import frozen
 
 FIRST_DELAY = 0.2
@@ -261,13 +261,8 @@ class Local:
     changes it in place."""
     robots: frozenset[str]
     """All robots of the swarm."""
-    heartbeat: float = 0.5
-    """Seconds between heartbeats, on a busy link too: they carry the clock. Twice that where round trips are long."""
-    suspect: float = 1.5
-    dead: float = 3.0
-    handshake: float = 8.0
-    patience: float = 60.0
-    """The meaning of these times, s, stands at `swarm.config.types.MeshConfig`."""
+    times: MeshConfig = MeshConfig()
+    """Seconds between heartbeats and until a link is suspect or dead; its other settings play no part here."""
     pages: bool = False
     """Whether a call keeps the radio from other links, as a page of Bluetooth does; then callers are known by their
     addresses, too."""

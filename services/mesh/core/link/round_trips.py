@@ -120,16 +120,16 @@ class Pulse:
     def suspect_after(self, local: Local) -> float:
         """Return the seconds of silence after which the link is suspect: as configured, or more where its round trips
         ask for it."""
-        return min(max(local.suspect, self.silence(local.heartbeat, SUSPECT_AFTER)), local.patience)
+        return min(max(local.times.suspect, self.silence(local.times.heartbeat, SUSPECT_AFTER)), local.times.patience)
 
     def dead_after(self, local: Local) -> float:
         """The same for its end. Longer where robots share their radio's time among piconets, as long as round trips do
         not show that these two hardly do."""
-        least = max(local.dead, self.silence(local.heartbeat, DEAD_AFTER))
-        if local.pages and not self.is_steady(local.heartbeat):
+        least = max(local.times.dead, self.silence(local.times.heartbeat, DEAD_AFTER))
+        if local.pages and not self.is_steady(local.times.heartbeat):
             young = UNKNOWN_AFTER if len(self.rtts) < KNOWN else 1.0
-            least = max(least, young * local.handshake, BRIDGED_AFTER * self.longest)
-        return min(least, local.patience)
+            least = max(least, young * local.times.handshake, BRIDGED_AFTER * self.longest)
+        return min(least, local.times.patience)
 
     def next_beat(self, now: float, least: float, incarnation: int) -> float:
         """Return when the next heartbeat is due. Those of all links of a robot leave together: each time it wakes

@@ -103,7 +103,7 @@ class Session:
         """The keys of this connection, once the other's HELLO was accepted; None on insecure links."""
         self._confirm = b""
         self._began = now
-        self._patience = patience or local.handshake
+        self._patience = patience or local.times.handshake
         self._heard = now
         self._heartbeat_at = now
         self._heartbeat_due = False
@@ -211,7 +211,7 @@ class Session:
                 self._events.append(LinkSuspect())
             if now >= self._heartbeat_at:
                 self._heartbeat_due = True
-                self._heartbeat_at = self.pulse.next_beat(now, self._local.heartbeat, self._local.incarnation)
+                self._heartbeat_at = self.pulse.next_beat(now, self._local.times.heartbeat, self._local.incarnation)
             self.deadline = min(self._heartbeat_at, self._heard + (dead if self.state == SUSPECT else suspect))
 
     def data_to_send(self, now: float, max_bytes: int) -> bytes:
