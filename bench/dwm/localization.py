@@ -15,7 +15,7 @@ from pathlib import Path
 from bench.dwm.motion import ANCHORS, SEEDS, WARM_UP, Outcome, errors, lag, rms, run
 from bench.rows import Row
 from services.dwm.core.estimation.ekf import Ekf, EkfNoise
-from services.dwm.core.estimation.filters import percentile
+from services.dwm.core.estimation.filters import interpolated_percentile
 from services.dwm.core.estimation.tracker import Tracker
 
 SCENARIOS = (
@@ -137,7 +137,7 @@ def _rms(outcomes: Sequence[Outcome], method: str) -> float:
 
 
 def _percentile(outcomes: Sequence[Outcome], percent: float) -> float:
-    return percentile([error for one in outcomes for error in errors(one, "EKF")], percent)
+    return interpolated_percentile([error for one in outcomes for error in errors(one, "EKF")], percent)
 
 
 def draw(path: Path) -> None:

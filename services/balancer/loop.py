@@ -11,6 +11,7 @@ import logging
 import math
 import signal
 import time
+from collections import deque
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -24,13 +25,13 @@ from services.balancer.core.control.body import body_model
 from services.balancer.core.control.estimation.gyro import Zero
 from services.balancer.core.control.lqr import PERIOD_S
 from services.balancer.core.devices import leds
-from services.balancer.core.lateness import Lateness
 from services.balancer.i2c import I2CBus, open_patiently
 from services.balancer.slack_tasks import SlackTasks
 from services.balancer.telemetry import Telemetry
 from services.balancer.zero_file import ZeroFile
 from swarm import clock
 from swarm.config import Config, load, who_am_i
+from swarm.core.percentile import percentile
 from swarm.errors import SwarmError
 from swarm.messages import BalancerState, Firmware, Leds
 from swarm.process import log
@@ -70,7 +71,8 @@ class Loop:
         self._telemetry = telemetry
         self._tasks = tasks
         self._bridge = bridge
-        self._lateness = Lateness()
+        self._late = deque([0.0] * 100, maxlen=100)
+        """By how much the ticks of the last second began late, s."""
         self._stopping = False
         self._announced = False
         self._leds_at = 0.0
@@ -96,7 +98,7 @@ class Loop:
             elif wait > 0.0:
                 sleep(wait)
             started = now()
-            self._lateness.add(started - deadline)
+            self._late.append(started - deadline)
             stopped = self._look_for_stop()
             step(started)
             self.ticks += 1
@@ -204,7 +206,8 @@ class Loop:
 
     def _state(self) -> BalancerState:
         errors = self._balancer.bus_errors + self._tasks.errors
-        return self._telemetry.state(self.ticks, self.missed, errors, self._lateness.p99_and_max(), self._tasks.behind)
+        late = percentile(self._late, 99), max(self._late)
+        return self._telemetry.state(self.ticks, self.missed, errors, late, self._tasks.behind)
 
     def _tell_again(self) -> None:
         """Publish the state again for subscribers that came meanwhile."""

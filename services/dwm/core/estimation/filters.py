@@ -22,7 +22,7 @@ _FEWEST = 4
 Place = tuple[float, float]
 
 
-def percentile(values: Sequence[float], percent: float) -> float:
+def interpolated_percentile(values: Sequence[float], percent: float) -> float:
     """Linear between the order statistics, as numpy has it by default."""
     ordered = sorted(values)
     place = (len(ordered) - 1) * percent / 100
@@ -33,7 +33,7 @@ def percentile(values: Sequence[float], percent: float) -> float:
 
 def bounds(values: Sequence[float], percents: tuple[float, float] = QUARTILES) -> tuple[float, float]:
     """Lower and upper bound of what is no outlier (eq. 2.1)."""
-    first, third = percentile(values, percents[0]), percentile(values, percents[1])
+    first, third = interpolated_percentile(values, percents[0]), interpolated_percentile(values, percents[1])
     reach = _REACH * (third - first)
     return first - reach, third + reach
 

@@ -16,8 +16,8 @@ from services.dwm.core.estimation.filters import (
     Place,
     inliers,
     inlying_places,
+    interpolated_percentile,
     mean,
-    percentile,
     recursive_average,
 )
 from swarm.config.types import Affine
@@ -88,9 +88,9 @@ def distances(samples: Sequence[RangeSample]) -> DistanceFigures:
         offset,
         _mean_and_rms([d - m for d, m in zip(true, means, strict=True)]),
         _mean_and_rms([gain * d + offset - m for d, m in zip(true, means, strict=True)]),
-        percentile([abs(value - d) for d in true for value in pools[d]], 90),
-        percentile(processed, 90),
-        percentile(processed, 80),
+        interpolated_percentile([abs(value - d) for d in true for value in pools[d]], 90),
+        interpolated_percentile(processed, 90),
+        interpolated_percentile(processed, 80),
     )
 
 
@@ -116,8 +116,10 @@ def positions(samples: Sequence[RangeSample]) -> PositionFigures:
         _mean_and_rms([c for error in after for c in error]),
         sqrt(mean([hypot(*error) ** 2 for error in before])),
         sqrt(mean([hypot(*error) ** 2 for error in after])),
-        percentile([hypot(*_error(place, value)) for place in table for value in raw[place]], 90),
-        percentile([hypot(*_error(p, position(of_table, *value))) for p in table for value in smooth[p]], 90),
+        interpolated_percentile([hypot(*_error(place, value)) for place in table for value in raw[place]], 90),
+        interpolated_percentile(
+            [hypot(*_error(p, position(of_table, *value))) for p in table for value in smooth[p]], 90
+        ),
     )
 
 

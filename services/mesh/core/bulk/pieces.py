@@ -36,7 +36,7 @@ MAX_RANGES = 32
 MAX_WANTED = 128
 """Pieces of one WANT, and runs of neighbouring ones that they are told by."""
 
-LEAST_MESSAGE = packets.MAX_MESSAGE + 1
+LEAST_MESSAGE = packets.UNICAST_ROOM + 1
 """Bytes of the smallest message that is offered. Bookkeeping costs a receiver about 1 kB a message, and the room for
 messages is counted in bytes: without this bound a peer could offer millions of messages of one byte."""
 

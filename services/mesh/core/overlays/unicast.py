@@ -24,8 +24,7 @@ from services.mesh.core.bulk.pieces import Packet
 from services.mesh.core.bulk.transfers import Transfers
 from services.mesh.core.routing.topology import Route
 from services.mesh.core.wire import packets
-from services.mesh.core.wire.frames import BULK, SYNC, UNICAST
-from services.mesh.core.wire.frames import MAX_MESSAGE as MAX_LARGE
+from services.mesh.core.wire.frames import BULK, MAX_MESSAGE, SYNC, UNICAST
 from services.mesh.core.wire.packets import Ack, UnicastMessage
 from swarm.errors import FrameError
 from swarm.messages.keys import key as key_of
@@ -165,7 +164,7 @@ class Unicast:
         elif to == self._me:
             self._deliver(key, payload, priority)
             self._ended(token, to, "")
-        elif len(payload) > packets.MAX_MESSAGE:
+        elif len(payload) > packets.UNICAST_ROOM:
             self.transfers.send(token, to, key, payload, now, now + timeout)
         elif not self._own.has_room(len(payload)):
             self._ended(token, to, "too many messages wait for their answers")
@@ -174,7 +173,7 @@ class Unicast:
 
     def send_once(self, to: str, key: str, payload: bytes, priority: int) -> None:
         """Send over other robots than the link with the receiver, once, without an answer. Payloads have at most
-        `packets.MAX_MESSAGE` bytes. Without a way the message is dropped and counted."""
+        `packets.UNICAST_ROOM` bytes. Without a way the message is dropped and counted."""
         if (route := self._route(to, (self._me, to))) is None:
             self._counters["unicast_no_route"] += 1
             return
@@ -360,7 +359,7 @@ class Unicast:
 
 def limit_of(priority: int) -> int:
     """Bytes that a message of a class may have."""
-    return MAX_LARGE if priority == BULK else packets.MAX_MESSAGE
+    return MAX_MESSAGE if priority == BULK else packets.UNICAST_ROOM
 
 
 def _hop(packet: UnicastMessage | Ack, next_hop: str) -> Hop:

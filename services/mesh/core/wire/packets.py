@@ -10,8 +10,7 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import NamedTuple
 
-from services.mesh.core.wire.frames import MAX_MESSAGE as MAX_LARGE
-from services.mesh.core.wire.frames import MAX_PAYLOAD
+from services.mesh.core.wire.frames import MAX_MESSAGE, MAX_PAYLOAD
 from swarm.errors import FrameError, PayloadError
 from swarm.messages.keys import is_name, parse
 
@@ -120,7 +119,7 @@ MAX_SPREAD = MAX_PAYLOAD - _SPREAD.size - _FIRST.size
 MAX_KNOWN = 1 + 255
 """Bytes that the robots in a SPREAD take at most."""
 
-MAX_MESSAGE = MAX_PAYLOAD - _MESSAGE.size - 2 * 17 - 256
+UNICAST_ROOM = MAX_PAYLOAD - _MESSAGE.size - 2 * 17 - 256
 """Longest payload of a unicast message in one packet, in bytes, whatever its names and key."""
 
 MAX_DIGEST = 1024
@@ -260,8 +259,8 @@ def _decode_spread(data: bytes) -> Spread:
         if len(payload) != _SIZE.size:
             raise FrameError(f"SPREAD announces a message by {len(payload)} bytes: it takes {_SIZE.size}")
         payload, (size,) = b"", _SIZE.unpack(payload)
-        if not (least := room(all_know=bool(known))) < size <= MAX_LARGE:
-            raise FrameError(f"SPREAD announces {size} bytes: {least + 1} to {MAX_LARGE} are allowed")
+        if not (least := room(all_know=bool(known))) < size <= MAX_MESSAGE:
+            raise FrameError(f"SPREAD announces {size} bytes: {least + 1} to {MAX_MESSAGE} are allowed")
     return Spread(incarnation, sequence, payload, bool(flags & 1), bool(flags & 2), first, size, known)
 
 

@@ -126,12 +126,12 @@ def test_rules_carry_across_the_swarm() -> None:
 def test_a_value_too_long_for_its_overlay_is_counted() -> None:
     world = World(LINE, rules=[RelayRule(rule.keys, overlay=rule.overlay, priority="sync") for rule in RULES])
     world.run(1.0)
-    for key, limit in (("swarm/r0/dwm/pose", packets.MAX_SPREAD), ("swarm/r0/app/x/report/r3", packets.MAX_MESSAGE)):
+    for key, limit in (("swarm/r0/dwm/pose", packets.MAX_SPREAD), ("swarm/r0/app/x/report/r3", packets.UNICAST_ROOM)):
         world.publish("r0", key, bytes(limit + 1), source_of(key))
         world.publish("r0", key, bytes(limit), source_of(key))
     world.run(1.0)
     assert world.bots["r0"].counters["too_large"] == 2
-    assert sorted(len(payload) for _, payload in world.bots["r3"].inbox) == [packets.MAX_MESSAGE, packets.MAX_SPREAD]
+    assert sorted(len(payload) for _, payload in world.bots["r3"].inbox) == [packets.UNICAST_ROOM, packets.MAX_SPREAD]
 
 
 @pytest.mark.slow
@@ -296,7 +296,7 @@ def fragmented(world: World, change: Callable[[End, bytes], bytes] | None = None
     world.run(2.0)
     flood = FloodRequest("f", "x", bytes(range(256)) * 20, "bulk", False)
     flood = replace(flood, payload=flood.payload[: packets.MAX_SPREAD])
-    send = SendRequest("s", "x", "r2", flood.payload[::-1][: packets.MAX_MESSAGE], "bulk", 20.0)
+    send = SendRequest("s", "x", "r2", flood.payload[::-1][: packets.UNICAST_ROOM], "bulk", 20.0)
     world.tap = change
     world.step("r0", lambda node: node.ask(lambda each, now: each.request(flood, now), world.now))
     world.step("r0", lambda node: node.ask(lambda each, now: each.request(send, now), world.now))

@@ -14,7 +14,6 @@ from services.balancer.core.control.estimation.estimator import BodyEstimate
 from services.balancer.core.control.manoeuvres import stand_up as su
 from services.balancer.core.control.regulator import DUTY_LIMIT
 from services.balancer.core.faults import FELL, STOPPED, MotorFault
-from services.balancer.core.lateness import Lateness
 from swarm.config.types import Balancing
 from swarm.errors import LocalError
 
@@ -205,10 +204,3 @@ def test_a_heading_that_is_no_number_is_a_fault() -> None:
     steps = Steps().balancing()
     assert steps.step(0.0, heading=math.nan) == (0.0, 0.0)
     assert steps.controller.mode == "fault"
-
-
-def test_lateness_of_the_last_hundred() -> None:
-    lateness = Lateness()
-    for value in range(1000):
-        lateness.add(value * 1e-6)
-    assert lateness.p99_and_max() == pytest.approx((998e-6, 999e-6))

@@ -158,7 +158,7 @@ def test_whatever_happens_large_messages_arrive_whole_once_and_are_told_truly(
     inboxes = [*world.former, *((name, bot.inbox) for name, bot in world.bots.items())]
     whole = {large(count) for count in range(len(steps))}
     for _, inbox in inboxes:
-        ours = [(key, data) for key, data in inbox if len(data) > packets.MAX_MESSAGE]
+        ours = [(key, data) for key, data in inbox if len(data) > packets.UNICAST_ROOM]
         assert all(data in whole for _, data in ours), "bytes at the wrong place"
         once = [(key, data[:6]) for key, data in ours if "/rule/" not in key]
         assert len(once) == len(set(once)), "twice in one life"

@@ -11,7 +11,7 @@ from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import BULK, MAX_MESSAGE
 
 
-@pytest.mark.parametrize("size", [packets.MAX_MESSAGE + 1, 3 * SIZE, 100_000, MAX_MESSAGE])
+@pytest.mark.parametrize("size", [packets.UNICAST_ROOM + 1, 3 * SIZE, 100_000, MAX_MESSAGE])
 def test_a_large_message_arrives_whole_and_once(size: int) -> None:
     world = World(line(4))
     world.settle()
