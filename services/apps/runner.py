@@ -233,9 +233,9 @@ class Runner(AppRunner):
         self._changes: dict[str, Value] = {}
         self._inputs = {} if inputs is None else inputs
         self._taken: dict[str, tuple[int, object]] = {}
-        """By field the iteration whose step has taken the newest input of this epoch, and the input."""
+        """For each field, the iteration whose step took the newest input of this epoch, and that input."""
         self._again: dict[str, object] | None = None
-        """In an epoch before its first step: the inputs of steps that are done again. None: a step was done."""
+        """The inputs of steps that are done again, before the first step of an epoch; None after that step."""
         self.changed: Callable[[], None] | None = None
         """Called when other parameters are in force."""
 

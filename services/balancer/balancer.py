@@ -55,7 +55,7 @@ class Passenger(Protocol):
 
 
 class Balancer:
-    """See the module."""
+    """The balancer of one robot, stepped once a tick."""
 
     def __init__(
         self,

@@ -35,7 +35,7 @@ _log = logging.getLogger("balancer")
 
 
 class NoDeviceError(LocalError):
-    """There is no such adapter, or it is not ours to use."""
+    """The adapter is missing, or this process may not use it."""
 
 
 class BusInUseError(LocalError):

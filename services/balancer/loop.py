@@ -63,8 +63,8 @@ class Loop:
         keep: Callable[[Zero, float], None] = lambda *_: None,
         keep_stopped: Callable[[bool], None] = lambda _: None,
     ) -> None:
-        """For the process after this one, `keep` is given the gyro's zero once a second, and `keep_stopped` whether a
-        stop holds; it may raise `OSError`."""
+        """`keep` is given the gyro's zero once a second, and `keep_stopped` whether a stop holds, for the
+        process after this one. `keep_stopped` may raise `OSError`."""
         self._balancer = balancer
         self._keep = keep
         self._keep_stopped = keep_stopped

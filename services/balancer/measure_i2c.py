@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _rates(args: argparse.Namespace, robot: str, directory: Path) -> list[I2CRates]:
-    """Of each size."""
+    """Yield the measured rates for each transfer size."""
     with Bus.of(directory) as bus:
         if bus.wait_connected(PATIENCE) and _answers(bus, robot):
             return _measured(args, robot, _through(bus, robot))

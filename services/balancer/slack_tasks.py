@@ -120,7 +120,8 @@ class SlackTasks:
         return True
 
     def board(self, now: float) -> tuple[int, int]:
-        """See `Passenger`: where what is left after the control step is too short to be used, UWB or battery."""
+        """Return the read that goes along with the control step, as `Passenger` has it: UWB or battery, where the time
+        after the step is too short for a transfer of its own."""
         self._begun, self._planned = self._spent(), 0.0
         if self._boarded is not None:  # the step before failed
             self._boarded, self._mark = None, 0

@@ -24,7 +24,7 @@ _log = logging.getLogger("balancer")
 
 
 class ZeroFile:
-    """See the module."""
+    """Keeps the gyro's zero for the process after this one."""
 
     def __init__(self, runtime: Path) -> None:
         self._path = runtime / GYRO_ZERO

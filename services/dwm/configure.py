@@ -15,7 +15,7 @@ FASTEST = UpdateRate(1, 1)
 
 @frozen
 class ModuleInfo:
-    """All that a module tells of itself."""
+    """The settings that a module tells when it is asked."""
 
     identity: int
     """The module's 64-bit id. Its low 16 bits are the short address."""

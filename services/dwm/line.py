@@ -26,7 +26,7 @@ T = TypeVar("T")
 BAUD = 115200
 
 _ATTEMPTS = 3
-"""On the wire: a byte may get lost."""
+"""Tries for each call, since a byte may get lost on the wire."""
 
 _REPEAT = 1.0
 """Seconds after which a request over the bus is published again; longer than any answer takes."""

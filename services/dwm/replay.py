@@ -32,7 +32,7 @@ class _Row:
         return Measurement(self.recording.times[self.k], self.k, distance, x, y)
 
     def published(self, target: str, now: float) -> tuple[Ranges, Pose]:
-        """The same as live data look. The recordings hold no quality factors: full quality is claimed."""
+        """Return the messages in the form of live data. Recordings hold no quality factors: full quality is claimed."""
         distance, x, y = self.recording.rows[self.k]
         item = Range(target, distance, distance, 100, 0.0, self.k)
         return Ranges(now, self.k, (item,)), Pose(now, self.k, x, y, None, 100, "recording")

@@ -38,7 +38,7 @@ class Listener(Protocol):
     """A listener for neighbours of this robot."""
 
     def fileno(self) -> int:
-        """For select."""
+        """Return the descriptor that `select` waits for."""
 
     def accept(self) -> Pipe:
         """The next caller; raises OSError where it has gone already, or where the process has no descriptor left."""
@@ -84,7 +84,7 @@ class Watched:
         return readable, writable
 
     def close(self) -> None:
-        """It is waited for no more."""
+        """Give the kernel's list of descriptors back."""
         if self._calm is not None:
             self._calm.close()
 

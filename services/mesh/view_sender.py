@@ -52,7 +52,7 @@ class ViewSender:
             self._viewing.asked(watch, parse(key).robot, clock.now())
 
     def step(self) -> None:
-        """Once a second: begin or cease to listen, and say what is to be said."""
+        """Begin or cease to listen, and send what is to be sent. It is called once a second."""
         now = clock.now()
         with self._lock:
             active = self._viewing.active(now)

@@ -32,7 +32,7 @@ from swarm.messages.keys import key
 LED_CLAIM, LED_REPEAT = 3.0, 1.0
 """Seconds for which LEDs and display are claimed, and after which they are claimed again."""
 DRIVE_CLAIM, DRIVE_REPEAT = 0.5, 0.2
-"""The same for driving. A robot whose app has died stops within half a second."""
+"""Seconds between commands to drive. A robot whose app has died stops within half a second."""
 MOST_PRESSES = 100
 """The most presses of a button that an app is told of after one message."""
 SILENT = 2.0

@@ -57,7 +57,8 @@ class Parameter:
         return typing.cast(Value, value)
 
     def typed(self, name: str, hint: object, *, live: bool) -> "Parameter":
-        """The same with the annotation `hint`, its default checked; `live` where it did not say."""
+        """Return the parameter with the type of the annotation `hint`, its default checked. `live` counts where
+        the parameter does not say."""
         kind = typing.get_args(hint)[0] if typing.get_origin(hint) is Annotated else hint
         if kind not in KINDS:
             shown = getattr(kind, "__name__", kind)

@@ -46,7 +46,7 @@ MAX_DEVICES = 16
 DEVICE_INFO_SIZE = 92
 
 SOL_HCI, HCI_FILTER = 0, 2
-"""Of setsockopt; from linux/net/bluetooth/hci_sock.h, for not every Python has names for them."""
+"""Constants of setsockopt from linux/net/bluetooth/hci_sock.h; not every Python has names for them."""
 
 FILTER = struct.pack("<IIIHxx", 1 << EVENT, 1 << COMPLETE | 1 << STATUS | 1 << ROLE_CHANGE, 0, 0)
 """struct hci_filter, 16 bytes: event packets, of these three kinds, of any command."""

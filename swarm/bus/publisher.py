@@ -17,12 +17,12 @@ class Audience:
         self.doubt()
 
     def doubt(self) -> None:
-        """It is to be found out anew at `ask_at`, and is taken to be there until then; what is told meanwhile does not
+        """Take the audience to be there until `ask_at`, when the router is asked anew. What it tells meanwhile does not
         count."""
         self.there, self.sure, self.ask_at = True, False, clock.now() + _CERTAIN_S
 
     def matched(self, status: zenoh.MatchingStatus) -> None:
-        """It has come, or is gone."""
+        """Note that the audience has come or gone."""
         if self.sure:
             self.there = status.matching
 

@@ -237,7 +237,7 @@ def wrong_links(links: str, robots: int, *, auto: bool) -> str:
 
 
 def _check_addresses(top: Table, robots: Sequence[RobotConfig], way: str) -> None:
-    """Any two robots may have a link, by what `way` says: each needs an address."""
+    """Raise where a robot has no address although any two robots may have a link, as `way` says."""
     for i, robot in enumerate(robots):
         if robot.link is None and robot.bluetooth is None and len(robots) > 1:
             raise Table(top.file, f"robots.{i}", {}, None).error(

@@ -246,7 +246,7 @@ class SimulationConfig:
     target_velocity: tuple[float, float] = (0.0, 0.0)
     """The target's velocity from the first iteration of all robots on, m/s."""
     places: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
-    """Each robot's first place (x, y in m) and heading in rad, by name."""
+    """The first place (x, y in m) and heading (rad) of each robot, by name."""
     scl: float | None = None
     """The clock of the simulated I2C bus, Hz. None, here and below: as the data sheets of the parts say."""
     battery: float | None = None

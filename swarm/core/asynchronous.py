@@ -29,7 +29,7 @@ from swarm.errors import FrameError
 REPEAT = 1.0
 """Seconds after which an unchanged state is told again: it mends losses, and shows that the app is alive."""
 REPEAT_WAITING = 0.5
-"""The same before the barrier."""
+"""Seconds after which it is told again before the barrier."""
 MIN_GAP = 0.01
 """Seconds between two frames at least: an app that changes its state more often sends every other one, and the last."""
 DEAD_AFTER = 30.0
@@ -98,7 +98,7 @@ class Asynchronous:
     size: int
     """Bytes of one packed state; 0 = the app shares none."""
     robots: Sequence[str]
-    """All of the swarm, in the order of swarm.toml."""
+    """All robots of the swarm, in the order of swarm.toml."""
     period: float | None = None
     """Seconds between two steps; None = the app has none."""
     barrier: bool = False
@@ -213,7 +213,7 @@ class Asynchronous:
         self._timers[name] = now + seconds
 
     def set_neighbours(self, names: Sequence[str], now: float) -> None:
-        """There are other neighbours now. Those that stay keep what they have told, the new ones are told at once."""
+        """Replace the neighbours. Values of neighbours that stay are kept; new ones are told this state at once."""
         self.neighbours = tuple(names)
         self._peers = {name: self._peers.get(name) or _Peer() for name in self.neighbours}
         self._tell_soon(now)

@@ -156,7 +156,7 @@ class SetNotes:
     """Command on `balancer/set/notes`: play this instead of whatever plays; nothing = silence."""
 
     notes: tuple[Note, ...]
-    """At most 64 notes."""
+    """The notes, 64 at most."""
 
 
 @frozen

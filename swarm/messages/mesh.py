@@ -50,7 +50,7 @@ class LinkState:
 
 @frozen
 class Links:
-    """All mesh links of a robot, on `swarm/<robot>/mesh/links`: on change and once a second."""
+    """The mesh links of a robot, published on `swarm/<robot>/mesh/links` on change and once a second."""
 
     t: float
     links: tuple[LinkState, ...]

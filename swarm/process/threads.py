@@ -194,4 +194,4 @@ def _nothing() -> None:
 
 
 def _ignore(_: object) -> None:
-    """Nobody waits for that one."""
+    """Drop a result that nobody waits for."""

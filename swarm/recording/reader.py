@@ -70,7 +70,7 @@ class RecordingReader:
         self.clock = ""
         """The clock whose times are read at the moment: processes that say the same run on the same clock."""
         self.clocks: dict[str, int] = {}
-        """All clocks so far, with the time of day at their zero, ns since 1970."""
+        """The clocks read so far, each with the time of day at its zero, ns since 1970."""
         self._epoch_ns = 0
         self._at = len(mcap.MAGIC)
         try:

@@ -43,7 +43,7 @@ SLOWEST_S = 10.0
 """Half of a run's iterations are quicker: with links as slow as this one no lockstep gets far."""
 
 ODD_PACE = 10.0
-"""In lockstep robots do equally many iterations in a time; by this factor they differ only if their times do."""
+"""Factor by which the paces of two robots differ only if their clocks do: in lockstep all are equally fast."""
 
 SHORT_M = 0.05
 """Distances that are all below are none of UWB modules, whose error is as large."""
@@ -73,7 +73,7 @@ class ThesisRecording:
     rows: tuple[ThesisRow, ...]
     """Row k takes state k to state k+1."""
     times: tuple[float, ...]
-    """When row k was written, s after the file's first line."""
+    """The time of row k, s after the file's first line."""
     estimates: tuple[tuple[float, float], ...]
     """Estimated place of the target in state k, m: one more than there are rows, the first is the start."""
     began: float = 0.0

@@ -84,7 +84,7 @@ class SecondOrder(Consensus):
 
 
 class Chebyshev(SecondOrder):
-    """The same with the omegas that are best at every k: Chebyshev's polynomials (Golub, Varga 1961)."""
+    """The second-order method with the best omega for each k, from Chebyshev's polynomials (Golub, Varga 1961)."""
 
     def _tune(self, low: float, high: float) -> None:
         self._gain = 2.0 / (2.0 - high - low)

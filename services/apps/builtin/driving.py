@@ -30,7 +30,7 @@ class DrivingApp(PeriodicApp):
     """Seconds for which it has looked for its heading."""
 
     def start(self) -> None:
-        """Nobody's place is known."""
+        """Begin without the place of any robot."""
         self._places = places.Places(self.robot.swarm.index(self.robot.name), len(self.robot.swarm))
         self.table = self._places.tell(self.robot.now)
 

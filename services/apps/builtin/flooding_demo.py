@@ -9,7 +9,7 @@ from swarm.messages.codec import Value
 
 
 class FloodingDemo(ShowingApp):
-    """Any button: yellow on every robot that has the message, green on all when the last one has it."""
+    """Any button floods a message. A robot that has it shows yellow; all show green when the last one has it."""
 
     floods: int = 0
     """Number of own floods so far."""
@@ -33,7 +33,7 @@ class FloodingDemo(ShowingApp):
         self.show("sent", text, yellow=True)
 
     def on_message(self, message: Any) -> None:
-        """It has come here."""
+        """Show that the message has arrived here."""
         self.heard += 1
         self.show("heard", message.payload.decode(errors="replace"), yellow=True)
 

@@ -44,7 +44,7 @@ class UnicastDemo(ShowingApp):
         self.show("sent", text, yellow=True)
 
     def on_message(self, message: Any) -> None:
-        """It has arrived here."""
+        """Show that the message has arrived here."""
         self.received += 1
         self.show("received", message.payload.decode(errors="replace"), green=True)
 

@@ -70,7 +70,7 @@ def let_speak(robot: Robot, bus: BusLike, parent: logging.Logger | None, *sinks:
 
 @contextlib.contextmanager
 def prints_heard(log: logging.Logger | None = None) -> Iterator[None]:
-    """Within this, what apps print is theirs to say; `log` gets it, too. What others print goes where it did."""
+    """Take what apps print as lines of those apps, and write it to `log`, too. Other prints go to stdout."""
     before = sys.stdout
     sys.stdout = _Printed(before, log)
     try:

@@ -91,7 +91,7 @@ class EventHost:
         self._latest = key(self.robot, f"app/{name}", "latest", channel.text)
         self._status = AppStatus(runtime, f"app/{name}", lambda: self.progress, self._look_at_state)
         self._changed_at = runtime.now
-        """When the last handler returned."""
+        """The time at which the last handler returned, s."""
         self._tells: Told | None = None
         """What the app tells of the state that it left; None where that is not computed yet."""
         self._recorded = -1

@@ -35,7 +35,7 @@ class Part(NamedTuple):
     """Its name within the app; empty for an app that is one lockstep."""
     runner: Runner
     measurements: Measurements | None = None
-    """Where the app's measurements come from, if it wants some."""
+    """The source of the app's measurements, if the app wants some."""
 
 
 class _Sender(NamedTuple):

@@ -225,7 +225,7 @@ class LockstepDriver:
             ready(measurement)
 
     def _take_part(self) -> None:
-        """There is a measurement, whoever has asked for it: the others may take this robot in."""
+        """Let the others take this robot into the run, since a measurement has come."""
         if not self.run.epochs.well:
             self.run.epochs.take_part(self._runtime.now)
             self._perform()
@@ -396,4 +396,4 @@ class LockstepDriver:
 
 
 def _ignore(_: Measurement | None) -> None:
-    """It is enough that there is a measurement."""
+    """Drop a measurement that was only asked for to see that measurements come."""

@@ -53,13 +53,13 @@ class RunPlace(NamedTuple):
     options: RunOptions
     """How long the app runs, and what becomes of robots that are away."""
     names: frozenset[str]
-    """All robots that there may be."""
+    """All robots of the configuration."""
     begin: Epoch
     """The members and links with which the run began."""
     graph: Graph
     """The graph of those links."""
     incarnation: int
-    """It goes up with every start of the app's process, or of the robot."""
+    """A number that goes up with every start of the app's process or of the robot."""
 
     @classmethod
     def of(

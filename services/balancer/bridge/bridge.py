@@ -55,7 +55,7 @@ _TURN_S = 0.01
 
 
 class _Relay:
-    """Both directions between the loop's socket and the bus."""
+    """Relays messages from the loop's socket to the bus and from the bus to the loop."""
 
     def __init__(self, service: Service, loop: socket.socket, stops: socket.socket, *, stopped: bool) -> None:
         self._service = service

@@ -102,8 +102,8 @@ class BusSide:
         back."""
         self._unknown_since = 0.0
         self._stopped_at: float | None = now() if stopped else None
-        """When a stop was heard last, or the mesh told last that one holds, s; None from the time on at which the mesh
-        tells that none holds."""
+        """The time at which a stop was heard last, or at which the mesh told last that one holds, s. None once the mesh
+        has told that none holds."""
 
     def listen(self, put: Callable[[str, bytes], None]) -> None:
         """Hear stops, which go to the loop at once, and commands: `put(key, payload)` is to see to it that `command` is

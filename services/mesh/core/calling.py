@@ -113,7 +113,7 @@ class Calling:
         """Robots at which to knock once although there is a link: they may have taken this one for absent while it had
         none, as at the start."""
         self._lacked: set[str] = set()
-        """Those of them with which there was no link at the last look."""
+        """The robots of `_owed` with which there was no link at the last look."""
         self._knocks = 0
         self._owed_since = 0.0
         """The time at which this robot last came to owe knocks to all that should call it."""

@@ -135,7 +135,7 @@ class MeshNode:
         return earliest if held is None else min(earliest, held)
 
     def _set_linked(self, peers: Iterable[str]) -> None:
-        """These are the robots with links now."""
+        """Take the robots with which there are links."""
         if not self._carried:
             self._relay.set_peers(peers)
 

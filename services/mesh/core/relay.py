@@ -159,7 +159,7 @@ class KeyRelay:
         )
 
     def set_peers(self, peers: Iterable[str]) -> None:
-        """There are other neighbours now. What is held back leaves when it would have, to those who are there then."""
+        """Replace the neighbours. What is held back leaves in its time, to the new neighbours."""
         self._peers = tuple(sorted(peers))
         held, self._held = self._held, []
         self._routes.clear()

@@ -183,7 +183,7 @@ def _prepare(sock: socket.socket, radio: Radio) -> None:
 
 
 def explained(error: OSError) -> OSError:
-    """The same error with a text that says what it means here. A time-out of Python's own has no number."""
+    """Return the error with a text that says what it means here. A time-out of Python's own has no number."""
     text = describe(error)
     if error.errno is None and isinstance(error, TimeoutError):
         return OSError(errno.ETIMEDOUT, f"no answer within {DIAL_TIMEOUT:g} s")

@@ -54,7 +54,7 @@ class LinkConditions:
         self.me = me
         self.model = AirModel.parse(os.environ.get(LINK_VARIABLE, ""))
         self.quiet_until = 0.0
-        """Until then nothing can arrive that has not been put on the air already: see `SimPipe.read`."""
+        """The time, s, until which nothing can arrive that is not on the air already (`SimPipe.read`)."""
         self._lock = only_mesh(directory)
         self._path = socket_path(directory, AIR_SOCKET)
         self._sock = bound(self._path, socket.SOCK_DGRAM)

@@ -59,7 +59,7 @@ class RadioSupervise:
 
 @frozen
 class RadioCut:
-    """Nothing is to pass between two robots for so many seconds, or as long as an earlier cut lasts; 0 ends that."""
+    """An order that nothing passes between two robots for seconds, or as long as an earlier cut lasts; 0 ends it."""
 
     a: str
     b: str

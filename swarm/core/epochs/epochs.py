@@ -178,7 +178,7 @@ class Epochs:
         self._become(k=-1)
 
     def suspect(self, names: tuple[str, ...], now: float) -> None:
-        """These neighbours, sorted, cannot be heard."""
+        """Take the sorted names of the neighbours that cannot be heard."""
         if names != self.deaf:
             self.deaf = names
             if self._mine.promised != NONE:

@@ -124,7 +124,7 @@ class Offer:
 
 @frozen
 class EpochNote:
-    """All that a robot has to say; each one replaces its earlier ones everywhere."""
+    """What a robot tells of its epoch and its votes. Each note replaces the robot's earlier ones everywhere."""
 
     robot: str
     birth: Count
@@ -140,7 +140,7 @@ class EpochNote:
     deaf: tuple[str, ...]
     """Neighbours that it cannot hear."""
     promised: Ballot
-    """It takes part in no earlier ballot."""
+    """The earliest ballot that the robot still takes part in."""
     accepted: Vote | None
     offer: Offer | None
     lost: Annotated[int, Between(0, LOST - 1)]

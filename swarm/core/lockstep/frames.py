@@ -139,7 +139,7 @@ _CHECK = struct.Struct("<I")
 
 @frozen
 class Snapshot:
-    """All that a restarted process needs to go on without a fork of the trajectory (R5)."""
+    """What a restarted process needs to go on without a fork of the trajectory (R5)."""
 
     run: int
     epoch: int

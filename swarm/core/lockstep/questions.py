@@ -59,7 +59,7 @@ class QuestionTimes:
         self._unheard = None
 
     def wait_for_start(self, now: float) -> None:
-        """It is the first one: neighbours are yet to start."""
+        """Wait longer in the first iteration, since neighbours are yet to start."""
         self.due = now + max(self.interval, WANT_AFTER_MOST)
 
     def asked(self, peers: Iterable[str], now: float, rtt: float) -> None:

@@ -79,7 +79,7 @@ class McapMessage(NamedTuple):
 
 
 class Chunk(NamedTuple):
-    """Some messages. `crc` 0 = not checked."""
+    """A group of messages. `crc` 0: its content is not checked."""
 
     start: int
     """Smallest log time in it, ns."""

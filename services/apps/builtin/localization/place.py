@@ -78,7 +78,7 @@ class Judged(Localization):
     part: float32
     """Number k mod 9 of the statistics."""
     _q: Statistics = ranges.NOTHING
-    """All nine statistics of the mean."""
+    """The estimate of the mean of all nine statistics over the swarm."""
     _m: Statistics = ranges.NOTHING
     """The own statistics, smoothed."""
     _entered: Statistics = ranges.NOTHING

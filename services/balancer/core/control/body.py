@@ -26,13 +26,13 @@ class BodyModel:
     mass: float
     """Body without wheels, kg."""
     wheel_mass: float
-    """Both wheels, kg."""
+    """Mass of both wheels, kg."""
     lever: float
     """Distance from the axle to the body's centre of mass, m."""
     inertia: float
     """Inertia of the body about its centre of mass, kg m^2."""
     wheel_inertia: float
-    """Both wheels, kg m^2."""
+    """Moment of inertia of both wheels, kg m^2."""
     rotor_inertia: float
     """Inertia of both rotors through the gears (n^2 J), kg m^2: it resists the wheels turning against the body."""
     wheel_radius: float
@@ -40,7 +40,7 @@ class BodyModel:
     counts_per_turn: float
     """Encoder counts for one turn of a wheel against the body."""
     stall_torque: float
-    """At duty 1, N m."""
+    """Torque at duty 1, N m."""
     free_speed: float
     """Speed of a wheel against the body at duty 1, rad/s."""
     friction: float

@@ -51,7 +51,7 @@ JOINED = 223
 LAST_JOINED = 124
 """The last offset that has such an index."""
 ONWARD = 255
-"""This one goes on where the last such read ended."""
+"""The index that goes on where the last such read ended."""
 
 UWB_SIZE = 100
 UWB_RANGES = 4

@@ -25,7 +25,7 @@ POWER_MOVING_W, POWER_RESTING_W = 3.16, 1.73
 
 
 class BatteryGuard:
-    """See the module."""
+    """Judges the battery by its voltage."""
 
     def __init__(self, warning: float, limit: float) -> None:
         """Set the thresholds in V."""

@@ -73,7 +73,7 @@ def render(line: str) -> bytes:
 
 
 def render_large(line: str) -> tuple[bytes, bytes]:
-    """The same in double size, as two pages; a line that does not fit comes in normal size."""
+    """Return a line in double size, as two pages; a line that does not fit is drawn in normal size."""
     if len(line) > LARGE_LETTERS:
         return render(line), bytes(COLUMNS)
     small = render(line)[: COLUMNS // 2]
@@ -98,7 +98,7 @@ class Screen:
         self._look_at = now
         self._lit = False
         self._commands = 0
-        """Of the set-up that were sent; and, below, those in the last transfer."""
+        """The number of commands of the set-up that were sent. `_sent` counts those in the last transfer."""
         self._sent = 0
         self._slice: tuple[int, int, bytes] | None = None
         """Page, column and columns that come next; their address has been sent when `_pointer` says so."""

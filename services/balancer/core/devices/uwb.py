@@ -21,7 +21,7 @@ from swarm.messages import Uwb, UwbRange
 PERIOD_S = 0.100
 """Period of the ATmega's polls, s."""
 TELL_S = 1.0
-"""Without reports the state of the line is read and told this often; with reports it is read this often."""
+"""Seconds between reads of the line's state. Without reports the state is also told this often."""
 TORN_LIMIT = 3
 """Tries in a row to read one report."""
 FAILURES = 3
@@ -40,7 +40,7 @@ _PLACE = struct.Struct("<iiiB")
 _RANGE = struct.Struct("<HIB")
 _RANGES = _HEAD.size + _PLACE.size
 _PLACES = _RANGES + balboa.UWB_RANGES * _RANGE.size
-"""Where in the block ranges begin, and where the places of their anchors do."""
+"""Offsets in the block at which the ranges begin, and the places of their anchors."""
 _LOOK = balboa.UWB_STATE
 
 
@@ -118,7 +118,7 @@ class UwbReader:
         self._span: tuple[int, int] | None = None
         """What is to be read next, as offsets from and to; None where no report is under way."""
         self._places: dict[bytes, bytes] = {}
-        """Where anchors stand by their address, both as in the block."""
+        """The place of each anchor by its address, both as bytes of the block."""
         self._reports = 0
         self._missed: deque[bool] = deque(maxlen=RECENT)
         self._torn = self._failures = 0

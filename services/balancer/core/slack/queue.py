@@ -26,16 +26,16 @@ class QueuedTask:
     """The time at which it was last found that there is no time for it."""
 
     def wants(self, now: float) -> None:
-        """It has a transfer to do."""
+        """Note that the task wants a transfer at `now`, s."""
         if self.since is None or now < self.since:
             self.since = now
 
     def served(self, now: float) -> None:
-        """It had a transfer."""
+        """Note that the task had a transfer at `now`, s."""
         self.since = now
 
     def idle(self) -> None:
-        """It has nothing to do."""
+        """Note that the task has nothing to do."""
         self.since = None
 
     def waited(self, now: float) -> float:

@@ -32,7 +32,8 @@ _UP, _DOWN = 0.12, 0.02
 another process ran in between, and the estimate stays at the others; a clock that drops is followed in some ticks."""
 
 _LEAST = 0.005, 0.12
-"""The same of an estimate that stays at the shortest samples; it follows a clock that drops to 60 % within a second."""
+"""Largest relative steps of an estimate that stays at the shortest samples. It follows a clock that drops to 60 %
+within a second."""
 
 _QUICKEST_BIT_S = 1 / 1e6
 _IMU_BITS = 2 * BITS_PER_TRANSFER + BITS_PER_BYTE * (3 + imu.BLOCK)
@@ -57,7 +58,7 @@ class Room(NamedTuple):
     write: int
     """Bytes written to the ATmega, without the index."""
     send: int
-    """All bytes written to another device."""
+    """Bytes written to a device other than the ATmega."""
 
 
 WHOLE = Room(LONGEST, LONGEST - 1, LONGEST)
@@ -82,7 +83,7 @@ class TypicalTime:
 
 
 class WireTime:
-    """See the module."""
+    """Estimates how long transfers take, from the control step's own."""
 
     def __init__(self, scl: float = SLOWEST_HZ) -> None:
         """`scl` is what to expect before anything was measured, Hz."""

@@ -55,7 +55,7 @@ class CalibrationFile:
     layout: str
     """Hash of the anchors with which the calibration was made (`layout_of`)."""
     anchors: tuple[str, ...]
-    """The same anchors as text for people: `D001 (0, 0, 0)`."""
+    """The anchors as text for people: `D001 (0, 0, 0)`."""
     distance: tuple[RangeModel, Evidence] | None = None
     position: tuple[Affine, Evidence] | None = None
 

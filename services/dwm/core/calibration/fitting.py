@@ -33,7 +33,7 @@ worse than the linear one twice as often (9 % of the halves against 5 %)."""
 _SAME = 0.05
 """Distances that differ by less than this count as one, m."""
 _FEWEST_DISTANCES = 5
-"""With fewer different distances only the linear model is tried."""
+"""Number of different distances below which only the linear model is tried."""
 _FEWEST_ORIENTATIONS = 3
 
 RangeFit = Callable[[Sequence[SampleGroup]], RangeModel]
@@ -94,7 +94,7 @@ def fit_curved(groups: Sequence[SampleGroup]) -> RangeModel:
 
 
 def with_antenna(fit: RangeFit) -> RangeFit:
-    """The same with a cos(heading) + b sin(heading) fitted to what it leaves, place by place."""
+    """Return a fit that adds a cos(heading) + b sin(heading), fitted to the errors that `fit` leaves at each place."""
 
     def fitted(groups: Sequence[SampleGroup]) -> RangeModel:
         model = fit(groups)

@@ -86,7 +86,7 @@ def check_ranges(model: RangeModel, groups: Sequence[SampleGroup], error: float,
 
 
 def check_places(model: Affine, spots: Sequence[Spot], error: float, residuals: Sequence[float]) -> None:
-    """The same for a model of places."""
+    """Raise what `check` raises, for a model of places."""
     (a, b), (c, d) = model.matrix
     if a * d - b * c <= 0:
         raise LocalError(_absurd("the model mirrors places: are x and y of the places or of [[anchors]] exchanged?"))

@@ -47,7 +47,7 @@ class RangeModel:
 
 @frozen
 class Calibration:
-    """Both models of one robot."""
+    """The range model and the place model of one robot."""
 
     ranges: RangeModel = field(default_factory=RangeModel)
     position: Affine = field(default_factory=Affine)

@@ -99,7 +99,7 @@ class Ekf:
         self.rejected = [0] * len(anchors)
 
     def copy(self) -> "Ekf":
-        """The same filter, to go its own way from here."""
+        """Return a copy of the filter, which is independent of this one."""
         twin = object.__new__(Ekf)
         twin._anchors, twin._height, twin._noise = self._anchors, self._height, self._noise
         twin.state = list(self.state)
@@ -196,5 +196,5 @@ class Ekf:
 
 
 def _wrapped(angle: float) -> float:
-    """The same angle within -pi to pi."""
+    """Return the angle, rad, as a value from -pi to pi."""
     return (angle + pi) % (2.0 * pi) - pi

@@ -110,7 +110,7 @@ class Pipeline:
         )
 
     def _averaged(self, place: Position, now: float) -> Pose:
-        """Without quality a place is none: its numbers are old or zero and enter nothing."""
+        """Return the average of places. A place of quality 0 is left out: its numbers are old or zero."""
         if place.quality > 0:
             self._smooth_place(*models.position(self._models.position, place.x, place.y), now)
         source = "average" if (self._settings.position_window or self._settings.window) > 1 else "module"

@@ -34,7 +34,7 @@ class Answer(Generic[T_co]):
 
 @frozen
 class Trouble:
-    """It did not."""
+    """The module did not do what it was asked."""
 
     kind: str
     """silent, garbled, shell, layout or refused."""

@@ -39,7 +39,7 @@ MAX_RANGES = 12
 """Records that fit one part: its length is one byte and at most 253 (API guide: values of 0 to 253 bytes)."""
 
 MAX_ANCHOR_RANGES = 19
-"""The same for the shorter records of an anchor."""
+"""Records of an anchor that fit one part; they are shorter."""
 
 POSITION = 0x41
 ANCHOR_RANGES = 0x48
@@ -78,7 +78,7 @@ class AnchorRange:
     quality: int
     """0-100."""
     position: Position
-    """Where that module was set up to be; an anchor's answer does not say it (quality 0)."""
+    """The place that the module was told; an anchor's answer does not say it (quality 0)."""
 
 
 @frozen
@@ -118,7 +118,7 @@ class ModuleCall(Generic[T_co]):
     name: str
     request: bytes
     parts: tuple[AnswerPart, ...]
-    """Of its answer, after the status; none where the status is all."""
+    """The parts of its answer after the status; empty where the answer is the status alone."""
     read: Callable[[list[tuple[int, bytes]]], T_co]
     """Turns the parts' types and values into a result; raises `FrameError` where they cannot be true."""
     heads: tuple[bytes, ...] = field(init=False)

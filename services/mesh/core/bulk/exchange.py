@@ -134,7 +134,7 @@ class BulkExchange:
             self._ask(source, now)
 
     def ways_changed(self, now: float) -> None:
-        """There are ways where there were none, or the other way round."""
+        """Look for another source of each fetch that has none, since routes have changed."""
         for fetch in tuple(self._fetches.values()):
             if fetch.source is None:
                 self._next_source(fetch, now)

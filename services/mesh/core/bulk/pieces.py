@@ -91,7 +91,7 @@ def encode(packet: Packet) -> bytes:
 
 
 def decode(data: bytes) -> Packet:
-    """Any packet. Where it is no flood's the origin is who offers."""
+    """Decode a packet of any kind. The origin is the sender of the offer, unless the message is a flood's."""
     reader = PacketReader(data)
     kind, ttl, flags, incarnation, number = reader.unpack(_HEAD)
     # A flood is announced by a SPREAD. An OFFER of one would pass by the bounds of both overlays.

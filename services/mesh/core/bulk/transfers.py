@@ -144,7 +144,7 @@ class Transfers:
             self._tell(id, DONE)
 
     def ways_changed(self, now: float) -> None:
-        """There may be ways where there were none: offer at once what hears nothing."""
+        """Offer at once each message of which nothing was heard, since there may be new routes."""
         for parcel in self._own.under_way():
             if parcel.heard + FIRST_WAIT <= now:
                 self._offer(parcel, now)

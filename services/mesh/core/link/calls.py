@@ -41,10 +41,10 @@ SHARE = 0.05
 5 s takes the caller's radio from everybody else."""
 
 OTHERS_SHARE = 0.02
-"""The same of all others together."""
+"""Share of its time that all other robots together spend on calls of one that does not answer."""
 
 JITTER = 0.5
-"""Each delay is spread by this fraction up and down, so that robots that lost each other together do not
+"""Fraction by which each delay is drawn longer or shorter, so that robots that lost each other together do not
 retry together."""
 
 GOOD_AFTER = 1.0
@@ -180,7 +180,7 @@ class Search:
         """The robot that is being called."""
 
     def aim(self, far: Collection[str], near: Collection[str], now: float) -> None:
-        """These are the targets now. One that is new, or went from near to far, is called soon."""
+        """Replace the targets. A target that is new, or went from near to far, is called soon."""
         for name in self._targets.keys() - set(far) - set(near):
             del self._targets[name]
         for names, is_far in ((far, True), (near, False)):

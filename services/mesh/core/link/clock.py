@@ -151,9 +151,9 @@ class _Root(NamedTuple):
     """What was heard of a root."""
 
     epoch: int
-    """The newest one."""
+    """The newest epoch of the root."""
     at: float
-    """When that came."""
+    """The time at which that epoch was heard of, s."""
     settled: bool
 
 

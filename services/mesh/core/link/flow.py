@@ -261,7 +261,7 @@ class SendWindow:
         self.next_bulk = 0.0
         """The time before which no bulk leaves, as the pace has it."""
         self._marks: list[tuple[int, float]] = []
-        """Where writes with bulk in them ended, and when they were made."""
+        """For each write with bulk in it: the count of bytes at its end, and its time, s."""
         self._round_trips = RoundTrips()
         self._relieved = 0.0
         self._since: float | None = None
@@ -289,7 +289,7 @@ class SendWindow:
         return free if now >= self.next_bulk else min(free, 0.0)
 
     def wrote(self, size: int, now: float, *, bulk: bool, waits: bool) -> None:
-        """So many bytes were written, `bulk` among them; `waits` = there is more bulk."""
+        """Note that `size` bytes were written. `bulk`: there was bulk among them; `waits`: more bulk waits."""
         self.sent += size
         if bulk:
             self._marks.append((self.sent, now))
@@ -347,7 +347,7 @@ class SendWindow:
         self._since, self._from = now, self.acknowledged
 
     def _judge(self, rate: float) -> None:
-        """Once in a period during which bulk waited."""
+        """Judge the window by the `rate` of a period during which bulk waited, bytes/s."""
         # The median, not the mean: a gap between two messages would let a larger window look better than it is.
         usual = sorted(self._rates)[len(self._rates) // 2] if self._rates else 0.0
         if self._trial:

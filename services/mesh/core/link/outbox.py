@@ -22,7 +22,7 @@ from services.mesh.core.link.flow import MAX_INCOMPLETE_BYTES, SYNC_EXTRA
 from services.mesh.core.wire.frames import BULK, CONTROL, HALTS, MAX_CHANNELS, MAX_PAYLOAD, NEIGHBOURS, SYNC
 
 SENT = ("sent_control", "sent_sync", "sent_bulk", "sent_control")
-"""Which counter counts the messages of a class that left."""
+"""The counter of sent messages, by class."""
 
 WIRE_CLASS = (CONTROL, SYNC, BULK, CONTROL)
 """The class of a message's frame."""

@@ -123,8 +123,8 @@ class Pulse:
         return min(max(local.times.suspect, self.silence(local.times.heartbeat, SUSPECT_AFTER)), local.times.patience)
 
     def dead_after(self, local: Local) -> float:
-        """The same for its end. Longer where robots share their radio's time among piconets, as long as round trips do
-        not show that these two hardly do."""
+        """Return the seconds of silence after which the link ends. They are more where robots share their radio's time
+        among piconets, until round trips show that these two hardly do."""
         least = max(local.times.dead, self.silence(local.times.heartbeat, DEAD_AFTER))
         if local.pages and not self.is_steady(local.times.heartbeat):
             young = UNKNOWN_AFTER if len(self.rtts) < KNOWN else 1.0

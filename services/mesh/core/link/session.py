@@ -110,7 +110,7 @@ class Session:
         self.supervised = 0.0
         """Seconds of silence after which the transport was told to give the connection up; 0 before it was."""
         self.deadline = now + self._patience
-        """When `handle_timer` wants to be called; it may turn out to be early, never late."""
+        """The time at which `handle_timer` wants to be called, s; the call may be early, never late."""
 
     @property
     def is_up(self) -> bool:

@@ -87,7 +87,7 @@ class _Flood:
 
 
 class Completion:
-    """All such floods that a robot takes part in."""
+    """The floods in progress of which all robots are to learn that all have them."""
 
     def __init__(
         self,
@@ -113,7 +113,7 @@ class Completion:
         self._floods: OrderedDict[FloodId, _Flood] = OrderedDict()
         self._map: dict[str, frozenset[str]] = {}
         self._through: dict[tuple[str, str], tuple[int, ...]] = {}
-        """By origin and neighbour the robots of which we tell that neighbour; made as needed."""
+        """For each origin and neighbour, the robots of which this robot tells that neighbour; made as needed."""
 
     def __len__(self) -> int:
         return len(self._floods)

@@ -59,11 +59,11 @@ class Wave:
         self.orphan = False
         self.echoed_at: float | None = None
         self.ends = ends
-        """When it is forgotten."""
+        """The time at which this flood is forgotten, s."""
 
 
 class Waves:
-    """All confirmed floods this robot takes part in."""
+    """The confirmed floods that this robot takes part in."""
 
     def __init__(
         self,

@@ -65,7 +65,7 @@ class Origin:
 
 
 class Store:
-    """All origins. There are as many as robots in the swarm: who calls has checked their names."""
+    """Keeps what is known of the floods of each origin. The caller has checked that origins are robots of the swarm."""
 
     def __init__(self) -> None:
         self._origins: dict[str, Origin] = {}

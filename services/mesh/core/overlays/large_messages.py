@@ -96,7 +96,7 @@ class LargeFloods:
         self._coming: dict[MessageId, _Coming] = {}
         self._held: OrderedDict[MessageId, _Held] = OrderedDict()
         self._delivered: dict[str, tuple[int, deque[int]]] = {}
-        """By origin its incarnation, and the numbers of its large floods that were delivered."""
+        """For each origin, its incarnation and the numbers of its large floods that were delivered."""
 
     def has_room(self, size: int) -> bool:
         """Return whether one more own message can be held."""

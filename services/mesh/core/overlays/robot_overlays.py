@@ -127,7 +127,7 @@ class RobotOverlays:
         self._lsa_key = key_of(me, "mesh", "lsa")
         self._members_key = key_of(me, "mesh", "members")
         self.linking: Linking | None = None
-        """Which links there are to be; None where that is the caller's matter."""
+        """Decides which links there are to be; None where the caller does."""
         if start is not None:
             self.linking = Linking(me, start, self._map, act=emit, random=random, counters=counters)
             self._requests.linking = self.linking

@@ -89,11 +89,11 @@ class Flight(Outgoing):
 
 
 class FindRoute(Protocol):
-    """Gives the way to the robot `to` that does not use the link between the two robots `avoided`, None where there is
-    none."""
+    """A function that finds routes."""
 
     def __call__(self, to: str, avoided: tuple[str, str] | None = None) -> Route | None:
-        """See the class."""
+        """Return the route to the robot `to` that does not use the link between the two robots `avoided`; None where
+        there is none."""
 
 
 class Unicast:
@@ -239,7 +239,7 @@ class Unicast:
                 self._transmit(flight, now)
 
     def routes_changed(self, now: float) -> None:
-        """There may be ways where there were none."""
+        """Send the messages that had no route, since there may be new ones."""
         for flight in self._own.under_way():
             if flight.via is None:
                 self._transmit(flight, now)

@@ -254,7 +254,7 @@ class Advertisement(NamedTuple):
     """One-way time to each, in units of 0.1 ms."""
     leaving: bool = False
     topology: int = 0
-    """Which topology holds there (its tag, u32); 0 = the configuration's own."""
+    """The tag (u32) of the topology that holds there; 0 = the configuration's own."""
     heard: int = 0
     """The robots it has reached by calling them, with the automatic topology: bit i = robot i of the configuration."""
     process: int = 0

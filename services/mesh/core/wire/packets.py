@@ -143,8 +143,8 @@ class Spread(NamedTuple):
     size: int = 0
     """Bytes of the message where this only announces it (`overlays.large_messages`); the payload is empty then."""
     known: int = 0
-    """Where all are to learn that all have it (`overlays.completion`): the robots that have it, as far as the sender
-    knows; bit i is robot i of all names, sorted. 0 elsewhere."""
+    """The robots that have the flood, as far as the sender knows: bit i is robot i of all names, sorted. Only where all
+    are to learn that all have it (`overlays.completion`), 0 elsewhere."""
 
 
 class EchoPacket(NamedTuple):
@@ -157,7 +157,7 @@ class EchoPacket(NamedTuple):
     lost: bool = False
     """A link broke before its echo came: there may be more."""
     orphan: bool = False
-    """It does not come from the far end of its edge but from one that lost its way back."""
+    """The echo does not come from the far end of its edge but from a robot that lost its way back."""
     ttl: int = 0
     """Further hops an orphan may take."""
 

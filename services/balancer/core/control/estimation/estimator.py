@@ -15,7 +15,7 @@ GRAVITY_TIME_S = 2.0
 """Time constant with which gravity corrects the integrated gyro while the robot moves: short enough against the
 gyro's residual zero (0.05 deg/s x 2 s = 0.1 deg), long against the accelerations of balancing."""
 REST_TIME_S = 0.1
-"""The same while it rests."""
+"""The time constant of that correction while the robot rests."""
 REST_RATE = math.radians(2.0)
 GRAVITY_TOLERANCE = 1.5
 """m/s^2: a specific force further from 1 g says more of acceleration than of gravity and is not used."""
@@ -50,9 +50,9 @@ class BodyEstimate(NamedTuple):
     wheel_heading: float
     """Heading by the wheels alone, rad."""
     x: float
-    """Way in the plane of the start, ahead, m."""
+    """Way ahead in the plane of the start, m."""
     y: float
-    """To the left, m."""
+    """Way to the left in the plane of the start, m."""
 
     @property
     def way(self) -> float:
@@ -171,5 +171,5 @@ class Estimator:
 
 
 def _wrapped(angle: float) -> float:
-    """The same angle in -pi..pi."""
+    """Return the angle, rad, as a value from -pi to pi."""
     return math.remainder(angle, math.tau)

@@ -16,7 +16,7 @@ STILL_RANGE = math.radians(3.0)
 """rad/s between the least and the largest sample of a robot at rest; noise makes about 0.4 degrees a second."""
 
 KEPT_CHECK_S = 0.2
-"""So long a kept zero is compared with samples; the filters of a sensor that was on all the time need no more."""
+"""Seconds for which a kept zero is compared with samples. The filters of a sensor that was never off need no more."""
 KEPT_TOLERANCE = math.radians(1.0)
 """rad/s by which the mean of these may be off: their noise makes 0.1 degrees a second, a degree more or less in the
 zero makes two degrees of tilt."""

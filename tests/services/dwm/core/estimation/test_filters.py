@@ -11,9 +11,7 @@ VALUES = st.lists(st.floats(-100, 100), min_size=1, max_size=60)
 
 @given(VALUES, st.floats(0, 100))
 def test_percentiles_are_those_of_numpy(values, percent):
-    assert filters.interpolated_percentile(values, percent) == pytest.approx(
-        np.percentile(values, percent), abs=1e-9
-    )
+    assert filters.interpolated_percentile(values, percent) == pytest.approx(np.percentile(values, percent), abs=1e-9)
 
 
 def test_bounds_are_a_quartile_range_and_a_half_beyond_the_quartiles():
