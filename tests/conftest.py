@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import warnings
@@ -89,6 +90,10 @@ def pytest_configure(config: pytest.Config) -> None:
     # A shell that starts the tests in the background has Ctrl-C ignored, and so would every process that they start.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    # No test meets a simulation that runs on this machine in the usual folder.
+    place = tempfile.TemporaryDirectory(prefix="swarm-")
+    config.add_cleanup(place.cleanup)
+    os.environ["XDG_RUNTIME_DIR"] = place.name
 
 
 def costly(count: int) -> Callable[[Any], Any]:
