@@ -1,4 +1,5 @@
-"""The key space of the bus: `swarm/<robot>/<service>/<topic...>` (docs/reference/keys.md lists every key).
+"""The form of keys on the bus: `swarm/<robot>/<service>/<topic...>`. The keys of a service stand with its messages;
+docs/reference/keys.md lists every key.
 
 What a robot publishes carries its own name. Commands to a robot go to `swarm/<robot>/<service>/set/<what>`.
 `swarm/stop` stops every robot.
