@@ -8,11 +8,11 @@ s.
 
 import array
 import sys
+from collections import deque
 from pathlib import Path
 
 from bench.rigs.loads import handle
 from services.balancer import loop
-from services.balancer.core.lateness import Lateness
 from services.balancer.i2c import I2CBus
 from sim.devices.wiring import simulated_bus
 from swarm import clock
@@ -24,13 +24,15 @@ from swarm.process.paths import runtime_dir
 def main() -> None:
     """Balance until SIGTERM."""
     ticks = array.array("d")
-    add = Lateness.add
 
-    def note(self: Lateness, lateness: float) -> None:
-        ticks.extend((clock.now(), lateness))
-        add(self, lateness)
+    class NotedTicks(deque[float]):
+        """The loop's row of late starts, which keeps all of them."""
 
-    Lateness.add = note  # type: ignore[method-assign]
+        def append(self, late: float) -> None:
+            ticks.extend((clock.now(), late))
+            super().append(late)
+
+    vars(loop)["deque"] = NotedTicks
     buses: list[Bus] = []
 
     def open_bus(config: Config, robot: str) -> I2CBus:
