@@ -23,10 +23,9 @@ from sim.devices.module import ModuleBoard
 from sim.scene import contacts_of
 from swarm import clock
 from swarm.config import Config
-from swarm.errors import PayloadError
 from swarm.frozen import frozen
 from swarm.messages import LedChange, Target, Truth
-from swarm.messages.codec import MAX_PAYLOAD, decode
+from swarm.messages.codec import MAX_PAYLOAD, decode_any
 from swarm.process.paths import socket_path
 
 _log = logging.getLogger("sim")
@@ -73,16 +72,8 @@ class LedReport:
 
 
 Report = BodyReport | LedReport | BodyHello
+_KINDS: tuple[type[Report], ...] = (BodyReport, LedReport, BodyHello)
 """All that simulated bodies send."""
-
-
-def read_report(data: bytes) -> Report | None:
-    """Decode a datagram of a simulated body; None where it is none of theirs."""
-    kinds: tuple[type[Report], ...] = (BodyReport, LedReport, BodyHello)
-    for kind in kinds:
-        with contextlib.suppress(PayloadError):
-            return decode(kind, data, SOCKET)
-    return None
 
 
 class BodyWorld:
@@ -153,7 +144,7 @@ class BodyWorld:
     def _take_reports(self) -> None:
         with contextlib.suppress(BlockingIOError):
             while True:
-                report = read_report(self._socket.recv(MAX_PAYLOAD))
+                report = decode_any(_KINDS, self._socket.recv(MAX_PAYLOAD), SOCKET)
                 if report is None or report.robot not in self._publish_at:
                     continue  # only our own bodies write here; a torn datagram cannot happen
                 if isinstance(report, BodyReport):

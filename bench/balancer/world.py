@@ -5,7 +5,8 @@ import socket
 import threading
 from pathlib import Path
 
-from sim.world import SOCKET, BodyReport, read_report
+from sim.world import SOCKET, BodyReport
+from swarm.messages.codec import decode_any
 
 FALLEN = math.radians(45.0)
 """rad of tilt."""
@@ -32,8 +33,8 @@ class World:
     def _listen(self) -> None:
         fallen = False
         while data := self._socket.recv(1024):
-            report = read_report(data)
-            if not isinstance(report, BodyReport):
+            report = decode_any((BodyReport,), data, SOCKET)
+            if report is None:
                 continue
             self.tilts.append((report.t, report.tilt))
             before, fallen = fallen, abs(report.tilt) > FALLEN

@@ -38,8 +38,7 @@ from sim.slots.parameters import SlotParameters
 from sim.virtual.events import EventQueue
 from swarm import clock
 from swarm.config import load
-from swarm.errors import PayloadError
-from swarm.messages.codec import decode, encode
+from swarm.messages.codec import decode_any, encode
 from swarm.process import log
 from swarm.process.edges import die_with_parent, run
 from swarm.process.paths import runtime_dir, socket_path
@@ -213,7 +212,7 @@ class RadioServer:
     def _answer(self, sock: socket.socket) -> None:
         request = None
         with contextlib.suppress(OSError):
-            request = _read(sock.recv(MAX_PACKET))
+            request = decode_any(_KINDS, sock.recv(MAX_PACKET), RADIO_SOCKET)
         if isinstance(request, RadioCall) and self._known(request.caller, request.called):
             self._connections.call(request.caller, request.called, partial(self._called, sock, request))
             return
@@ -267,13 +266,6 @@ class RadioServer:
             sock.close()
             return None
         return sock
-
-
-def _read(data: bytes) -> Request | None:
-    for kind in _KINDS:
-        with contextlib.suppress(PayloadError):
-            return decode(kind, data, RADIO_SOCKET)
-    return None
 
 
 def main() -> None:

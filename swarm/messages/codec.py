@@ -5,11 +5,12 @@ refused at the edge with an error that names key and field. A field that the typ
 and ignored in telemetry, which a robot with another release may have sent (docs/reference/keys.md).
 """
 
+import contextlib
 import dataclasses
 import math
 import types
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from typing import Annotated, Any, TypeVar
 
@@ -99,6 +100,14 @@ def decode(kind: type[T], payload: bytes, key: str) -> T:
         return typing.cast(T, check(unpack(payload, limit_of(kind)), ""))
     except PayloadError as error:
         raise PayloadError(f"{key}: {error}") from None
+
+
+def decode_any(kinds: Iterable[type[T]], payload: bytes, key: str) -> T | None:
+    """Unpack `payload` into the first dataclass of `kinds` that fits it; None where none does."""
+    for kind in kinds:
+        with contextlib.suppress(PayloadError):
+            return decode(kind, payload, key)
+    return None
 
 
 def decoded(
