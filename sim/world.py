@@ -142,17 +142,16 @@ class BodyWorld:
             self._modules.poll(0.0)
 
     def _take_reports(self) -> None:
-        with contextlib.suppress(BlockingIOError):
-            while True:
-                report = decode_any(_KINDS, self._socket.recv(MAX_PAYLOAD), SOCKET)
-                if report is None or report.robot not in self._publish_at:
-                    continue  # only our own bodies write here; a torn datagram cannot happen
-                if isinstance(report, BodyReport):
-                    self._place(report)
-                elif isinstance(report, LedReport):
-                    self._show(report)
-                else:
-                    self._answer(report.robot)
+        for datagram, _ in datagrams.received(self._socket, MAX_PAYLOAD):
+            report = decode_any(_KINDS, datagram, SOCKET)
+            if report is None or report.robot not in self._publish_at:
+                continue  # only our own bodies write here; a torn datagram cannot happen
+            if isinstance(report, BodyReport):
+                self._place(report)
+            elif isinstance(report, LedReport):
+                self._show(report)
+            else:
+                self._answer(report.robot)
 
     def _show(self, leds: LedReport) -> None:
         """Pass on what a robot's LEDs show."""

@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Callable, Sequence
+from itertools import islice
 from pathlib import Path
 
 import msgpack
@@ -31,11 +32,8 @@ class Orders:
     def look(self) -> list[str]:
         """Carry out what has come; what was done, in words."""
         said = []
-        for _ in range(_AT_ONCE):
-            try:
-                datagram, sender = self._socket.recvfrom(app_requests.MAX_DATAGRAM)
-            except BlockingIOError:
-                break
+        arrived = datagrams.received(self._socket, app_requests.MAX_DATAGRAM)
+        for datagram, sender in islice(arrived, _AT_ONCE):
             done = problem = ""
             try:
                 done = self._carry_out(app_requests.unpack(datagram))

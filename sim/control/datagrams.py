@@ -1,8 +1,11 @@
 """Datagrams to and within a running simulation: what people do to its robots comes by Unix sockets in its folders."""
 
+import contextlib
 import os
 import socket
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from swarm.errors import LocalError
 from swarm.process.paths import socket_path
@@ -33,3 +36,10 @@ def listen(folder: Path, name: str) -> socket.socket:
         raise LocalError(f"{path}: {os.strerror(error.errno or 0)}") from None
     sock.setblocking(False)
     return sock
+
+
+def received(sock: socket.socket, size: int) -> Iterator[tuple[bytes, Any]]:
+    """Yield the datagrams that wait at a socket, cut to `size` bytes, each with its sender's address if it has one."""
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            yield sock.recvfrom(size)

@@ -34,7 +34,7 @@ class Power:
 
     def look(self, now: float) -> None:
         """Do what was asked, and boot what has been off for long enough."""
-        while (datagram := self._take()) is not None:
+        for datagram, _ in datagrams.received(self._socket, MAX_DATAGRAM):
             try:
                 wish = unpack(datagram)
             except PayloadError as error:
@@ -59,12 +59,6 @@ class Power:
 
     def close(self) -> None:
         self._socket.close()
-
-    def _take(self) -> bytes | None:
-        try:
-            return self._socket.recv(MAX_DATAGRAM)
-        except BlockingIOError:
-            return None
 
     def _switch_off(self, robot: str) -> None:
         self._processes.kill(robot)
