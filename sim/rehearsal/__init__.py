@@ -19,6 +19,7 @@ from sim.rehearsal.events import EventRehearsal
 from sim.rehearsal.scene import scene
 from sim.rehearsal.sync import SyncRehearsal
 from sim.scenario.values import settings_of
+from swarm.app.settings import common_and_single
 from swarm.app.sync_app import BaseApp, SyncApp
 from swarm.messages.codec import Value
 
@@ -42,10 +43,8 @@ def rehearse(
     """
     found = loader.load(str(app)) if isinstance(app, str | Path) else loader.of_class(app)
     kind, _ = found.choose({name: value for name, value in (parameters or {}).items() if name == "algorithm"})
-    common, single = dict(parameters or {}), dict[str, dict[str, Value]]()
-    for setting in settings_of(kind, values or {}, [f"r{index}" for index in range(robots)]):
-        (common if setting.robot is None else single.setdefault(setting.robot, {}))[setting.name] = setting.value
-    config = scene(found, robots, topology, common, single)
+    common, single = common_and_single(settings_of(kind, values or {}, [f"r{index}" for index in range(robots)]))
+    config = scene(found, robots, topology, {**(parameters or {}), **common}, single)
     found.check(config)
     rehearsal = SyncRehearsal if issubclass(kind, SyncApp) else EventRehearsal
     return rehearsal(found, config, said=partial(say, sys.stdout))

@@ -71,12 +71,7 @@ class Task:
 
     def scene(self, graph: str) -> Config:
         """The swarm on one graph."""
-        common = {one.name: one.value for one in self.settings if one.robot is None}
-        single: dict[str, dict[str, Value]] = {}
-        for one in self.settings:
-            if one.robot is not None:
-                single.setdefault(one.robot, {})[one.name] = one.value
-        return scene(self.app, self.robots, graph, common, single)
+        return scene(self.app, self.robots, graph, *settings.common_and_single(self.settings))
 
 
 @dataclass

@@ -41,6 +41,16 @@ def parse(text: str) -> Setting:
     return Setting(robot if dot else None, parameter, value_of(value))
 
 
+def common_and_single(settings: Iterable[Setting]) -> tuple[dict[str, Value], dict[str, dict[str, Value]]]:
+    """Return the values for all robots by name, and those for single robots by robot and name."""
+    common: dict[str, Value] = {}
+    single: dict[str, dict[str, Value]] = {}
+    for setting in settings:
+        values = common if setting.robot is None else single.setdefault(setting.robot, {})
+        values[setting.name] = setting.value
+    return common, single
+
+
 def on_top(app: AppConfig, settings: Iterable[Setting], robots: Iterable[str]) -> AppConfig:
     """The app's parameters with these settings: those of one robot above those of all, else the later ones above. One
     for all robots is above the file's for one.
