@@ -2,15 +2,13 @@
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
+from dataclasses import replace
 
 from services.apps.loader import LoadedApp
 from sim.core.module_line import module_address
-from sim.scenario.scenario import ANCHORS, DISTANCE, PLACES, POSITION, WINDOW
-from sim.scenario.scenario import TARGET as TARGET_MODULE
-from swarm import config as configuration
+from sim.scenario.scenario import PLACES, on_table
 from swarm.app.sync_app import BaseApp as AnyApp
-from swarm.config import Config, Dwm, MeshConfig, RobotConfig, SimulationConfig
+from swarm.config import AppConfig, Config, RobotConfig, SimulationConfig
 from swarm.core.graph import Graph
 from swarm.errors import AppError
 from swarm.messages import Measurement
@@ -42,21 +40,15 @@ def scene(
         if field not in common and not any(field in given for given in own.values()):
             for index, name in enumerate(names):
                 own[name][field] = STARTS[index] if index < len(STARTS) else float(index)
-    return Config(
-        path=Path("swarm.toml"),
-        network="rehearsal",
+    return replace(
+        on_table("rehearsal", names, Graph.of_shape(topology, names).edges),
         robots=tuple(
             RobotConfig(name, link=f"sim:{name}", uwb=module_address(index)) for index, name in enumerate(names)
         ),
-        edges=Graph.of_shape(topology, names).edges,
-        relay=configuration.types.DEFAULT_RELAY,
-        anchors=ANCHORS,
-        mesh=MeshConfig(insecure=True),
-        dwm=Dwm(target=TARGET_MODULE, window=WINDOW, distance=DISTANCE, position=POSITION),
         simulation=SimulationConfig(
             target=TARGET, places={name: (*place(index), 0.0) for index, name in enumerate(names)}
         ),
-        apps={app.name: configuration.AppConfig(common, own)},
+        apps={app.name: AppConfig(common, own)},
     )
 
 

@@ -295,13 +295,18 @@ def _program(app: loader.LoadedApp) -> str:
 def _default(options: Options, recorded: int) -> Config:
     count = options.robots or recorded or 3
     names = [f"r{index}" for index in range(count)]
-    auto = options.topology == AUTO
+    if options.topology == AUTO:
+        return replace(on_table("sim", names, ()), auto=True)
+    return on_table("sim", names, _edges(options.topology or "line", names))
+
+
+def on_table(network: str, names: Sequence[str], edges: tuple[Edge, ...]) -> Config:
+    """Return the configuration of a swarm on the thesis' table, with its anchors, its target and its calibrations."""
     return Config(
         path=Path("swarm.toml"),
-        network="sim",
+        network=network,
         robots=tuple(RobotConfig(name) for name in names),
-        edges=() if auto else _edges(options.topology or "line", names),
-        auto=auto,
+        edges=edges,
         relay=DEFAULT_RELAY,
         anchors=ANCHORS,
         mesh=MeshConfig(insecure=True),
