@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from services.apps.loader import LoadedApp
 from sim.core.module_line import module_address
-from sim.scenario.scenario import PLACES, on_table
+from sim.scenario.scenario import first_place, on_table
 from swarm.app.sync_app import BaseApp as AnyApp
 from swarm.config import AppConfig, Config, RobotConfig, SimulationConfig
 from swarm.core.graph import Graph
@@ -46,23 +46,15 @@ def scene(
             RobotConfig(name, link=f"sim:{name}", uwb=module_address(index)) for index, name in enumerate(names)
         ),
         simulation=SimulationConfig(
-            target=TARGET, places={name: (*place(index), 0.0) for index, name in enumerate(names)}
+            target=TARGET, places={name: (*first_place(index), 0.0) for index, name in enumerate(names)}
         ),
         apps={app.name: AppConfig(common, own)},
     )
 
 
-def place(index: int) -> tuple[float, float]:
-    """Return a robot's place, m: on the table, then around it."""
-    if index < len(PLACES):
-        return PLACES[index]
-    angle = 2.4 * index  # the golden angle: no two in the same direction
-    return (1.0 + 1.4 * math.cos(angle), 1.0 + 1.4 * math.sin(angle))
-
-
 def measurement(name: str, k: int) -> Measurement:
     """Exact range to the target and own place of step k, ten a second."""
-    here = place(int(name[1:]))
+    here = first_place(int(name[1:]))
     return Measurement(0.1 * k, k, math.dist(here, TARGET), *here)
 
 

@@ -341,15 +341,17 @@ def _dwm(base: Config, replay: Path | None, run_dir: Path) -> Dwm:
 
 
 def _places(config: Config) -> SimulationConfig:
-    """Places for the robots the config gives none: the table's, then rings of half a metre more each."""
+    """Give a place to each robot for which the configuration has none."""
     places = dict(config.simulation.places)
     for index, name in enumerate(config.names):
         if name not in places:
-            places[name] = (*_place(index), 0.0)
+            places[name] = (*first_place(index), 0.0)
     return replace(config.simulation, places=places)
 
 
-def _place(index: int) -> tuple[float, float]:
+def first_place(index: int) -> tuple[float, float]:
+    """Return the place, m, of a robot for which nobody gives one: on the table, then on rings that are half a metre
+    apart."""
     if index < len(PLACES):
         return PLACES[index]
     ring, step = divmod(index - len(PLACES), 12)

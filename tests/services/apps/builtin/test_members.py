@@ -7,8 +7,9 @@ from conftest import thinned
 
 from services.apps import loader
 from services.apps.builtin.localization.leastsquares import refine
-from sim.rehearsal.scene import PLACES, TARGET, scene
+from sim.rehearsal.scene import TARGET, scene
 from sim.rehearsal.sync import SyncRehearsal
+from sim.scenario.scenario import PLACES
 from swarm.core.graph import Graph
 from swarm.messages import Measurement
 
