@@ -9,6 +9,7 @@ import os
 import time
 from pathlib import Path
 
+from swarm.config import Config, load
 from swarm.config.toml_input import read_toml
 from swarm.errors import BusError, LocalError, PayloadError
 from swarm.messages.keys import is_name
@@ -99,6 +100,11 @@ def is_live(directory: Path) -> bool:
         return is_held(directory / LOCK)
     except OSError:
         return False
+
+
+def config_for(runtime: Path) -> Config:
+    """Return the configuration for the robot with a runtime directory: that of its simulation, on a robot its own."""
+    return load(runtime.parent / CONFIG if is_live(runtime.parent) else None)
 
 
 def robots(directory: Path) -> dict[str, Path]:

@@ -16,7 +16,7 @@ from typing import Any
 
 from swarm import __version__, clock
 from swarm.bus.zenoh_bus import Bus
-from swarm.config import Config, load
+from swarm.config import Config
 from swarm.errors import LocalError, PayloadError
 from swarm.files import atomic_write
 from swarm.messages import Arm, ImuRequest, MeasureI2C, SetDisplay, SetMode, Stop, TryMotors, read
@@ -30,7 +30,7 @@ from swarm.onboard.commission.core.motor_steps import REASON
 from swarm.onboard.commission.core.procedure import PASSED, Action, Ask, Procedure, Say, SendCommand, Subject
 from swarm.onboard.commission.core.steps import STEPS
 from swarm.process.arguments import add_json
-from swarm.process.simulations import CONFIG
+from swarm.process.simulations import config_for
 from swarm.process.terminal import write_lines
 
 HELP = "check a new robot part by part until it stands; writes a report"
@@ -68,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Lead through all steps; code 1 where not all of them have passed."""
     robot, directory = one(args)
-    config = load(directory.parent / CONFIG) if (directory.parent / CONFIG).is_file() else load()
+    config = config_for(directory)
     procedure = Procedure(subject_of(config, robot), STEPS)
     ended = ""
     with Bus.of(directory) as bus:

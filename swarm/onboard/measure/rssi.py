@@ -12,12 +12,11 @@ from collections.abc import Callable
 
 from swarm.bluetooth import hci
 from swarm.bluetooth.adapter import Adapter
-from swarm.config import load
 from swarm.config.types import RobotConfig
 from swarm.errors import LocalError
 from swarm.onboard.measure import links
 from swarm.process.arguments import show, whole
-from swarm.process.simulations import CONFIG, is_live
+from swarm.process.simulations import config_for
 
 HELP = "measure the signal strength of a Bluetooth link"
 
@@ -55,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
 def measured(args: argparse.Namespace) -> tuple[str, list[int]]:
     """Read `--count` times and print; returns the link, and the readings in dB."""
     robot, peer, directory = links.ends(args)
-    config = load(directory.parent / CONFIG if is_live(directory.parent) else None)
+    config = config_for(directory)
     if peer not in config.names:
         raise LocalError(f"there is no robot {peer}, there are {' '.join(config.names)}")
     link = f"{robot} - {peer}"

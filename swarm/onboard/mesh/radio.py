@@ -6,11 +6,10 @@ from pathlib import Path
 
 from swarm.bluetooth import hci
 from swarm.bluetooth.adapter import Adapter
-from swarm.config import load
 from swarm.errors import LocalError
 from swarm.frozen import frozen
 from swarm.onboard.measure.rssi import address
-from swarm.process.simulations import CONFIG, is_live
+from swarm.process.simulations import config_for
 from swarm.process.terminal import columns
 
 
@@ -34,7 +33,7 @@ def read(directories: Mapping[str, Path]) -> list[RadioReading]:
     """The connections of these robots' adapters; `LocalError` where a robot has no radio, or the adapter no answer."""
     found = []
     for robot, directory in directories.items():
-        config = load(directory.parent / CONFIG if is_live(directory.parent) else None)
+        config = config_for(directory)
         own = address(config.robot(robot), robot)
         peers: dict[str, str] = {}
         for each in config.robots:

@@ -213,7 +213,7 @@ def test_wheels_that_do_not_stop_are_named_before_a_stop_of_somebody_else() -> N
 
 def stopped_by_space(folder: Path, monkeypatch: pytest.MonkeyPatch, give: MagicMock) -> str:
     """Run `swarm commission`, in which a person presses Space; what the report's `ended` says."""
-    for what in ("Bus", "_Session", "load", "subject_of"):
+    for what in ("Bus", "_Session", "config_for", "subject_of"):
         monkeypatch.setattr(command, what, MagicMock())
     command._Session.return_value.run.return_value = command.STOPPED  # type: ignore[attr-defined]
     monkeypatch.setattr(command, "one", lambda _: ("r0", folder / "r0"))
