@@ -9,7 +9,6 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 from laptop.fleet.core import doctor, steps
 from laptop.fleet.core.checkup import ExaminedRobot, Finding
@@ -20,6 +19,7 @@ from laptop.fleet.ssh.ssh import Host, HostError, Ssh
 from swarm.config import Config, load
 from swarm.errors import PayloadError
 from swarm.messages.json_input import read_json
+from swarm.onboard.bootstrap.facts import key_facts
 from swarm.onboard.listen import listen
 from swarm.process.arguments import show
 from swarm.process.simulations import CONFIG
@@ -81,9 +81,10 @@ def text(
 def _simulated(there: Mapping[str, Path]) -> dict[str, ExaminedRobot]:
     config = load(next(iter(there.values())).parent / CONFIG)
     said = listen(there)
+    key = None if config.mesh.key_file is None else key_facts(config.mesh.key_file)  # all simulated robots share it
     return {
         name: ExaminedRobot(
-            name, config, None, said[name], disk=_free(there[name]), key=_key(config), addresses=_addresses(config)
+            name, config, None, said[name], disk=_free(there[name]), key=key, addresses=_addresses(config)
         )
         for name in there
     }
@@ -93,17 +94,6 @@ def _free(path: Path) -> int | None:
     with contextlib.suppress(OSError):
         disk = os.statvfs(path)
         return disk.f_bavail * disk.f_frsize
-    return None
-
-
-def _key(config: Config) -> dict[str, Any] | None:
-    """Return the facts of the key file that all simulated robots share."""
-    if config.mesh.key_file is None:
-        return None
-    with contextlib.suppress(OSError):
-        mode = config.mesh.key_file.stat().st_mode & 0o7777
-        rows = [row.partition("#")[0].split() for row in config.mesh.key_file.read_text().splitlines()]
-        return {"mode": f"{mode:04o}", "owner": "", "ids": [row[0] for row in rows if len(row) == 2]}
     return None
 
 

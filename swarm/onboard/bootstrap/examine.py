@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import fcntl
 import hashlib
 import os
-import pwd
 import time
 from collections.abc import Callable
 from typing import Any
@@ -27,11 +25,6 @@ def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, A
     root = request.get("root", "/")
     found = facts.main(request, tell)
     services = {name: unit(f"{name}.service", _ASKED) for name in SERVICES}
-    with contextlib.suppress(OSError):
-        if request.get("key"):
-            key = below(root, request["key"])
-            state = key.stat()
-            found["key"] = {"mode": f"{state.st_mode & 0o7777:04o}", "owner": _name(state.st_uid), "ids": _ids(key)}
     config = text(below(root, "/etc/swarm/swarm.toml"))
     settings = (text(below(root, "/etc/swarm/robot.env")) or "").splitlines()
     names = [row.partition("=")[2] for row in settings if row.startswith("SWARM_ROBOT=")]
@@ -42,6 +35,7 @@ def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, A
         "throttled": _throttled(root),
         "services": services,
         "devices": _devices(root),
+        "key": facts.key_facts(below(root, request["key"])) if request.get("key") else None,
         "config": None if config is None else hashlib.sha256(config.encode()).hexdigest(),
         "robot": names[-1] if names else None,
         "pairing": pairing.main({"do": "look"}, tell) if request.get("bluetooth") else None,
@@ -100,16 +94,3 @@ def _read(bus: int, address: int, index: int, count: int) -> bytes | None:
         return os.read(bus, count)
     except OSError:
         return None
-
-
-def _name(uid: int) -> str:
-    try:
-        return pwd.getpwuid(uid).pw_name
-    except KeyError:
-        return str(uid)
-
-
-def _ids(path: Any) -> list[str]:
-    """The ids of the keys of a file: no secret, unlike what stands behind them."""
-    rows = [row.partition("#")[0].split() for row in (text(path) or "").splitlines()]
-    return [row[0] for row in rows if len(row) == 2]

@@ -9,6 +9,7 @@ import socket
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from swarm.onboard.bootstrap.commands import below, line, run, text, unit
@@ -49,6 +50,25 @@ def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, A
         "blocked": _blocked(root),
         "current": (_link(root, "/opt/swarm/current") or "").rpartition("/")[2],
     }
+
+
+def key_facts(path: Path) -> dict[str, Any] | None:
+    """Return mode, owner and ids of the keys in a file, None where there is none. Ids are no secret, as keys are."""
+    try:
+        state = path.stat()
+    except OSError:
+        return None
+    rows = [row.partition("#")[0].split() for row in (text(path) or "").splitlines()]
+    ids = [row[0] for row in rows if len(row) == 2]
+    return {"mode": f"{state.st_mode & 0o7777:04o}", "owner": _owner(path, state.st_uid), "ids": ids}
+
+
+def _owner(path: Path, number: int) -> str:
+    """Return the name of a file's owner, or the number where nobody has it."""
+    try:
+        return path.owner()
+    except KeyError:
+        return str(number)
 
 
 def _free(root: str, path: str) -> int | None:
