@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 
-from swarm import clock
 from swarm.bus.protocol import OnSample
 from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError, PayloadError
@@ -72,12 +71,10 @@ def collect(directories: Mapping[str, Path]) -> CollectedMesh:
         for name, bus in opened_buses.items():
             bus.subscribe(key(name, "mesh", "links"), take)
             bus.on_change(lambda up, name=name, bus=bus: _ask(name, bus, graphs, take) if up else None)  # type: ignore[misc]
-        end = clock.now() + PATIENCE
         with graphs.changed:
-            while clock.now() < end:
-                if all(view.complete and name in graphs.robots for name, view in views.items()):
-                    break
-                graphs.changed.wait(max(0.0, end - clock.now()))
+            graphs.changed.wait_for(
+                lambda: all(view.complete and name in graphs.robots for name, view in views.items()), PATIENCE
+            )
     if not any(view.links for view in views.values()) and not graphs.robots:
         raise LocalError(
             f"no mesh reports its links: {', '.join(directories)} ({PATIENCE:g} s); does it run? (swarm status)"
