@@ -8,7 +8,6 @@ import argparse
 import contextlib
 import statistics
 import time
-from collections.abc import Callable
 
 from swarm.bluetooth import hci
 from swarm.bluetooth.adapter import Adapter
@@ -24,20 +23,13 @@ PERIOD = 0.1
 """Seconds between two readings."""
 
 
-class Signal:
-    """The signal of one connection of an own adapter."""
-
-    def __init__(self, adapter: Adapter, peer: str) -> None:
-        """`peer` is a Bluetooth address."""
-        self._adapter = adapter
-        self._peer = peer
-
-    def read(self) -> int:
-        """Read the signal strength once, dB. Raises `LocalError` without a connection or an answer."""
-        found = self._adapter.read(hci.READ_RSSI, self._peer)
-        if found is None:
-            raise LocalError("the adapter does not tell the signal strength")
-        return found
+def strength(adapter: Adapter, peer: str) -> int:
+    """Read the strength of the signal from a Bluetooth address, dB. Raises `LocalError` without a connection or an
+    answer."""
+    found = adapter.read(hci.READ_RSSI, peer)
+    if found is None:
+        raise LocalError("the adapter does not tell the signal strength")
+    return found
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -61,21 +53,15 @@ def measured(args: argparse.Namespace) -> tuple[str, list[int]]:
     own, there = (address(config.robot(name), link) for name in (robot, peer))
     try:
         with contextlib.closing(Adapter(own)) as adapter:
-            readings = sample(Signal(adapter, there), args.count)
+            readings = [strength(adapter, there)]
+            while len(readings) < args.count:
+                time.sleep(PERIOD)
+                readings.append(strength(adapter, there))
     except OSError as error:
         raise LocalError(f"Bluetooth {own}: {hci.explained(error)}") from None
     data = {"robot": robot, "peer": peer, "what": "rssi", "period": PERIOD, "rssi": readings}
     show(args, data, text(link, readings))
     return link, readings
-
-
-def sample(signal: Signal, count: int, pause: Callable[[float], object] = time.sleep) -> list[int]:
-    """Readings one after the other."""
-    readings = [signal.read()]
-    for _ in range(count - 1):
-        pause(PERIOD)
-        readings.append(signal.read())
-    return readings
 
 
 def text(link: str, readings: list[int]) -> list[str]:

@@ -22,7 +22,7 @@ from swarm.bluetooth import hci
 from swarm.bluetooth.adapter import Adapter
 from swarm.errors import FrameError, LocalError
 from swarm.onboard.measure import rssi
-from swarm.onboard.measure.rssi import Signal
+from swarm.onboard.measure.rssi import strength
 from swarm.onboard.mesh import radio as mesh_radio
 
 # -- bytes ---------------------------------------------------------------------------------------------------
@@ -69,23 +69,21 @@ def controller() -> Iterator[Controller]:
         yield made
 
 
-def signal(controller: Controller, adapter: str = ADAPTERS[3]) -> Signal:
-    return Signal(Adapter(adapter, open_socket=controller.open, ioctl=controller.ioctl), PEER)
+def adapter_of(controller: Controller, address: str = ADAPTERS[3]) -> Adapter:
+    return Adapter(address, open_socket=controller.open, ioctl=controller.ioctl)
 
 
 def test_the_adapter_of_the_address_is_asked(controller: Controller) -> None:
     controller.values = [-60, -61, 5]
-    each = signal(controller)
+    adapter = adapter_of(controller)
     assert (controller.bound, controller.filtered) == (3, hci.FILTER)
-    pauses: list[float] = []
-    assert rssi.sample(each, 3, pauses.append) == [-60, -61, 5]
-    assert pauses == [rssi.PERIOD] * 2
+    assert [strength(adapter, PEER) for _ in range(3)] == [-60, -61, 5]
 
 
 def test_what_others_ask_the_adapter_is_not_taken_for_the_answer(controller: Controller) -> None:
     noise = [complete(HANDLE + 1, -1), bytes.fromhex("04 0e 04 01 03 0c 00"), b"\x02", b"\x04\x0e\x00"]
     controller.answers = lambda handle: [*noise, complete(handle, -47)]
-    assert signal(controller).read() == -47
+    assert strength(adapter_of(controller), PEER) == -47
 
 
 @pytest.mark.parametrize(
@@ -103,16 +101,16 @@ def test_no_reading_is_said(
     monkeypatch.setattr(adapters, "TIMEOUT", 0.05)
     controller.answers = answers
     with pytest.raises(LocalError, match=text):
-        signal(controller).read()
+        strength(adapter_of(controller), PEER)
 
 
 def test_no_connection_and_no_adapter_are_said(controller: Controller) -> None:
     with pytest.raises(LocalError, match="no Bluetooth adapter here has the address 00:00:00:00:00:01"):
-        signal(controller, "00:00:00:00:00:01")
-    each = signal(controller)
+        adapter_of(controller, "00:00:00:00:00:01")
+    adapter = adapter_of(controller)
     controller.connected.clear()
     with pytest.raises(LocalError, match="there is no Bluetooth connection to B8:27:EB:00:00:0B"):
-        each.read()
+        strength(adapter, PEER)
 
 
 # -- the command -----------------------------------------------------------------------------------------------
@@ -150,12 +148,14 @@ def test_readings_of_the_signal_strength_are_printed(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(rssi, "PERIOD", 0.0)
+    pauses: list[float] = []
+    monkeypatch.setattr(rssi.time, "sleep", pauses.append)
     own = functools.partial(Adapter, open_socket=controller.open, ioctl=controller.ioctl)
     monkeypatch.setattr(rssi, "Adapter", own)
     controller.values = [-60, -58, -62]
     assert command.run(args) == 0
     assert json.loads(capsys.readouterr().out)["rssi"] == [-60, -58, -62]
+    assert pauses == [rssi.PERIOD] * 2
     args.json, args.plot = False, runtime / "rssi.png"
     monkeypatch.setenv("MPLCONFIGDIR", str(runtime))
     assert command.run(args) == 0
