@@ -40,19 +40,14 @@ def robots(mesh: CollectedMesh) -> list[str]:
     """Return one line for each robot of the swarm."""
     rows: list[Sequence[str]] = [("robot", "state", "hops", "via", "links", "stopped", "clock")]
     neighbours = {name: len(mesh.graph.neighbours(name)) for name in mesh.names}
+    one_view = len(mesh.views) == 1
     for name in mesh.names:
         known, view = mesh.robots.get(name), mesh.views.get(name)
         told = view.clock if view is not None else None
-        state = "?" if known is None else known.state
-        one_view = len(mesh.views) == 1
         rows.append(
             (
                 name,
-                "silent"
-                if view is not None and view.links is None
-                else state
-                if one_view or state != "self"
-                else "here",
+                _state_word(mesh, name),
                 str(known.hops) if one_view and known is not None and known.hops is not None else "",
                 (known.via or "") if one_view and known is not None else "",
                 str(neighbours[name]),
@@ -61,6 +56,16 @@ def robots(mesh: CollectedMesh) -> list[str]:
             )
         )
     return columns(rows)
+
+
+def _state_word(mesh: CollectedMesh, name: str) -> str:
+    """Return a robot's state in a word. `self` is told only where one robot was asked, and is `here` otherwise."""
+    known, view = mesh.robots.get(name), mesh.views.get(name)
+    if view is not None and view.links is None:
+        return "silent"
+    if known is None:
+        return "?"
+    return "here" if known.state == "self" and len(mesh.views) != 1 else known.state
 
 
 def links(mesh: CollectedMesh) -> list[str]:
