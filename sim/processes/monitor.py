@@ -51,6 +51,15 @@ class Seen:
         return [name for name in services if name not in self.status or self.status[name].state == "starting"]
 
 
+_LATEST: dict[type, str] = {
+    BalancerState: "balancer",
+    Links: "links",
+    AppProgress: "progress",
+    AppState: "state",
+    AppEpoch: "epoch",
+}
+"""Attribute of `Seen` for the latest message of each type."""
+
 _APP_TOPICS = ("progress", f"state/{THROTTLED}", "epoch")
 """Topics of the app that is followed."""
 
@@ -131,16 +140,7 @@ def _update(seen: Seen, topic: str, payload: bytes) -> None:
         message = read(topic, payload)
     except PayloadError:
         return  # a picture for people: whoever needs the message reports what is wrong with it
-    match message:
-        case Status():
-            seen.status[message.service] = message
-        case BalancerState():
-            seen.balancer = message
-        case Links():
-            seen.links = message
-        case AppProgress():
-            seen.progress = message
-        case AppState():
-            seen.state = message
-        case AppEpoch():
-            seen.epoch = message
+    if isinstance(message, Status):
+        seen.status[message.service] = message
+    elif (kind := type(message)) in _LATEST:
+        setattr(seen, _LATEST[kind], message)

@@ -27,6 +27,25 @@ KEPT_STATES = 1000
 SPEED_S = 0.12
 """Seconds of odometry that a wheel's speed is taken from: three messages."""
 
+_NEWEST: dict[type, str] = {
+    BalancerState: "state",
+    BalancerFault: "fault",
+    Firmware: "firmware",
+    Buttons: "buttons",
+    Display: "display",
+    Links: "links",
+    Stopped: "stopped",
+}
+"""Attribute of a `RobotView` for the newest message of each type."""
+_KEPT: dict[type, str] = {
+    BalancerState: "states",
+    Odometry: "odometry",
+    ImuSample: "imu",
+    Ranges: "ranges",
+    Notice: "notices",
+}
+"""Attribute of a `RobotView` for the last messages of each type."""
+
 Vector = tuple[float, float, float]
 
 
@@ -62,33 +81,14 @@ class RobotView:
         self.ranges: deque[Ranges] = deque(maxlen=KEPT_STATES)
 
     def receive(self, message: object) -> None:
-        """Keep a message; what is none of these does nothing."""
-        match message:
-            case BalancerState():
-                self.state = message
-                self.states.append(message)
-            case Odometry():
-                self.odometry.append(message)
-            case ImuSample():
-                self.imu.append(message)
-            case Ranges():
-                self.ranges.append(message)
-            case BalancerFault():
-                self.fault = message
-            case Firmware():
-                self.firmware = message
-            case Buttons():
-                self.buttons = message
-            case Display():
-                self.display = message
-            case Links():
-                self.links = message
-            case Stopped():
-                self.stopped = message
-            case I2CRates():
-                self.rates[message.ticket] = message
-            case Notice():
-                self.notices.append(message)
+        """Keep a message. A message that is none of these does nothing."""
+        kind = type(message)
+        if kind in _NEWEST:
+            setattr(self, _NEWEST[kind], message)
+        if kind in _KEPT:
+            getattr(self, _KEPT[kind]).append(message)
+        if isinstance(message, I2CRates):
+            self.rates[message.ticket] = message
 
     @property
     def mode(self) -> str:
