@@ -12,8 +12,7 @@ from pathlib import Path
 
 from bench.rigs import socket_sim
 from laptop.cli.runs import sim
-from sim.core import start_timeout
-from sim.processes import run
+from sim.processes import monitor, run
 from sim.processes.monitor import Monitor
 from sim.processes.run import ProcessRun
 from swarm.messages import LedChange, Target, Truth
@@ -49,7 +48,7 @@ def main() -> int:
     """Like `bench.rigs.socket_sim`. For the simulation the swarm never starts, since most robots have no bus."""
     sim.ProcessRun = OneRobot  # type: ignore[attr-defined]
     run.Monitor = Away  # type: ignore[attr-defined]
-    start_timeout.START_LIMIT_S = math.inf
+    monitor.START_LIMIT_S = math.inf
     return socket_sim.main()
 
 

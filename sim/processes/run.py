@@ -17,7 +17,6 @@ from sim.control.link_cuts import cut
 from sim.control.power_server import Power
 from sim.control.send_action import do
 from sim.core import actions
-from sim.core.start_timeout import START_LIMIT_S, StartTimeout
 from sim.disturbances import (
     NOT_RUNNING,
     SWITCHED_OFF,
@@ -30,7 +29,7 @@ from sim.disturbances import (
     never,
 )
 from sim.processes import footprint
-from sim.processes.monitor import Monitor, Seen
+from sim.processes.monitor import START_LIMIT_S, Monitor, Seen, StartTimeout
 from sim.processes.processes import APP_FAULT, Processes
 from sim.processes.progress import ProgressDisplay, said
 from sim.processes.radio import LATENESS

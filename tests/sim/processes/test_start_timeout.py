@@ -1,6 +1,6 @@
 """A swarm that starts slowly is waited for, and one that starts no further is given up."""
 
-from sim.core.start_timeout import START_LIMIT_S, StartTimeout
+from sim.processes.monitor import START_LIMIT_S, StartTimeout
 
 
 def test_a_swarm_that_becomes_ready_slowly_is_waited_for() -> None:
