@@ -7,7 +7,7 @@ import signal
 from pathlib import Path
 
 from laptop.fleet.units import SERVICES
-from sim.control import link_cuts, power_switch, send_action
+from sim.control import datagrams, link_cuts, power_switch
 from sim.core import actions
 from sim.core.actions import Carry, Lay, Lift, Miswire, Press, Push, Roll, Unplug
 from swarm.errors import LocalError
@@ -90,28 +90,28 @@ def do(runtime: Path, args: argparse.Namespace) -> str:
     """Do it to the robot with this runtime directory; what was done, in words."""
     match args.act:
         case "press":
-            send_action.do(runtime, Press(args.button, args.hold))
+            datagrams.send_action(runtime, Press(args.button, args.hold))
             return f"button {args.button} held for {args.hold:g} s"
         case "push":
-            send_action.do(runtime, Push(args.impulse))
+            datagrams.send_action(runtime, Push(args.impulse))
             return f"pushed with {args.impulse:g} N s"
         case "lay":
-            send_action.do(runtime, Lay(args.side))
+            datagrams.send_action(runtime, Lay(args.side))
             return f"laid on its {args.side}"
         case "place":
-            send_action.do(runtime, Carry(args.x, args.y, args.heading))
+            datagrams.send_action(runtime, Carry(args.x, args.y, args.heading))
             return f"lies on its back at ({args.x:g}, {args.y:g}) m"
         case "lift":
-            send_action.do(runtime, Lift(math.radians(args.tilt), math.radians(args.turn), down=args.down))
+            datagrams.send_action(runtime, Lift(math.radians(args.tilt), math.radians(args.turn), down=args.down))
             return "stands upright, held by a hand" if args.down else f"in the hand, {args.tilt:g} degrees from upright"
         case "roll":
-            send_action.do(runtime, Roll(args.wheel, math.radians(args.degrees)))
+            datagrams.send_action(runtime, Roll(args.wheel, math.radians(args.degrees)))
             return f"{args.wheel} wheel turned by {args.degrees:g} degrees"
         case "miswire":
-            send_action.do(runtime, Miswire(args.part, back=args.back))
+            datagrams.send_action(runtime, Miswire(args.part, back=args.back))
             return f"{args.part} is mounted the {'right' if args.back else 'wrong'} way"
         case "unplug":
-            send_action.do(runtime, Unplug(args.device, back=args.back))
+            datagrams.send_action(runtime, Unplug(args.device, back=args.back))
             return f"{args.device} is {'back on' if args.back else 'off'} its bus"
         case "kill":
             service, pid = end_service(runtime, args.service, args.signal)

@@ -1,4 +1,8 @@
-"""Datagrams to and within a running simulation: what people do to its robots comes by Unix sockets in its folders."""
+"""Datagrams to and within a running simulation: what people do to its robots comes by Unix sockets in its folders.
+
+Each body of a running simulation listens on a socket in the robot's runtime directory. The balancer learns of an action
+as a real one would, through its sensors.
+"""
 
 import contextlib
 import os
@@ -7,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from sim.core.actions import BODY_SOCKET, SimulationAction, check, pack
 from swarm.errors import LocalError
 from swarm.process.paths import socket_path
 
@@ -23,6 +28,13 @@ def send(folder: Path, name: str, datagram: bytes, problem: str) -> None:
             sock.sendto(datagram, str(socket_path(folder, name)))
         except OSError as error:
             raise LocalError(f"{problem} ({error.strerror})") from None
+
+
+def send_action(robot: Path, action: SimulationAction) -> None:
+    """Send a person's action to the simulated body with the runtime directory `robot`. Raises `LocalError` where the
+    action is impossible or no body listens."""
+    problem = f"the body of {robot.name} is not running at this moment"
+    send(robot, BODY_SOCKET, pack(check(action)), problem)
 
 
 def listen(folder: Path, name: str) -> socket.socket:

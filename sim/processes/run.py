@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import TextIO
 
 from sim import scene
+from sim.control import datagrams
 from sim.control.app_requests_server import Orders
 from sim.control.link_cuts import cut
 from sim.control.power_server import Power
-from sim.control.send_action import do
 from sim.core import actions
 from sim.disturbances import (
     NOT_RUNNING,
@@ -267,9 +267,9 @@ class ProcessRun:
                 if not self._processes.end(robot, f"app/{self._scenario.app}" if service == "app" else service):
                     raise LocalError(NOT_RUNNING)
             case ScheduledPress(robot, button):
-                do(self._run_dir / robot, actions.Press(button, PRESS_S))
+                datagrams.send_action(self._run_dir / robot, actions.Press(button, PRESS_S))
             case ScheduledPush(robot, _, impulse):
-                do(self._run_dir / robot, actions.Push(impulse))
+                datagrams.send_action(self._run_dir / robot, actions.Push(impulse))
 
     def _refresh(self, now: float) -> None:
         """Have every mesh's counters as they are at the end; one that does not answer keeps the last it told."""

@@ -6,7 +6,7 @@ from typing import Any
 from laptop.cli import hand
 from laptop.view.actions.robot_actions import PageAction, cut, named, settings_of
 from laptop.view.feeds.feed import SimulationFeed
-from sim.control import app_requests, link_cuts, send_action
+from sim.control import app_requests, datagrams, link_cuts
 from sim.core.actions import Carry, Lay, Press, Push
 from swarm.errors import LocalError
 from swarm.messages.codec import Value
@@ -40,24 +40,24 @@ class SimulatedActions:
 
     def _press(self, asked: Mapping[str, Any]) -> str:
         robot, button = self._robot(asked), str(asked["button"]).upper()
-        send_action.do(self._feed.directory / robot, Press(button, PRESS_S))
+        datagrams.send_action(self._feed.directory / robot, Press(button, PRESS_S))
         return f"{robot}: pressed {button}"
 
     def _push(self, asked: Mapping[str, Any]) -> str:
         robot, impulse = self._robot(asked), float(asked["impulse"])
-        send_action.do(self._feed.directory / robot, Push(impulse))
+        datagrams.send_action(self._feed.directory / robot, Push(impulse))
         return f"{robot}: pushed with {impulse:g} N s"
 
     def _lay(self, asked: Mapping[str, Any]) -> str:
         robot, side = self._robot(asked), str(asked["side"])
-        send_action.do(self._feed.directory / robot, Lay(side))
+        datagrams.send_action(self._feed.directory / robot, Lay(side))
         return f"{robot}: lies on its {side}"
 
     def _place(self, asked: Mapping[str, Any]) -> str:
         robot, x, y = self._robot(asked), float(asked["x"]), float(asked["y"])
         if not (abs(x) <= FAR_M and abs(y) <= FAR_M):
             raise LocalError(f"place: expected a place within {FAR_M:g} m, got {x:g}, {y:g}")
-        send_action.do(self._feed.directory / robot, Carry(x, y, 0.0))
+        datagrams.send_action(self._feed.directory / robot, Carry(x, y, 0.0))
         return f"{robot}: lies on its back at {x:.2f}, {y:.2f} m"
 
     def _kill(self, asked: Mapping[str, Any]) -> str:
