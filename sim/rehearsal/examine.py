@@ -92,7 +92,6 @@ class _Finding:
     ranges: str = UNASKED
     step_mean: float = 0.0
     """Seconds of CPU time on this machine."""
-    step_worst: float = 0.0
     trend: dict[str, object] = field(default_factory=dict)
     """See `trends.judge`."""
     digests: list[int] = field(default_factory=list)
@@ -201,7 +200,7 @@ def _sync(task: Task, finding: _Finding) -> None:
         finding.seconds, finding.iterations = ITERATION_S * swarm.k, swarm.k
         finding.poses, finding.ranges = _had([runner.app for runner in swarm.runners.values()])
         if times:
-            finding.step_mean, finding.step_worst = sum(times) / len(times), max(times)
+            finding.step_mean = sum(times) / len(times)
     if swarm.k < task.iterations:
         _cut_short(finding, watch, f"{swarm.k} of {task.iterations} iterations")
     finding.trend = trends.judge({name: swarm.results[name] for name in swarm.names})
@@ -328,7 +327,7 @@ def _events(task: Task, finding: _Finding) -> None:
     finding.iterations = min(unit.host.progress.k for unit in swarm.units.values())
     finding.poses, finding.ranges = _had([unit.app for unit in swarm.units.values()])
     if times:
-        finding.step_mean, finding.step_worst = sum(times) / len(times), max(times)
+        finding.step_mean = sum(times) / len(times)
     finding.trend = trends.judge(histories)
     if swarm.now < end:
         _cut_short(finding, watch, f"{finding.seconds:g} of {SECONDS:g} s")
