@@ -4,7 +4,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import field
 
-from sim.core.scene_record import SceneRecord
 from sim.scenario.scenario import Scenario
 from swarm.app.parameters import number_or_text
 from swarm.core.percentile import percentile
@@ -52,10 +51,6 @@ class RunOutcome:
     """Seconds that a run under virtual time took to compute; None of one in real time."""
     scene: Mapping[str, object] = field(default_factory=dict)
     """What the world saw of it (sim/scene.py)."""
-    scene_record: SceneRecord | None = None
-    """The world's own eyes, where somebody looked."""
-    began: float = 0.0
-    """The time at which the run began, by the clock of `scene_record`, s."""
     moves_from: float = math.inf
     """The time at which a target that moves began to, by the clock of the trajectories, s."""
     beside: Mapping[str, Mapping[str, Trajectory]] = field(default_factory=dict)

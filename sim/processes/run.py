@@ -327,8 +327,6 @@ class ProcessRun:
             problems=tuple(self._problems),
             missing=tuple(name for name in names if name not in _members(seen)),
             scene=found,
-            scene_record=self._world.look(lambda scene_record, _: scene_record),
-            began=self._commanded,
             moves_from=self._moves_from,
             beside=beside,
             radio=late,

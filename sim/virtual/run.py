@@ -361,7 +361,6 @@ class VirtualRun:
             problems=tuple(self._problems),
             missing=tuple(name for name in names if name not in self._members),
             computed_s=self.computed,
-            scene_record=self._scene_record,
             moves_from=math.inf if started is None else started,
             never=self._never(ended_at),
             scene=self._seen(),

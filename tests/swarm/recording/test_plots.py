@@ -17,7 +17,10 @@ from laptop.plotting.journeys import JourneyLeg, Pass, _answers, _arrivals, _hea
 from laptop.plotting.mesh import layout, spots
 from laptop.plotting.mesh import mesh as mesh_plot
 from laptop.plotting.style import figure
-from sim.virtual.run import simulate
+from sim.report import summary
+from sim.scenario.options import parse
+from sim.scenario.scenario import build
+from sim.virtual.run import PLACE, VirtualRun, simulate
 from swarm.recording.run import Run
 from swarm.recording.virtual_file import DirectRecording
 
@@ -285,8 +288,10 @@ def test_a_part_of_the_run_in_which_nothing_is_drawn_is_refused(runs, tmp_path, 
 def test_flashes_are_as_far_apart_as_the_world_saw_them(tmp_path, skew, basis):
     """On an axis that follows the mesh clock the LEDs that follow it too would seem to be exact."""
     words = ("--robots", "3", "--seconds", "8", "--jitter", "20ms", "--clock-skew", skew)
-    report, outcome = simulate("led_sync", *words, "--record", str(tmp_path))
-    run, seen = Run(tmp_path), outcome.scene_record
+    options = parse(["led_sync", *words, "--virtual", "--record", str(tmp_path)])
+    simulation = VirtualRun(options, build(options, PLACE))
+    report = summary(simulation.go())
+    run, seen = Run(tmp_path), simulation._scene_record
     assert seen is not None
     assert run.basis == basis
     flashes, _, source = _flashes(run)
