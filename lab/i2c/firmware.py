@@ -131,7 +131,8 @@ class FirmwareDevice(AtmegaDevice):
         self._chip, self._clock = chip, clock
         self._pair = BodyAndChip(chip, body)
         self._stopped = -math.inf
-        super().__init__(body, battery)
+        super().__init__(body)
+        self.battery = battery
         chip.battery(battery)
         self.line = _Uart(chip, body.now)
 

@@ -36,11 +36,11 @@ def _no_report() -> bytes:
 class AtmegaDevice:
     """Buffer, motors with their watchdog, encoders, LEDs, buttons, battery, notes, and the DWM1001's line."""
 
-    def __init__(self, body: BalboaBody, battery: float) -> None:
-        """Begin with a `battery` in V."""
+    def __init__(self, body: BalboaBody) -> None:
         self._body = body
         self._now = body.now
-        self.battery = battery
+        self.battery = 7.4
+        """V."""
         self.tune: tuple[int, tuple[tuple[int, int], ...]] = (0, ())
         """The last one written: volume, pairs of pitch and duration in 10 ms."""
         self.in_bootloader = False

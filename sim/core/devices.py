@@ -202,16 +202,14 @@ def _word(value: float) -> int:
 class SimulatedRobot:
     """One robot's I2C bus: dispatches transfers to the devices and counts the time they would take on the wire."""
 
-    def __init__(
-        self, body: BalboaBody, noise: RandomNumbers, *, errors: ImuErrors, trim: float = 0.0, battery: float = 7.4
-    ) -> None:
-        """`trim` as in the config's [body]; `battery` in V."""
+    def __init__(self, body: BalboaBody, noise: RandomNumbers, *, errors: ImuErrors, trim: float = 0.0) -> None:
+        """`trim` as in the config's [body]."""
         self.body = body
         self.scl = SCL_HZ
         """Clock of the bus, Hz. It is below the configured one if the Pi's core clock drops
         (docs/reference/robot/i2c-bus.md)."""
         self.imu = ImuDevice(body, noise, errors, trim)
-        self.atmega = AtmegaDevice(body, battery)
+        self.atmega = AtmegaDevice(body)
         self.display = DisplayDevice()
         self.devices: dict[int, Device] = {
             imu.ADDRESS: self.imu,

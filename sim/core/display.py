@@ -24,8 +24,6 @@ class DisplayDevice:
         self._page = self._column = 0
         self._mode = _PAGE_ADDRESSING
         self._on = self._pump = self._mirrored = self._upside_down = False
-        self.bytes_written = 0
-        """Of picture data, since the power came on."""
 
     def write(self, data: bytes, now: float) -> None:
         """Take a control byte, then commands or data. With the top bit of the control byte set, one byte and the
@@ -57,7 +55,6 @@ class DisplayDevice:
         return lines if self._upside_down else lines[::-1]
 
     def _draw(self, data: list[int]) -> None:
-        self.bytes_written += len(data)
         for byte in data:
             self._memory[self._page][self._column] = byte
             self._column = (self._column + 1) % COLUMNS

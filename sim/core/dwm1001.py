@@ -55,7 +55,6 @@ MAX_LINE = 1024
 UNKNOWN_CALL, BAD_PARAMETER = 1, 3
 
 VERSION = Version((1, 3, 0, 1), 0x00010700, 0xDECA002A)
-FACTORY_RATE = UpdateRate(1, 100)
 READY_RATE = UpdateRate(1, 1)
 """As `swarm dwm configure` leaves it."""
 

@@ -37,7 +37,6 @@ def search(
     bounds: tuple[float, float],
     engine: Engine,
     done: Callable[[], None],
-    precision: float = PRECISION,
 ) -> list[Bracket]:
     """Bisect between `bounds`; a point that settles at the upper one, or fails at the lower one, is left there.
 
@@ -62,7 +61,7 @@ def search(
         open_ = {
             index: 0.5 * (each.good + each.bad)
             for index, each in enumerate(brackets)
-            if each.good is not None and each.bad is not None and each.bad - each.good > precision * each.bad
+            if each.good is not None and each.bad is not None and each.bad - each.good > PRECISION * each.bad
         }
         if not open_:
             return brackets

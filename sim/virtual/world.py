@@ -25,7 +25,7 @@ from services.mesh.links.radio_model import AirModel
 from sim.core.actions import SimulationAction
 from sim.core.scene_record import SceneRecord
 from sim.disturbances import NOT_RUNNING, SWITCHED_OFF
-from sim.scenario.options import DELAY, FROM_START, SETTLED
+from sim.scenario.options import DELAY, SETTLED
 from sim.scene import contacts_of
 from sim.slots.parameters import SlotParameters
 from sim.virtual.apps.storage import MemoryStorage
@@ -119,7 +119,7 @@ class VirtualWorld:
         seed: int,
         *,
         body: str = DIFFERENTIAL,
-        mesh: str = FROM_START,
+        mesh: str,
         lying: str | None = None,
         skew: float = 0.0,
         scene_record: SceneRecord | None = None,

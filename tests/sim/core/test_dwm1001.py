@@ -12,7 +12,6 @@ from services.dwm.core.module.calls import Settings, UpdateRate
 from services.dwm.core.module.tlv import LOC_GET, AnchorRange, Location, Position, TlvDecoder, encode_location
 from sim.core.dwm1001 import (
     BYTE,
-    FACTORY_RATE,
     JOINING,
     LATENCY,
     READY_RATE,
@@ -25,6 +24,7 @@ from sim.core.dwm1001 import (
 from swarm.errors import FrameError
 
 IDENTITY = 0xDECA9AABC0A2DE01
+FACTORY_RATE = UpdateRate(1, 100)
 TAG, ANCHOR = Settings(anchor=False), Settings(anchor=True, initiator=True)
 
 

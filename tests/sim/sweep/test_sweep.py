@@ -137,7 +137,7 @@ def test_the_limit_of_a_gain_is_found(tmp_path):
     done = []
     brackets = search(
         str(app), points, (1,), ["--iterations", "300", "--latency", "0ms"], 0.01, "gain", (0.1, 2.0),
-        lambda jobs, each: [measure(job) for job in jobs], lambda: done.append(1), precision=0.02,
+        lambda jobs, each: [measure(job) for job in jobs], lambda: done.append(1),
     )  # fmt: skip
     for bracket, limit in zip(brackets, (1.0, 2 / 3), strict=True):
         assert bracket.good == pytest.approx(limit, rel=0.05)

@@ -6,7 +6,7 @@ import pytest
 
 from services.mesh.links.radio_model import AirModel
 from sim.core.actions import BodyPlace, Lay, Press, Push
-from sim.scenario.options import parse
+from sim.scenario.options import FROM_START, parse
 from sim.scenario.scenario import build
 from sim.virtual.bus import VirtualBus
 from sim.virtual.run import PLACE, VirtualRun
@@ -18,7 +18,7 @@ from swarm.messages import LedChange, Notice, Stop, read
 
 class Rig:
     def __init__(self, *options):
-        self.world = VirtualWorld(build(parse(list(options)), PLACE).config, AirModel(latency=0.03), seed=1)
+        self.world = VirtualWorld(build(parse(list(options)), PLACE).config, AirModel(latency=0.03), 1, mesh=FROM_START)
         self.bus = VirtualBus(self.world.robots["r0"].router)
         self.time = self.world.time
         self.devices = Devices(self.bus, "r0", lambda: self.time.now)
