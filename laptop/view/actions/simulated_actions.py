@@ -8,10 +8,10 @@ from laptop.view.actions.robot_actions import PageAction, cut, named, settings_o
 from laptop.view.feeds.feed import SimulationFeed
 from sim.control import app_requests, datagrams, link_cuts
 from sim.core.actions import Carry, Lay, Press, Push
+from sim.scenario.options import PRESS_S
 from swarm.errors import LocalError
 from swarm.messages.codec import Value
 
-PRESS_S = 0.3
 FAR_M = 1000.0
 
 
