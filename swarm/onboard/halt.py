@@ -164,8 +164,8 @@ def rows_of(
     modes: Mapping[str, str],
     *,
     stop: bool,
-    listened: bool = True,
-    running: Container[str] = (),
+    listened: bool,
+    running: Container[str],
 ) -> list[Row]:
     """Return one row for each robot. `names`: the robots whose bus was looked for, and whether it is there. `listened`:
     whether a balancer on such a bus would have been heard by now. `running`: robots whose balancing loop is known to

@@ -78,7 +78,8 @@ def test_what_counts_as_obeyed(
     names = {} if there is None else {"r0": there}
     modes = {} if mode is None else {"r0": mode}
     for command, expected in ((True, stops), (False, arms)):
-        (row,) = halt.rows_of(names, {} if entry is None else {"r0": entry}, modes, stop=command)
+        entries = {} if entry is None else {"r0": entry}
+        (row,) = halt.rows_of(names, entries, modes, stop=command, listened=True, running=())
         assert (row.confirmed, row.state) == (expected, state)
 
 
@@ -86,9 +87,9 @@ def test_a_balancer_that_may_not_have_been_heard_yet_is_waited_for() -> None:
     """A mesh that is stopped says nothing of the motors; where a bus can be reached its balancer's state comes soon."""
     entry = {"r0": known("self", stopped=True)}
     for names, expected in (({"r0": True}, False), ({"r0": False}, True), ({}, True)):
-        (row,) = halt.rows_of(names, entry, {}, stop=True, listened=False)
+        (row,) = halt.rows_of(names, entry, {}, stop=True, listened=False, running=())
         assert row.confirmed is expected
-    (row,) = halt.rows_of({"r0": True}, entry, {"r0": "fault"}, stop=True, listened=False)
+    (row,) = halt.rows_of({"r0": True}, entry, {"r0": "fault"}, stop=True, listened=False, running=())
     assert row.confirmed
 
 
@@ -102,7 +103,7 @@ def test_a_loop_that_balances_without_a_bridge_keeps_its_robot_unconfirmed(
     zeros.keep(Zero(0.0, 0.0, 0.0), clock.now() - seconds)
     assert halt.loop_runs(tmp_path) is runs
     entry = {"r0": known("self", stopped=True)}
-    (row,) = halt.rows_of({"r0": True}, entry, {}, stop=True, running={"r0"} if runs else ())
+    (row,) = halt.rows_of({"r0": True}, entry, {}, stop=True, listened=True, running={"r0"} if runs else ())
     assert row.confirmed is not runs
     assert ("systemctl stop swarm-balancer" in halt.table([row], stop=True)[1]) is runs
 
