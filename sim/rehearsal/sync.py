@@ -21,7 +21,7 @@ from swarm.app.sync_app import SyncApp
 from swarm.config import Config
 from swarm.core.graph import Graph
 from swarm.errors import AppError
-from swarm.messages import AppLog, Measurement
+from swarm.messages import AppLog, Clock, Measurement
 from swarm.messages.codec import Value
 
 Measure = Callable[[str, int], Measurement]
@@ -33,21 +33,6 @@ _SILENT = logging.getLogger("rehearsal")
 """What an app logs where nobody listens."""
 _SILENT.addHandler(logging.NullHandler())
 _SILENT.propagate = False
-
-
-class CommonClock:
-    """A replacement of `swarm.app.mesh_clock.MeshClock` in which all robots have the very same time."""
-
-    error = 0.0
-
-    def __init__(self, root: str, now: Callable[[], float]) -> None:
-        """`root`: whose clock it is; `now`: the time of the rehearsal, s."""
-        self.root = root
-        self.now = now
-
-    def monotonic(self, mesh: float) -> float:
-        """Return the time of the robot's own clock at a time of the mesh."""
-        return mesh
 
 
 class SyncRehearsal:
@@ -86,7 +71,8 @@ class SyncRehearsal:
             if said is not None:
                 let_speak(instance.robot, bus, None, partial(said, name))
             instance.robot.overlays = self.messages[name]  # type: ignore[assignment]
-            instance.robot.mesh_clock = CommonClock(self.names[0], self._now)  # type: ignore[assignment]
+            # All robots have the very same time.
+            instance.robot.clock.state = Clock(t=0.0, offset=0.0, rate=0.0, root=self.names[0], hop=0, error=0.0)
             instance.robot.truth = self._world.truth(name, app.name, type(instance))
             self.runners[name] = runner(instance, app.source)
         self.private: dict[str, bytes] = {}
