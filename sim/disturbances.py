@@ -26,7 +26,7 @@ AT_START = "start"
 ANY = "any"
 """The word that lets the seed choose a robot."""
 
-SERVICES = ("mesh", "app", "balancer", "dwm", "bus")
+KILLABLE = ("mesh", "app", "balancer", "dwm", "bus")
 """The services that can be killed; `app` is the app that the run is about."""
 
 IMPULSE = 0.1
@@ -127,7 +127,7 @@ NOT_RUNNING = "the service did not run then"
 """Why a disturbance was not possible."""
 
 
-def cut(text: str) -> Cut:
+def parsed_cut(text: str) -> Cut:
     """Parse a cut `r0-r1@12s,3s`: which link, when, how long. A name may hold a `-`, so `drawn`, which knows the links,
     says where the first name ends."""
     match = re.fullmatch(rf"({_ROBOT})-({_ROBOT})@([^,]+),(.+)", text)
@@ -137,7 +137,7 @@ def cut(text: str) -> Cut:
     return Cut(match[1], match[2], at, _length(text, match[4]), span)
 
 
-def off(text: str) -> Off:
+def parsed_off(text: str) -> Off:
     """Parse `r2@5s,10s`, a robot that is switched off: which, when, how long. `r2@start,10s` comes late."""
     match = re.fullmatch(rf"({_ROBOT})@([^,]+),(.+)", text)
     if match is None:
@@ -146,17 +146,17 @@ def off(text: str) -> Off:
     return Off(match[1], at, _length(text, match[3]), span)
 
 
-def kill(text: str) -> Kill:
+def parsed_kill(text: str) -> Kill:
     """Parse `r2.mesh@5s`, a service that is killed: whose, which, when."""
     match = re.fullmatch(rf"({_ROBOT})\.([a-z]+)@(.+)", text)
-    if match is None or match[2] not in SERVICES:
+    if match is None or match[2] not in KILLABLE:
         raise argparse.ArgumentTypeError(
-            f"{text!r} is not a service such as r2.mesh@5s (robot; {', '.join(SERVICES)}; time)"
+            f"{text!r} is not a service such as r2.mesh@5s (robot; {', '.join(KILLABLE)}; time)"
         )
     return Kill(match[1], match[2], *_when(match[3]))
 
 
-def push(text: str) -> ScheduledPush:
+def parsed_push(text: str) -> ScheduledPush:
     """Parse a push `r1@5s` or, with its impulse in N s, `r1@5s,-0.2`."""
     match = re.fullmatch(rf"({_ROBOT})@([^,]+)(?:,(.+))?", text)
     try:
@@ -171,7 +171,7 @@ def push(text: str) -> ScheduledPush:
     return ScheduledPush(match[1], at, impulse, span)
 
 
-def press(text: str) -> ScheduledPress:
+def parsed_press(text: str) -> ScheduledPress:
     """Parse a button `r4.A@5s`: whose, which, when."""
     match = re.fullmatch(rf"({_ROBOT})\.([ABCabc])@(.+)", text)
     if match is None:

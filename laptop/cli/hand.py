@@ -117,7 +117,7 @@ def do(runtime: Path, args: argparse.Namespace) -> str:
             service, pid = end_service(runtime, args.service, args.signal)
             return f"{service} (pid {pid}): SIG{args.signal}"
         case "cut":
-            link_cuts.cut(runtime.parent, args.robot, args.peer, args.seconds)
+            link_cuts.cut_link(runtime.parent, args.robot, args.peer, args.seconds)
             return f"link to {args.peer} " + (f"cut for {args.seconds:g} s" if args.seconds else "mended")
         case _:
             power_switch.reboot(runtime.parent, args.robot, args.off)

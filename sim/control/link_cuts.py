@@ -13,7 +13,7 @@ from swarm import clock
 from swarm.errors import LocalError
 
 
-def cut(run_dir: Path, robot: str, peer: str, seconds: float) -> None:
+def cut_link(run_dir: Path, robot: str, peer: str, seconds: float) -> None:
     """Cut the radio between two robots of a simulation for some seconds, or as long as an earlier cut lasts; 0 ends all
     cuts of the link. Raises `LocalError`."""
     if robot == peer:

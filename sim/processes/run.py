@@ -14,7 +14,7 @@ from typing import TextIO
 from sim import scene
 from sim.control import datagrams
 from sim.control.app_requests_server import Orders
-from sim.control.link_cuts import cut
+from sim.control.link_cuts import cut_link
 from sim.control.power_server import Power
 from sim.core import actions
 from sim.disturbances import (
@@ -254,7 +254,7 @@ class ProcessRun:
         """Do it; raises `LocalError` where it is not possible at this moment."""
         match what:
             case Cut(a, b, _, seconds):
-                cut(self._run_dir, a, b, seconds)
+                cut_link(self._run_dir, a, b, seconds)
             case Off(robot, _, seconds) if robot in self._late:
                 self._late[robot] = max(self._late[robot], now - self._commanded + seconds)
             case Off(robot, _, seconds):

@@ -8,7 +8,19 @@ from typing import NoReturn
 
 from services.apps.loader import BUILT_IN
 from sim.core.noise import ERRORS
-from sim.disturbances import SERVICES, Cut, Kill, Off, ScheduledPress, ScheduledPush, cut, kill, off, press, push
+from sim.disturbances import (
+    KILLABLE,
+    Cut,
+    Kill,
+    Off,
+    ScheduledPress,
+    ScheduledPush,
+    parsed_cut,
+    parsed_kill,
+    parsed_off,
+    parsed_press,
+    parsed_push,
+)
 from sim.scenario import commission_report
 from sim.scenario.quantities import (
     AppSetting,
@@ -198,7 +210,7 @@ def parser(kind: type[argparse.ArgumentParser] = argparse.ArgumentParser) -> arg
         "--cut",
         dest="cuts",
         action="append",
-        type=cut,
+        type=parsed_cut,
         default=[],
         metavar="r0-r1@12s,3s",
         help="cut a link 12 s after the first iteration for 3 s",
@@ -207,7 +219,7 @@ def parser(kind: type[argparse.ArgumentParser] = argparse.ArgumentParser) -> arg
         "--off",
         dest="offs",
         action="append",
-        type=off,
+        type=parsed_off,
         default=[],
         metavar="r2@5s,10s",
         help="switch a robot off 5 s after the first iteration for 10 s; @start: it comes late; "
@@ -217,10 +229,10 @@ def parser(kind: type[argparse.ArgumentParser] = argparse.ArgumentParser) -> arg
         "--kill",
         dest="kills",
         action="append",
-        type=kill,
+        type=parsed_kill,
         default=[],
         metavar="r2.app@5s",
-        help=f"end a service, which then restarts: {', '.join(SERVICES)} (under virtual time: app, mesh)",
+        help=f"end a service, which then restarts: {', '.join(KILLABLE)} (under virtual time: app, mesh)",
     )
     bodies = p.add_argument_group("the bodies")
     bodies.add_argument(
@@ -234,7 +246,7 @@ def parser(kind: type[argparse.ArgumentParser] = argparse.ArgumentParser) -> arg
         "--press",
         dest="presses",
         action="append",
-        type=press,
+        type=parsed_press,
         default=[],
         metavar="r4.A@5s",
         help="press a button 5 s after the first iteration",
@@ -243,7 +255,7 @@ def parser(kind: type[argparse.ArgumentParser] = argparse.ArgumentParser) -> arg
         "--push",
         dest="pushes",
         action="append",
-        type=push,
+        type=parsed_push,
         default=[],
         metavar="r1@5s,0.2",
         help="push a robot from behind 5 s after the first iteration, in N s (0.1; 0.5 topples it)",

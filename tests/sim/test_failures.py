@@ -8,7 +8,7 @@ import pytest
 from conftest import thinned
 
 from bench.rigs.simulation import Simulation
-from sim.disturbances import Cut, Off, cut, drawn, off
+from sim.disturbances import Cut, Off, drawn, parsed_cut, parsed_off
 from sim.virtual.run import simulate
 from swarm.errors import ConfigError
 from swarm.recording.run import Run
@@ -160,7 +160,7 @@ def test_a_late_robot_that_is_switched_off_comes_when_it_is_on_again() -> None:
 
 
 def test_the_seed_draws_times_and_robots() -> None:
-    asked = [off("any@2s..8s,10s"), off("r1@1s,1s")]
+    asked = [parsed_off("any@2s..8s,10s"), parsed_off("r1@1s,1s")]
     names = ("r0", "r1", "r2", "r3")
     assert drawn(asked, names, 1) == drawn(asked, names, 1)
     found = {drawn(asked, names, seed)[0] for seed in range(40)}
@@ -169,7 +169,7 @@ def test_the_seed_draws_times_and_robots() -> None:
     assert all(each.at is not None and 2.0 <= each.at <= 8.0 for each in found)
     assert drawn(asked, names, 7)[1] == Off("r1", 1.0, 1.0)
     with pytest.raises(ConfigError, match="--off r9@1s,1s: the robots are r0, r1"):
-        drawn([off("r9@1s,1s")], names, 1)
+        drawn([parsed_off("r9@1s,1s")], names, 1)
 
 
 def test_the_services_of_virtual_time_are_named() -> None:
@@ -182,7 +182,7 @@ LINKS = (("r-0", "r1"), ("r1", "r-2-b"))
 
 def cut_of(text: str, links: tuple[tuple[str, str], ...] = LINKS, seed: int = 1) -> Cut:
     names = sorted({name for link in links for name in link})
-    (found,) = drawn([cut(f"{text}@2s,3s")], names, seed, links)
+    (found,) = drawn([parsed_cut(f"{text}@2s,3s")], names, seed, links)
     return found
 
 

@@ -9,7 +9,7 @@ import pytest
 from conftest import wait_until
 
 from bench.rigs.simulation import Simulation
-from sim.control.link_cuts import cut
+from sim.control.link_cuts import cut_link
 from sim.virtual.run import simulate as virtual
 from swarm.process.simulations import pid_of
 
@@ -51,7 +51,7 @@ def test_nothing_that_happens_to_the_radio_its_links_or_a_hub_changes_a_bit() ->
         simulation.wait_for("r0", 200)
         wait_until(lambda: pid_of(simulation.run_dir, "radio", "radio") not in (None, pid), what="another radio")
         for seconds in (600.0, 0.0):  # as `swarm hand cut` does
-            cut(simulation.run_dir, "r0", "r2", seconds)
+            cut_link(simulation.run_dir, "r0", "r2", seconds)
         pid = pid_of(simulation.run_dir, "radio", "radio")
         assert pid is not None
         os.kill(pid, signal.SIGSTOP)

@@ -67,7 +67,7 @@ class SimulatedActions:
 
     def _cut(self, asked: Mapping[str, Any]) -> str:
         ends, seconds = cut(asked, self._feed.buses)
-        link_cuts.cut(self._feed.directory, *ends, seconds)
+        link_cuts.cut_link(self._feed.directory, *ends, seconds)
         return f"{' - '.join(ends)}: " + (f"cut for {seconds:g} s" if seconds else "mended")
 
     def _order(self, act: str, asked: Mapping[str, Any]) -> str:

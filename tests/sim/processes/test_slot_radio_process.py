@@ -18,7 +18,7 @@ from services.mesh.links import slots
 from services.mesh.links.pipe import Pipe
 from services.mesh.links.sim import cut_file
 from services.mesh.links.slots import RADIO_SOCKET, RadioAnswer, RadioCall, RadioCut, RadioSupervise, SlotsListener
-from sim.control.link_cuts import cut
+from sim.control.link_cuts import cut_link
 from sim.processes.radio import LOOK_EVERY, MOST_LATE, RadioServer
 from sim.slots.calls import ABSENT
 from sim.slots.connections import SOCKET, End, RadioConnections
@@ -235,7 +235,7 @@ def test_a_cut_passes_nothing_and_a_link_ends_after_its_supervision(swarm: Swarm
     near, far = swarm.link("r0", "r1")
     radio = swarm.run_dir / RADIO_SOCKET
     slots.ask(radio, RadioSupervise("r0", "r1", 3.0)).close()
-    cut(swarm.run_dir, "r0", "r1", 60.0)
+    cut_link(swarm.run_dir, "r0", "r1", 60.0)
     swarm.let_pass(0.01)
     write(near, b"lost")
     waited = swarm.run(lambda: not swarm.server.ends)
@@ -245,7 +245,7 @@ def test_a_cut_passes_nothing_and_a_link_ends_after_its_supervision(swarm: Swarm
     reason, sock = swarm.call("r0", "r1")
     sock.close()
     assert reason == ABSENT
-    cut(swarm.run_dir, "r1", "r0", 0.0)
+    cut_link(swarm.run_dir, "r1", "r0", 0.0)
     swarm.let_pass(0.01)
     swarm.link("r0", "r1")
 

@@ -18,14 +18,14 @@ def test_durations_and_rates_have_units():
     assert quantities.duration("1.5") == 1.5
     assert quantities.rate("78kB") == 78000
     assert quantities.loss("5%") == quantities.loss("0.05") == 0.05
-    assert disturbances.off("r2@5s,10s") == Off("r2", 5.0, 10.0)
-    assert disturbances.off("r2@start,1min") == Off("r2", None, 60.0)
-    assert disturbances.cut("r0-r1@12s,3s") == Cut("r0", "r1", 12.0, 3.0)
-    assert disturbances.press("r4.a@1500ms") == ScheduledPress("r4", "A", 1.5)
-    assert disturbances.cut("r0-r1@2s..5s,3s") == Cut("r0", "r1", 2.0, 3.0, Span(2.0, 5.0))
-    assert disturbances.kill("r4.app@1s") == Kill("r4", "app", 1.0)
-    assert disturbances.push("r4@1s") == ScheduledPush("r4", 1.0, 0.1)
-    assert disturbances.push("any@1s..2s,-0.5") == ScheduledPush("any", 1.0, -0.5, Span(1.0, 2.0))
+    assert disturbances.parsed_off("r2@5s,10s") == Off("r2", 5.0, 10.0)
+    assert disturbances.parsed_off("r2@start,1min") == Off("r2", None, 60.0)
+    assert disturbances.parsed_cut("r0-r1@12s,3s") == Cut("r0", "r1", 12.0, 3.0)
+    assert disturbances.parsed_press("r4.a@1500ms") == ScheduledPress("r4", "A", 1.5)
+    assert disturbances.parsed_cut("r0-r1@2s..5s,3s") == Cut("r0", "r1", 2.0, 3.0, Span(2.0, 5.0))
+    assert disturbances.parsed_kill("r4.app@1s") == Kill("r4", "app", 1.0)
+    assert disturbances.parsed_push("r4@1s") == ScheduledPush("r4", 1.0, 0.1)
+    assert disturbances.parsed_push("any@1s..2s,-0.5") == ScheduledPush("any", 1.0, -0.5, Span(1.0, 2.0))
     assert quantities.velocity("0.1, -0.03") == (0.1, -0.03)
     assert quantities.setting("value=0.5") == ("", Setting(None, "value", 0.5))
     assert quantities.setting("r2.value=3") == ("", Setting("r2", "value", 3))
@@ -41,21 +41,21 @@ def test_durations_and_rates_have_units():
         (quantities.duration, "30parsec"),
         (quantities.duration, "1.2.3s"),
         (quantities.rate, "0kB"),
-        (disturbances.cut, "r0r1@12s,3s"),
-        (disturbances.cut, "r0-r1@12s"),
-        (disturbances.cut, "r0-r1@12s,0s"),
+        (disturbances.parsed_cut, "r0r1@12s,3s"),
+        (disturbances.parsed_cut, "r0-r1@12s"),
+        (disturbances.parsed_cut, "r0-r1@12s,0s"),
         (quantities.loss, "95%"),
         (quantities.loss, "5kB"),
-        (disturbances.off, "r2@5s"),
-        (disturbances.off, "r2@5s,0s"),
-        (disturbances.press, "r4.D@1s"),
-        (disturbances.press, "r4@1s"),
-        (disturbances.off, "r2@5s..2s,1s"),
-        (disturbances.kill, "r2@5s"),
-        (disturbances.kill, "r2.sshd@5s"),
-        (disturbances.push, "r2@5s,0"),
-        (disturbances.push, "r2@5s,9"),
-        (disturbances.push, "r2@5s,hard"),
+        (disturbances.parsed_off, "r2@5s"),
+        (disturbances.parsed_off, "r2@5s,0s"),
+        (disturbances.parsed_press, "r4.D@1s"),
+        (disturbances.parsed_press, "r4@1s"),
+        (disturbances.parsed_off, "r2@5s..2s,1s"),
+        (disturbances.parsed_kill, "r2@5s"),
+        (disturbances.parsed_kill, "r2.sshd@5s"),
+        (disturbances.parsed_push, "r2@5s,0"),
+        (disturbances.parsed_push, "r2@5s,9"),
+        (disturbances.parsed_push, "r2@5s,hard"),
         (quantities.setting, "value"),
         (quantities.setting, "a b=3"),
         (quantities.setting, "value=[1,x]"),
@@ -75,12 +75,12 @@ def test_any_text_is_a_value_or_refused(text):
     for convert in (
         quantities.duration,
         quantities.rate,
-        disturbances.cut,
+        disturbances.parsed_cut,
         quantities.loss,
-        disturbances.off,
-        disturbances.press,
-        disturbances.kill,
-        disturbances.push,
+        disturbances.parsed_off,
+        disturbances.parsed_press,
+        disturbances.parsed_kill,
+        disturbances.parsed_push,
         quantities.setting,
     ):
         try:
