@@ -21,7 +21,7 @@ from bench.rows import Row, measured, number
 from services.apps import loader
 from services.apps.builtin.localization.leastsquares import refine
 from sim.core import noise
-from sim.rehearsal.scene import TARGET, scene
+from sim.rehearsal.scene import TARGET, rehearsal_config
 from sim.rehearsal.sync import SyncRehearsal
 from sim.scenario.scenario import PLACES
 from sim.virtual.run import simulate as simulate_virtually
@@ -137,7 +137,7 @@ def localization_rounds(scenes: int) -> Iterator[Row]:
             goal = None if algorithm in ("diging", "thesis") else 1.0
             yield Row(f"rounds to 1 cm, {shape} {count}: {algorithm}", rounds_to_place(swarm, TARGET), "", best, goal)
         app = loader.load(str(EXAMPLES / "find_target.py"))
-        swarm = SyncRehearsal(app, scene(app, count, shape), measure=exact)
+        swarm = SyncRehearsal(app, rehearsal_config(app, count, shape), measure=exact)
         swarm.run(120)
         yield Row("  examples/find_target.py", rounds_to_place(swarm, TARGET), "", best, None)
 
@@ -260,7 +260,7 @@ def _rehearsed(
     measure: Measure | None = None,
 ) -> SyncRehearsal:
     app = loader.load(name)
-    config = scene(app, robots, shape, parameters, values)
+    config = rehearsal_config(app, robots, shape, parameters, values)
     swarm = SyncRehearsal(app, config) if measure is None else SyncRehearsal(app, config, measure=measure)
     swarm.run(iterations)
     return swarm
@@ -275,8 +275,10 @@ def exact(name: str, k: int) -> Measurement:
 def biased(model: str, count: int, last: int, seed: int) -> tuple[Measure, list[Row3]]:
     """Measurements with the thesis' errors, and those of the bias alone: range and place of each robot."""
     places = {f"r{i}": PLACES[i] for i in range(count)}
-    made = noise.scene(model, places, TARGET, last + 1, random.Random(f"{seed} noise"))
-    held = noise.scene("bias" if model == "thesis" else model, places, TARGET, 1, random.Random(f"{seed} noise"))
+    made = noise.noisy_recordings(model, places, TARGET, last + 1, random.Random(f"{seed} noise"))
+    held = noise.noisy_recordings(
+        "bias" if model == "thesis" else model, places, TARGET, 1, random.Random(f"{seed} noise")
+    )
 
     def measure(name: str, k: int) -> Measurement:
         row = made[name].rows[k]

@@ -15,7 +15,7 @@ from services.dwm.core.estimation.ekf import Innovation
 from services.dwm.core.estimation.filters import PlaceFilter
 from services.dwm.core.estimation.multilateration import Fix, multilaterate
 from services.dwm.core.estimation.tracker import Tracker
-from sim.core.uwb import multilaterate as plain_multilaterate
+from sim.core.uwb import least_squares_point
 
 ANCHORS = {"D001": (0.0, 0.0, 0.0), "D002": (1.94, 0.0, 0.0), "D003": (1.0, 1.94, 0.0), "C933": (0.5, 1.0, 0.0)}
 """The thesis' table: three anchors and the target."""
@@ -121,7 +121,7 @@ def run(speed: float, hidden: float, seed: int) -> Outcome:
         fix = multilaterate(places, distances, 0.0, SIGMA)
         if isinstance(fix, Fix):
             outcome.paths["multilateration"].append((pose.t, fix.x, fix.y))
-        plain = plain_multilaterate(places, distances)
+        plain = least_squares_point(places, distances)
         if plain is not None:
             outcome.paths["least squares"].append((pose.t, *plain))
             for name, average in averages.items():

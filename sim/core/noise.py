@@ -25,7 +25,7 @@ ITERATION = 0.32
 Point = tuple[float, float]
 
 
-def scene(
+def noisy_recordings(
     model: str, places: Mapping[str, Point], target: Point, rows: int, numbers: RandomNumbers
 ) -> dict[str, ThesisRecording]:
     """Return by name what robots at `places` measure in `rows` iterations, m. All biases are drawn first, so two

@@ -104,7 +104,7 @@ class Tag:
     def _position(self, ranges: Sequence[AnchorRange]) -> Position:
         """Return the location engine's place; without a fix the last one with quality 0, as the real one does."""
         used = [item for item in ranges if item.position.quality > 0]
-        fix = multilaterate(
+        fix = least_squares_point(
             [(item.position.x, item.position.y, item.position.z) for item in used],
             [item.distance + self._model.engine_offset for item in used],
         )
@@ -113,7 +113,7 @@ class Tag:
         return Position(*self._place, 0.0, 0 if fix is None else QUALITY[len(used)])
 
 
-def multilaterate(
+def least_squares_point(
     places: Sequence[tuple[float, float, float]], distances: Sequence[float]
 ) -> tuple[float, float] | None:
     """The point at height 0 with the least squares of range errors, by Gauss-Newton from the anchors' centre.

@@ -16,7 +16,7 @@ from typing import Any
 from services.apps import loader
 from sim.processes.progress import say
 from sim.rehearsal.events import EventRehearsal
-from sim.rehearsal.scene import scene
+from sim.rehearsal.scene import rehearsal_config
 from sim.rehearsal.sync import SyncRehearsal
 from sim.scenario.values import settings_of
 from swarm.app.settings import common_and_single
@@ -44,7 +44,7 @@ def rehearse(
     found = loader.load(str(app)) if isinstance(app, str | Path) else loader.of_class(app)
     kind, _ = found.choose({name: value for name, value in (parameters or {}).items() if name == "algorithm"})
     common, single = common_and_single(settings_of(kind, values or {}, [f"r{index}" for index in range(robots)]))
-    config = scene(found, robots, topology, {**(parameters or {}), **common}, single)
+    config = rehearsal_config(found, robots, topology, {**(parameters or {}), **common}, single)
     found.check(config)
     rehearsal = SyncRehearsal if issubclass(kind, SyncApp) else EventRehearsal
     return rehearsal(found, config, said=partial(say, sys.stdout))

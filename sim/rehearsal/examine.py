@@ -23,7 +23,7 @@ from services.apps.runner import Runner
 from sim.rehearsal import tracing, trends
 from sim.rehearsal.events import EventRehearsal
 from sim.rehearsal.limits import ALARMS, Hang, Stopwatch, Waits, alarm, limited
-from sim.rehearsal.scene import scene
+from sim.rehearsal.scene import rehearsal_config
 from sim.rehearsal.sync import ITERATION_S, SyncRehearsal
 from sim.scenario import imports
 from swarm.app import settings
@@ -69,9 +69,9 @@ class Task:
         chosen = {one.name: one.value for one in self.settings if one.name == "algorithm"}
         return self.app.choose(chosen)[0]
 
-    def scene(self, graph: str) -> Config:
-        """The swarm on one graph."""
-        return scene(self.app, self.robots, graph, *settings.common_and_single(self.settings))
+    def config(self, graph: str) -> Config:
+        """Return the configuration of the swarm on one graph."""
+        return rehearsal_config(self.app, self.robots, graph, *settings.common_and_single(self.settings))
 
 
 @dataclass
@@ -142,7 +142,7 @@ def describe(task: Task) -> dict[str, object]:
         "bytes": schema.size,
         "bytes_on_air": schema.size + FRAME if schema.fields else 0,
         "channels": sorted(channels_of(kind)),
-        "warnings": [] if app.name in loader.BUILT_IN else imports.lacking(app.source, imports.own_packages()),
+        "warnings": [] if app.name in loader.BUILT_IN else imports.missing_imports(app.source, imports.own_packages()),
     }
 
 
@@ -181,7 +181,7 @@ def _sync(task: Task, finding: _Finding) -> None:
         def result(self) -> dict[str, Value]:
             return limited(source, lambda: Runner.result(self))
 
-    config = task.scene(finding.graph)
+    config = task.config(finding.graph)
     _make_all(task.app, config)
     swarm = SyncRehearsal(task.app, config, runner=Examined)
     times: list[float] = []
@@ -307,7 +307,7 @@ def _events(task: Task, finding: _Finding) -> None:
             finding.digests.append(_digest([name.encode(), own]))
             return own
 
-    config = task.scene(finding.graph)
+    config = task.config(finding.graph)
     _make_all(app, config)
     swarm = EventRehearsal(app, config, Examined)
     watch = Stopwatch()

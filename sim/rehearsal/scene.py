@@ -21,7 +21,7 @@ STARTS = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
 """The thesis' starting values of consensus (figure 4.4), for shared floats whose class gives none."""
 
 
-def scene(
+def rehearsal_config(
     app: LoadedApp,
     robots: int,
     topology: str,

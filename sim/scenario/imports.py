@@ -17,7 +17,7 @@ LAPTOP_MODULES = ("laptop", "sim")
 """Our packages that robots do not carry."""
 
 
-def lacking(source: str, packages: Sequence[str] = ()) -> list[str]:
+def missing_imports(source: str, packages: Sequence[str] = ()) -> list[str]:
     """Return one sentence with file and line for each import of the app in the file `source` that robots lack.
 
     `packages`: those of `[robot] packages`. The modules beside the app go to robots with it, and are looked at, too.

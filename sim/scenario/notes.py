@@ -51,7 +51,7 @@ def notes(
         # Without a configuration no robots are meant. `swarm check` and `swarm run` tell it, too. A notebook's cell is
         # no file.
         if options.config is not None and not app.is_built_in and Path(app.source).is_file():
-            yield from imports.lacking(app.source, (*given.packages, *imports.own_packages()))
+            yield from imports.missing_imports(app.source, (*given.packages, *imports.own_packages()))
         yield from _step_size(config, app, recordings)
         yield from _buttons(app, options)
         yield from forgetting(config, app, options)

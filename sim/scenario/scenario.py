@@ -257,7 +257,7 @@ def _study(config: Config, options: Options, iterations: int | None, run_dir: Pa
     rows = iterations or math.ceil((seconds or 0.0) / SHORTEST_ITERATION)
     places = {name: config.simulation.places[name][:2] for name in config.names}
     numbers = random.Random(f"{options.seed} noise")
-    made = noise.scene(options.noise, places, config.simulation.target, rows, numbers)
+    made = noise.noisy_recordings(options.noise, places, config.simulation.target, rows, numbers)
     if run_dir.is_dir():
         (run_dir / NOISE).mkdir()
         for index, recording in enumerate(made.values()):

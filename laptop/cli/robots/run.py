@@ -104,5 +104,5 @@ def _warn(given: Sequence[str], config: Config) -> None:
 
     for each in given:
         if each.endswith(".py"):
-            for line in imports.lacking(str(Path(each).resolve()), config.packages):
+            for line in imports.missing_imports(str(Path(each).resolve()), config.packages):
                 complain("swarm", f"warning: {line}")

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from services.apps import loader, sources
 from services.apps.__main__ import _escaped
-from sim.scenario.imports import lacking
+from sim.scenario.imports import missing_imports
 
 APP = """
 from typing import TYPE_CHECKING
@@ -47,13 +47,13 @@ def test_an_app_is_its_file_and_what_it_imports_from_beside_it_and_those_in_turn
     assert list(sources.of_app(app)) == [
         "further.py", "late.py", "mine.py", "near/__init__.py", "near/deep.py", "near/other.py",
     ]  # fmt: skip
-    said = lacking(str(app), ["SciPy>=1.0"])
+    said = missing_imports(str(app), ["SciPy>=1.0"])
     assert said == [
         f"{tmp_path}/near/other.py, line 1: import of numpy.linalg: robots lack it, "
         "if [robot] packages of swarm.toml does not name it"
     ]
     (tmp_path / "mine.py").write_text("import laptop.runs")
-    assert lacking(str(app)) == [
+    assert missing_imports(str(app)) == [
         f"{tmp_path}/mine.py, line 1: import of laptop.runs: robots lack it, "
         "which is for laptops alone: import it in a script beside the app"
     ]

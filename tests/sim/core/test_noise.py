@@ -19,7 +19,7 @@ TARGET = (0.5, 1.0)
 
 
 def made(model: str, rows: int = 50, seed: int = 1) -> dict:
-    return noise.scene(model, PLACES, TARGET, rows, random.Random(seed))
+    return noise.noisy_recordings(model, PLACES, TARGET, rows, random.Random(seed))
 
 
 def test_without_noise_it_is_exact() -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from services.dwm.core.module.tlv import LOC_GET, Position, TlvDecoder, encode_location
-from sim.core.uwb import ErrorModel, Module, Tag, multilaterate
+from sim.core.uwb import ErrorModel, Module, Tag, least_squares_point
 
 QUIET = ErrorModel(1.0, 0.0, heading=0, noise=0, hidden=0, outlier=0, missing=0, engine_offset=0)
 PLACES = {
@@ -135,10 +135,10 @@ def test_every_measurement_can_be_sent():
     ],
 )
 def test_multilateration_knows_when_it_cannot(places, distances):
-    assert multilaterate(places, distances) is None
+    assert least_squares_point(places, distances) is None
 
 
 def test_multilateration_uses_the_anchors_heights():
     places = [(0.0, 0.0, 1.0), (2.0, 0.0, 1.5), (1.0, 2.0, 0.5), (2.0, 2.0, 1.0)]
     distances = [math.dist((0.7, 0.9, 0.0), place) for place in places]
-    assert multilaterate(places, distances) == pytest.approx((0.7, 0.9), abs=1e-4)
+    assert least_squares_point(places, distances) == pytest.approx((0.7, 0.9), abs=1e-4)

@@ -7,7 +7,7 @@ from conftest import thinned
 
 from services.apps import loader
 from services.apps.builtin.localization.leastsquares import refine
-from sim.rehearsal.scene import TARGET, scene
+from sim.rehearsal.scene import TARGET, rehearsal_config
 from sim.rehearsal.sync import SyncRehearsal
 from sim.scenario.scenario import PLACES
 from swarm.core.graph import Graph
@@ -27,7 +27,8 @@ def biased(name: str, k: int) -> Measurement:
 def run(app: str, algorithm: str, before: int, after: int, **parameters: object) -> SyncRehearsal:
     """`before` iterations on thesis-d, then r2 is gone and the others are in a line."""
     found = loader.load(app)
-    swarm = SyncRehearsal(found, scene(found, 6, "thesis-d", {"algorithm": algorithm, **parameters}), measure=biased)  # type: ignore[arg-type]
+    config = rehearsal_config(found, 6, "thesis-d", {"algorithm": algorithm, **parameters})  # type: ignore[arg-type]
+    swarm = SyncRehearsal(found, config, measure=biased)
     swarm.run(before)
     swarm.change(Graph.of_shape("line", LEFT))
     swarm.run(after)
