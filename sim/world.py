@@ -90,7 +90,7 @@ class BodyWorld:
         self._run_dir = run_dir
         self._starts = config.simulation.places
         self._last: dict[str, BodyReport] = {}
-        self._socket = datagrams.listen(run_dir, SOCKET)
+        self._socket = datagrams.receiver(run_dir, SOCKET)
         self._modules = ModuleBoard(run_dir, config, seed)
         self._ranging = config.dwm.source.startswith("serial:") or config.dwm.source == SOURCE_ATMEGA
         if self._ranging:

@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     if not robot_command.is_meant(args):
         run_dir = running(args.run_dir)
         named = [*args.which, *(args.robots or ())]
-        done = app_requests.give(run_dir, args.act, args.app, named or list(robots(run_dir)))
+        done = app_requests.request_app(run_dir, args.act, args.app, named or list(robots(run_dir)))
         show(args, {"app": args.app, "act": args.act, "done": done}, [done])
         return 0
     everyone.named(args)

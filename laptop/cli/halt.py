@@ -90,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
     thread = threading.Thread(target=by_ssh, name="ssh")
     thread.start()
     try:
-        rows = halt.give(found, stop=stop, reason=args.reason, timeout=args.timeout) if found else []
+        rows = halt.stop_or_arm(found, stop=stop, reason=args.reason, timeout=args.timeout) if found else []
     except LocalError as error:  # such as a simulation that is just starting or ending
         rows = []
         sys.stderr.write(f"note: {error}\n")

@@ -19,7 +19,7 @@ from sim.scenario.notes import forgetting
 from sim.scenario.options import EVENTS, parse, parser
 from sim.scenario.quantities import AppSetting
 from sim.scenario.scenario import build
-from sim.scenario.values import settings_of
+from sim.scenario.values import settings_from_values
 from sim.virtual.run import PLACE, VirtualRun
 from swarm import config as configuration
 from swarm.app.settings import Setting
@@ -112,7 +112,7 @@ def settings_for(
     names = [f"r{index}" for index in range(ROBOTS if robots is None else robots)]
     if options.get("config") is not None:
         names = list(configuration.load(Path(options["config"]), addressed=False).names)
-    return settings_of(kind, values or {}, names)
+    return settings_from_values(kind, values or {}, names)
 
 
 def flags_of_options() -> dict[str, str]:

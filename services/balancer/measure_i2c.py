@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Measure through the balancer, or directly where there is none."""
     args.robots = args.robots or args.names
-    found = {robot: _rates(args, robot, directory) for robot, directory in buses.find(args).items()}
+    found = {robot: _rates(args, robot, directory) for robot, directory in buses.directories_of(args).items()}
     data = {robot: [asdict(result) for result in results] for robot, results in found.items()}
     show(args, data, [line for robot, results in found.items() for line in table(robot, results)])
     return 0

@@ -80,7 +80,7 @@ def _config(args: argparse.Namespace) -> Config | None:
     """The swarm.toml that goes with what is asked; None on a laptop without one."""
     path: Path | None = args.config
     if path is None and args.port is None and not getattr(args, "ranges", None):
-        directories = buses.find(args)
+        directories = buses.directories_of(args)
         simulated = next(iter(directories.values())).parent / CONFIG
         path = simulated if simulated.is_file() and "SWARM_CONFIG" not in os.environ else None
     if path is not None:
@@ -95,7 +95,7 @@ def _lines(args: argparse.Namespace, stack: contextlib.ExitStack) -> Iterator[Mo
     found: Iterator[ModuleConnection] = (
         (PortLine(path) for path in args.port)
         if args.port
-        else (BusLine(robot, directory) for robot, directory in buses.find(args).items())
+        else (BusLine(robot, directory) for robot, directory in buses.directories_of(args).items())
     )
     for line in found:
         stack.callback(line.close)

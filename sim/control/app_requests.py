@@ -36,7 +36,7 @@ class AppRequest:
     """Settings for an app that has not run yet, as for `--set`: `NAME=VALUE`."""
 
 
-def give(run_dir: Path, act: str, app: str, robots: Sequence[str], settings: Sequence[str] = ()) -> str:
+def request_app(run_dir: Path, act: str, app: str, robots: Sequence[str], settings: Sequence[str] = ()) -> str:
     """Have it done by the simulation in `run_dir`; what was done, in words. Raises `LocalError`."""
     order = encode(check(act, app, robots, settings))
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:

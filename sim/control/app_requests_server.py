@@ -27,7 +27,7 @@ class Orders:
     ) -> None:
         """`start(robot, app, settings)` starts an app that has not run yet; it raises `LocalError`."""
         self._processes, self._names, self._start = processes, names, start
-        self._socket = datagrams.listen(run_dir, app_requests.SOCKET)
+        self._socket = datagrams.receiver(run_dir, app_requests.SOCKET)
 
     def look(self) -> list[str]:
         """Carry out what has come; what was done, in words."""

@@ -37,8 +37,8 @@ def send_action(robot: Path, action: SimulationAction) -> None:
     send(robot, BODY_SOCKET, pack(check(action)), problem)
 
 
-def listen(folder: Path, name: str) -> socket.socket:
-    """Open the socket at which datagrams arrive; reads never wait. Raises `LocalError` where that is impossible."""
+def receiver(folder: Path, name: str) -> socket.socket:
+    """Return a socket at which datagrams arrive; reads never wait. Raises `LocalError` where that is impossible."""
     path = socket_path(folder, name)
     sock = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:

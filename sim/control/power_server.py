@@ -30,7 +30,7 @@ class Power:
         self._off: dict[str, float] = {}
         self.cycles: Counter[str] = Counter()
         """How often each robot was switched off."""
-        self._socket = datagrams.listen(run_dir, SOCKET)
+        self._socket = datagrams.receiver(run_dir, SOCKET)
 
     def look(self, now: float) -> None:
         """Do what was asked, and boot what has been off for long enough."""

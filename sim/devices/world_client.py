@@ -37,7 +37,7 @@ class WorldClient:
         self._world = str(socket_path(runtime.parent, WORLD_SOCKET))
         self._next = 0.0
         socket_path(runtime, BODY_SOCKET).unlink(missing_ok=True)  # of the process before
-        self._socket = datagrams.listen(runtime, BODY_SOCKET)
+        self._socket = datagrams.receiver(runtime, BODY_SOCKET)
         self._ask(now)
         self._socket.setblocking(False)
 

@@ -18,7 +18,7 @@ from sim.processes.progress import say
 from sim.rehearsal.events import EventRehearsal
 from sim.rehearsal.scene import rehearsal_config
 from sim.rehearsal.sync import SyncRehearsal
-from sim.scenario.values import settings_of
+from sim.scenario.values import settings_from_values
 from swarm.app.settings import common_and_single
 from swarm.app.sync_app import BaseApp, SyncApp
 from swarm.messages.codec import Value
@@ -43,7 +43,8 @@ def rehearse(
     """
     found = loader.load(str(app)) if isinstance(app, str | Path) else loader.of_class(app)
     kind, _ = found.choose({name: value for name, value in (parameters or {}).items() if name == "algorithm"})
-    common, single = common_and_single(settings_of(kind, values or {}, [f"r{index}" for index in range(robots)]))
+    settings = settings_from_values(kind, values or {}, [f"r{index}" for index in range(robots)])
+    common, single = common_and_single(settings)
     config = rehearsal_config(found, robots, topology, {**(parameters or {}), **common}, single)
     found.check(config)
     rehearsal = SyncRehearsal if issubclass(kind, SyncApp) else EventRehearsal

@@ -90,8 +90,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> list[argparse.ArgumentPars
 def run(args: argparse.Namespace) -> int:
     """Stop or arm over the buses that can be reached; code 1 where a robot has not confirmed in time."""
     try:
-        rows = give(
-            buses.find(args), stop=args.act == "stop", reason=args.reason, timeout=args.timeout, since=args.since
+        rows = stop_or_arm(
+            buses.directories_of(args),
+            stop=args.act == "stop",
+            reason=args.reason,
+            timeout=args.timeout,
+            since=args.since,
         )
     except SwarmError as error:  # no bus, or no configuration that says who this is
         if args.act != "stop" or not _is_robots_own(args):
@@ -112,7 +116,7 @@ def report(args: argparse.Namespace, rows: list[Row], done: bool) -> dict[str, o
     return {"stop": args.act == "stop", "confirmed": done, "robots": [asdict(row) for row in rows]}
 
 
-def give(
+def stop_or_arm(
     directories: Mapping[str, Path], *, stop: bool, reason: str, timeout: float = 5.0, since: float | None = None
 ) -> list[Row]:
     """Stop or arm over the buses with these runtime directories; returns what each robot has confirmed within `timeout`

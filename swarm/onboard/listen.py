@@ -24,10 +24,10 @@ LEAST_S = 1.2
 EXPECTED = ("mesh/status", "balancer/status", "dwm/status", "balancer/state", "mesh/links", "mesh/clock")
 """The keys that a robot without faults publishes."""
 
-SERVICES = ("bus", "mesh", "balancer", "dwm")
+STATUS_FROM = ("bus", "mesh", "balancer", "dwm")
 
 
-def listen(robots: Mapping[str, Path], seconds: float = SECONDS) -> dict[str, dict[str, Any]]:
+def newest_messages(robots: Mapping[str, Path], seconds: float = SECONDS) -> dict[str, dict[str, Any]]:
     """The newest messages by robot and topic (`balancer/state`), and `bus` whether there is one at all."""
     found: dict[str, dict[str, Any]] = {robot: {} for robot in robots}
     heard = threading.Event()
@@ -48,7 +48,7 @@ def listen(robots: Mapping[str, Path], seconds: float = SECONDS) -> dict[str, di
             found[robot]["bus"] = bus.wait_connected(2.0)
             if found[robot]["bus"]:
                 bus.subscribe([f"swarm/{robot}/*/*", f"swarm/{robot}/app/*/progress"], keep)
-                for service in SERVICES:
+                for service in STATUS_FROM:
                     bus.ask(f"swarm/{robot}/{service}/status", keep, timeout_s=seconds)
         while (left := began + seconds - time.monotonic()) > 0:
             heard.clear()
@@ -62,7 +62,7 @@ def listen(robots: Mapping[str, Path], seconds: float = SECONDS) -> dict[str, di
 def main() -> None:
     """Print what is heard on the bus of the robot on which this runs."""
     seconds = float(sys.argv[2]) if len(sys.argv) > 2 else SECONDS
-    said = listen({sys.argv[1]: runtime_dir()}, seconds)[sys.argv[1]]
+    said = newest_messages({sys.argv[1]: runtime_dir()}, seconds)[sys.argv[1]]
     # Bytes and the like have no place in JSON, and in no check.
     sys.stdout.write(json.dumps(said, default=str) + "\n")
 

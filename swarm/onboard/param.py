@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Code 1 where a robot does not answer, or refuses."""
     wanted = settings_of(args)
-    found = buses.find(args)
+    found = buses.directories_of(args)
     if unknown := {robot for robot in wanted if robot and robot not in found}:
         raise LocalError(f"no robot {min(unknown)!r} here, there are {', '.join(found)}")
     with opened(found) as there:

@@ -122,7 +122,7 @@ def _simulated(directory: Path, wanted: Sequence[str] | None) -> Mapping[str, st
         return None
     # Nothing is found until the simulation has written its config.
     found = robots(directory)
-    return {name: bus_endpoint(path) for name, path in buses.chosen(found, (found and wanted) or ()).items()}
+    return {name: bus_endpoint(path) for name, path in buses.only_wanted(found, (found and wanted) or ()).items()}
 
 
 class _Watch:

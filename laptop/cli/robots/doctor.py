@@ -20,7 +20,7 @@ from swarm.config import Config, load
 from swarm.errors import PayloadError
 from swarm.messages.json_input import read_json
 from swarm.onboard.bootstrap.facts import key_facts
-from swarm.onboard.listen import listen
+from swarm.onboard.listen import newest_messages
 from swarm.process.arguments import show
 from swarm.process.simulations import CONFIG
 
@@ -80,7 +80,7 @@ def text(
 
 def _simulated(there: Mapping[str, Path]) -> dict[str, ExaminedRobot]:
     config = load(next(iter(there.values())).parent / CONFIG)
-    said = listen(there)
+    said = newest_messages(there)
     key = None if config.mesh.key_file is None else key_facts(config.mesh.key_file)  # all simulated robots share it
     return {
         name: ExaminedRobot(

@@ -50,7 +50,7 @@ def _simulated(args: argparse.Namespace, there: Mapping[str, Path]) -> int:
             elif service in SERVICES:
                 raise LocalError(f"a simulation runs every service: restart {service}, or swarm hand reboot {name}")
             else:
-                said.append(app_requests.give(runtime.parent, args.action, service, [name]))
+                said.append(app_requests.request_app(runtime.parent, args.action, service, [name]))
         done[name] = ", ".join(said)
     show(args, {"robots": done}, [f"{name}: {text}" for name, text in done.items()])
     return 0

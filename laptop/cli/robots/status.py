@@ -21,7 +21,7 @@ from swarm.frozen import frozen
 from swarm.messages import type_of
 from swarm.messages.fields import check_fields
 from swarm.messages.json_input import read_json
-from swarm.onboard.listen import listen
+from swarm.onboard.listen import newest_messages
 from swarm.process.simulations import CONFIG
 from swarm.process.terminal import columns, steer, write_lines
 from swarm.recording.budget import shown
@@ -100,7 +100,7 @@ def run(args: argparse.Namespace) -> int:
 def _simulated(there: Mapping[str, Path]) -> dict[str, StatusRow]:
     """Rows of simulated robots: what their services say, in the words of a real robot's answer."""
     rows = {}
-    for name, said in listen(there).items():
+    for name, said in newest_messages(there).items():
         runs = [each for each in SERVICES if (said.get("bus") if each == "bus" else f"{each}/status" in said)]
         units = "".join(f"swarm-{each}.service loaded active running\n" for each in runs)
         samples = (

@@ -62,7 +62,7 @@ def simulated(args: argparse.Namespace) -> dict[str, Path] | None:
     if is_live(directory):
         if not (found := robots(directory)):
             raise LocalError(f"the simulation in {directory} has no robots at this moment: it starts or ends")
-        return buses.chosen(found, args.robots or ())
+        return buses.only_wanted(found, args.robots or ())
     if args.run_dir is not None:
         raise LocalError(f"no simulation is running in {directory}")
     return None

@@ -73,7 +73,7 @@ class SimulatedActions:
     def _order(self, act: str, asked: Mapping[str, Any]) -> str:
         robots = [self._robot(asked)] if asked.get("robot") else list(self._feed.buses)
         settings = [setting.text for setting in settings_of(asked)]
-        return app_requests.give(self._feed.directory, act, str(asked["app"]), robots, settings)
+        return app_requests.request_app(self._feed.directory, act, str(asked["app"]), robots, settings)
 
     def _robot(self, asked: Mapping[str, Any]) -> str:
         return named(asked["robot"], self._feed.buses)

@@ -108,7 +108,7 @@ class SimulationFeed(RealTime):
                 "a swarm.toml (--config) names real robots"
             )
         self._only = only
-        buses.chosen(robots(directory), only)
+        buses.only_wanted(robots(directory), only)
         super().__init__()
         self.picture = Picture()
         self.lock = threading.Lock()

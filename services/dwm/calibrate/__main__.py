@@ -181,7 +181,7 @@ def _session(options: argparse.Namespace, config: Config, robot: str, places: li
     path = options.samples or Path(f"calibration-{robot}-{stamp}.csv")
     if os.environ.get("SWARM_RUNTIME") and configuration.who_am_i(config) == robot:
         options.robots = None  # its bus is the one of this environment
-    directory = next(iter(buses.find(options).values()))
+    directory = next(iter(buses.directories_of(options).values()))
     with Bus.of(directory) as bus:
         if not bus.wait_connected(5.0):
             raise BusError(f"the bus of {robot} ({directory}) does not answer: does its bus service run?")

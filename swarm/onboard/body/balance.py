@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Give the mode over the buses that can be reached; code 1 where a robot refuses or does not answer."""
-    outcomes = give(buses.find(args), args.mode, args.timeout)
+    outcomes = give(buses.directories_of(args), args.mode, args.timeout)
     robots = {
         name: {"ok": change.outcome.ok, "text": change.outcome.text}
         for name, change in outcomes.items()

@@ -93,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
                 _command(bus, robot, STANDSTILL)
     write_lines([*tale.lines(), f"{robot}: {end or 'end'}"])
     if end.startswith("stop"):
-        write_lines(halt.table(halt.give({robot: directory}, stop=True, reason="swarm drive"), stop=True))
+        write_lines(halt.table(halt.stop_or_arm({robot: directory}, stop=True, reason="swarm drive"), stop=True))
     return 1 if end else 0
 
 
@@ -102,7 +102,7 @@ def one(args: argparse.Namespace) -> tuple[str, Path]:
     if args.name and args.robots:
         raise LocalError("name the robot by --robots or as an argument, not by both")
     args.robots = [args.name] if args.name else args.robots
-    found = buses.find(args)
+    found = buses.directories_of(args)
     if len(found) != 1:
         raise LocalError(f"which robot? there are {', '.join(found)}")
     ((robot, directory),) = found.items()

@@ -16,7 +16,7 @@ I2C_SLAVE = 0x0703
 """ioctl of linux/i2c-dev.h: whom the next reads and writes are for."""
 
 _ASKED = "LoadState,ActiveState,SubState,NRestarts,Result,UnitFileState"
-SERVICES = ("swarm-bus", "swarm-mesh", "swarm-balancer", "swarm-dwm")
+UNITS = ("swarm-bus", "swarm-mesh", "swarm-balancer", "swarm-dwm")
 
 
 def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, Any]:
@@ -24,7 +24,7 @@ def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, A
     names the file of the key."""
     root = request.get("root", "/")
     found = facts.main(request, tell)
-    services = {name: unit(f"{name}.service", _ASKED) for name in SERVICES}
+    services = {name: unit(f"{name}.service", _ASKED) for name in UNITS}
     config = text(below(root, "/etc/swarm/swarm.toml"))
     settings = (text(below(root, "/etc/swarm/robot.env")) or "").splitlines()
     names = [row.partition("=")[2] for row in settings if row.startswith("SWARM_ROBOT=")]

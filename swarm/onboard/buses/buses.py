@@ -17,14 +17,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_run_dir(parser)
 
 
-def find(arguments: argparse.Namespace) -> dict[str, Path]:
+def directories_of(arguments: argparse.Namespace) -> dict[str, Path]:
     """Return the runtime directory by robot: of a simulation's robots, or of the own. Raises `LocalError`."""
     wanted: Sequence[str] = arguments.robots or ()
     if os.environ.get("SWARM_RUNTIME") and arguments.run_dir is None:
         return {_checked(who_am_i(load()), wanted): runtime_dir()}
     directory = (arguments.run_dir or default_run_dir()).absolute()
     if is_live(directory):
-        return chosen(robots(directory), wanted)
+        return only_wanted(robots(directory), wanted)
     if arguments.run_dir is not None or not DEFAULT_RUNTIME.is_dir():
         elsewhere = (
             f", and this is no robot ({DEFAULT_RUNTIME} is not there); `swarm sim` starts a simulation, --run-dir "
@@ -34,7 +34,7 @@ def find(arguments: argparse.Namespace) -> dict[str, Path]:
     return {_checked(who_am_i(load()), wanted): DEFAULT_RUNTIME}
 
 
-def chosen(found: dict[str, Path], wanted: Sequence[str]) -> dict[str, Path]:
+def only_wanted(found: dict[str, Path], wanted: Sequence[str]) -> dict[str, Path]:
     """Return those of a simulation's robots that are wanted, all where none is named. Raises `LocalError`."""
     if strange := [name for name in wanted if name not in found]:
         raise LocalError(f"no robot {strange[0]!r} in the simulation, there are {', '.join(found)}")

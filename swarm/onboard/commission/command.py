@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         if ended == STOPPED:
             ended = f"{STOPPED}; not all robots have confirmed the stop: swarm estop gives it again"
-            rows = halt.give({robot: directory}, stop=True, reason=REASON)
+            rows = halt.stop_or_arm({robot: directory}, stop=True, reason=REASON)
             missing = " ".join(row.robot for row in halt.reached(rows) if not row.confirmed)
             ended = f"{STOPPED}; not confirmed by {missing}: swarm estop gives it again" if missing else STOPPED
             lines = halt.table(rows, stop=True)

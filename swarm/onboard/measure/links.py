@@ -98,7 +98,7 @@ def ends(args: argparse.Namespace) -> tuple[str, str, Path]:
         if args.robots not in (None, named[:1]):
             raise LocalError(f"--robots {','.join(args.robots)} is not {named[0]}, where it is to begin")
         args.robots = named[:1]
-    directories = buses.find(args)
+    directories = buses.directories_of(args)
     if len(directories) != 1 or len(named) > 2:
         raise LocalError(f"from which robot to which? write for example {next(iter(directories))} {peer}")
     ((robot, directory),) = directories.items()

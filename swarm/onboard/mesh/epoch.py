@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     """Code 1 where members tell different epochs, or the change has not come about in time."""
     if not is_name(args.app):
         raise LocalError(f"--app {args.app}: expected the name of an app")
-    with opened(buses.find(args)) as found:
+    with opened(buses.directories_of(args)) as found:
         answers = Answers(found, AppEpoch, f"app/{args.app}", "epoch")
         if not answers.wait(PATIENCE, lambda: bool(answers.newest)):
             raise LocalError(

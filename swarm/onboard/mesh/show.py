@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
 
 def shown(args: argparse.Namespace) -> CollectedMesh:
     """Print what is known, and return it."""
-    directories = buses.find(args)
+    directories = buses.directories_of(args)
     mesh = collect(directories)
     data, text = as_json(mesh), tables.text(mesh)
     if args.radio:

@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Code 1 where a robot is silent, has another version, or lacks a link; a refused wish is a `LocalError`."""
     wish = _wish(args.wanted) if args.verb == "set" else None
-    with opened(buses.find(args)) as found:
+    with opened(buses.directories_of(args)) as found:
         answers = Answers(found, Topology, "mesh", "topology")
         if wish is None:
             answers.wait(PATIENCE, lambda: len(answers.newest) == len(found))

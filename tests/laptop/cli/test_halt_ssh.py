@@ -109,7 +109,7 @@ def test_a_bus_that_does_not_answer_here_keeps_no_robot_from_its_stop(
         raise LocalError("no bus is there")
 
     monkeypatch.setattr(halt_ssh, "_simulated", lambda: {"r0": home})
-    monkeypatch.setattr(halt_ssh.halt, "give", refuse)
+    monkeypatch.setattr(halt_ssh.halt, "stop_or_arm", refuse)
     assert run("estop") == 0
     shown = capsys.readouterr()
     assert shown.out.splitlines()[-1] == "stopped: 1 of 1 robots"
@@ -126,10 +126,10 @@ def simulation(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         return [Row(name, "here", stop, "fault", True) for name in found]
 
     def find(args: argparse.Namespace) -> dict[str, Path]:
-        return buses.chosen(dict.fromkeys(("r0", "r1", "s0"), Path("/nowhere")), args.robots or ())
+        return buses.only_wanted(dict.fromkeys(("r0", "r1", "s0"), Path("/nowhere")), args.robots or ())
 
-    monkeypatch.setattr(halt_ssh.halt, "give", give)
-    monkeypatch.setattr(halt_ssh.halt.buses, "find", find)
+    monkeypatch.setattr(halt_ssh.halt, "stop_or_arm", give)
+    monkeypatch.setattr(halt_ssh.halt.buses, "directories_of", find)
     monkeypatch.setattr(halt_ssh, "_simulated", lambda: dict.fromkeys(("r0", "r1", "s0"), Path("/nowhere")))
     return told
 

@@ -55,7 +55,7 @@ def test_stop_overtakes_acts_that_hang_on_this_page_and_on_others(
 ) -> None:
     go_on = threading.Event()
     monkeypatch.setattr(
-        "laptop.view.actions.simulated_actions.app_requests.give", lambda *_: go_on.wait(60.0) and "done"
+        "laptop.view.actions.simulated_actions.app_requests.request_app", lambda *_: go_on.wait(60.0) and "done"
     )
 
     async def act(client: TestClient) -> None:

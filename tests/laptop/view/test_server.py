@@ -253,7 +253,9 @@ def test_an_app_starts_with_its_parameters_and_is_asked_for_them_in_case_it_goes
     feed: SimulationFeed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     given: list[Any] = []
-    monkeypatch.setattr("laptop.view.actions.simulated_actions.app_requests.give", lambda *order: given.append(order))
+    monkeypatch.setattr(
+        "laptop.view.actions.simulated_actions.app_requests.request_app", lambda *order: given.append(order)
+    )
     control, asked = Control(feed, SimulatedActions(feed)), {"act": "start", "app": "goto"}
     control.do(asked | {"settings": {"waypoints": "stay", "r1.waypoints": "1,0.5 stay"}})
     settings = ["waypoints=stay", "r1.waypoints=1,0.5 stay"]
@@ -271,7 +273,7 @@ def test_an_app_starts_with_its_parameters_and_is_asked_for_them_in_case_it_goes
 def test_parameters_that_an_earlier_start_left_unanswered_are_not_asked_of_a_later_start(
     feed: SimulationFeed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("laptop.view.actions.simulated_actions.app_requests.give", lambda *_: "started")
+    monkeypatch.setattr("laptop.view.actions.simulated_actions.app_requests.request_app", lambda *_: "started")
     control, start = Control(feed, SimulatedActions(feed)), {"act": "start", "app": "goto"}
     control.do(start | {"settings": {"wrong": 1}})
     control.do(start | {"settings": {"speed": 0.1}})

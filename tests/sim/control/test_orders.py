@@ -69,7 +69,7 @@ def told(simulation, act: str, app: str, *robots: str, settings: Sequence[str] =
 
     def give() -> None:
         try:
-            answers.append(app_requests.give(folder, act, app, robots, settings))
+            answers.append(app_requests.request_app(folder, act, app, robots, settings))
         except LocalError as error:
             answers.append(f"refused: {error}")
 
@@ -151,9 +151,9 @@ def test_bad_orders_are_refused_before_they_are_given(tmp_path: Path) -> None:
         ("start", "x", ["/"]),
     ):
         with pytest.raises(LocalError):
-            app_requests.give(tmp_path, act, app, robots)
+            app_requests.request_app(tmp_path, act, app, robots)
     with pytest.raises(LocalError, match="takes no orders"):
-        app_requests.give(tmp_path, "start", "x", ["r0"])
+        app_requests.request_app(tmp_path, "start", "x", ["r0"])
 
 
 @pytest.mark.slow
@@ -166,12 +166,12 @@ def test_an_app_of_a_swarm_that_runs_another_one(tmp_path: Path) -> None:
         simulation.wait_for("r1", 3, app="led_sync")
         process = Path(f"/proc/{pid_of(simulation.run_dir, 'r0', 'app/consensus')}")
         assert process.exists()
-        assert "stopped" in app_requests.give(simulation.run_dir, "stop", "consensus", ["r0", "r1"])
+        assert "stopped" in app_requests.request_app(simulation.run_dir, "stop", "consensus", ["r0", "r1"])
         wait_until(lambda: not process.exists(), what="the app has ended")
         led = simulation.trajectory("r0", "led_sync").last
         path = simulation.records / f"r0.consensus{SUFFIX}"
         stopped = trajectory.read(path).last
         simulation.wait_for("r0", led + 60, app="led_sync")
         assert trajectory.read(path).last == stopped
-        app_requests.give(simulation.run_dir, "start", "consensus", ["r0", "r1"])
+        app_requests.request_app(simulation.run_dir, "start", "consensus", ["r0", "r1"])
         wait_until(lambda: trajectory.read(path).last > stopped + 10, timeout=60)

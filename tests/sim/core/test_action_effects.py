@@ -150,7 +150,7 @@ def test_a_change_of_leds_waits_for_room_at_a_busy_world(runtime: Path) -> None:
     rig, place = upright(), runtime / "r0"
     place.mkdir()
     client = WorldClient("r0", rig.robot, place, 0.0)
-    with contextlib.closing(client._socket), contextlib.closing(datagrams.listen(runtime, WORLD_SOCKET)) as world:
+    with contextlib.closing(client._socket), contextlib.closing(datagrams.receiver(runtime, WORLD_SOCKET)) as world:
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other, contextlib.suppress(BlockingIOError):
             other.setblocking(False)
             while True:

@@ -218,7 +218,7 @@ def stopped_by_space(folder: Path, monkeypatch: pytest.MonkeyPatch, give: MagicM
     command._Session.return_value.run.return_value = command.STOPPED  # type: ignore[attr-defined]
     monkeypatch.setattr(command, "one", lambda _: ("r0", folder / "r0"))
     monkeypatch.setattr(command, "Procedure", lambda *_: World().procedure)
-    monkeypatch.setattr(command.halt, "give", give)
+    monkeypatch.setattr(command.halt, "stop_or_arm", give)
     try:
         assert command.run(argparse.Namespace(json=False, out=folder / "report.json")) == 1
     finally:

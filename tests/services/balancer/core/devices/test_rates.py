@@ -120,7 +120,7 @@ def test_several_robots_are_measured_one_after_the_other(
         assert args.robots == (["r0", "r2"] if words else [])
         return {"r0": tmp_path, "r2": tmp_path}
 
-    monkeypatch.setattr(i2c.buses, "find", find)
+    monkeypatch.setattr(i2c.buses, "directories_of", find)
     monkeypatch.setattr(i2c, "_answers", lambda *_: True)
     monkeypatch.setattr(i2c.Bus, "wait_connected", lambda *_: True)
     monkeypatch.setattr(i2c, "_through", lambda *_: answer)
@@ -181,7 +181,7 @@ def real(monkeypatch: pytest.MonkeyPatch) -> Real:
     """A robot whose balancer does not answer over the bus of its services."""
     made = Real()
     monkeypatch.setattr(i2c, "KernelBus", made.open)
-    monkeypatch.setattr(i2c.buses, "find", lambda _: {"r4": i2c.DEFAULT_RUNTIME})
+    monkeypatch.setattr(i2c.buses, "directories_of", lambda _: {"r4": i2c.DEFAULT_RUNTIME})
     monkeypatch.setattr(i2c, "_answers", lambda *_: False)
     monkeypatch.setattr(i2c, "PATIENCE", 0.0)
     return made
@@ -218,7 +218,7 @@ def test_a_balancer_that_is_started_has_the_bus_after_the_size_under_way(
 def test_a_balancer_of_a_simulation_that_is_silent_is_no_reason_to_touch_a_bus(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(i2c.buses, "find", lambda _: {"r0": tmp_path})
+    monkeypatch.setattr(i2c.buses, "directories_of", lambda _: {"r0": tmp_path})
     monkeypatch.setattr(i2c, "PATIENCE", 0.0)
     with pytest.raises(LocalError, match="the balancer of r0 does not answer"):
         i2c.run(arguments("r0"))
