@@ -24,7 +24,7 @@ from sim.core import noise
 from sim.rehearsal.scene import TARGET, rehearsal_config
 from sim.rehearsal.sync import SyncRehearsal
 from sim.scenario.scenario import PLACES
-from sim.virtual.run import simulate as simulate_virtually
+from sim.virtual.run import run_virtually
 from swarm.messages import Measurement
 from swarm.recording.thesis_ranges import read_folder
 
@@ -101,7 +101,7 @@ def table_4_1(columns: int) -> Iterator[Row]:
         arguments = ("consensus", "--robots", str(robots), "--topology", shape, "--algorithm", "thesis", *LINKS)
         real = simulate(*arguments, "--iterations", "5")
         yield Row(f"table 4.1 {column} {shape} {robots}: start", number(real, "started_s"), "s", start, 1.0)
-        report, outcome = simulate_virtually(*arguments, "--iterations", "60", rows=True)
+        report, outcome = run_virtually(*arguments, "--iterations", "60", rows=True)
         yield Row("  an iteration", number(report, "iteration_s_median"), "s", iteration, 1.0)
         swarm = consensus("thesis", robots, shape, 300)
         off = max(measured(abs(value(swarm, name, -1) - end) for name in swarm.names))

@@ -17,7 +17,7 @@ from pathlib import Path
 from bench.faults.player import BACK_WITHIN_S, Player
 from bench.rigs.simulation import Simulation
 from bench.rows import Row
-from sim.virtual.run import simulate as virtual
+from sim.virtual.run import run_virtually
 from swarm import clock
 from swarm.core.graph import Graph
 from swarm.recording.trajectory import Trajectory
@@ -141,7 +141,7 @@ def _mixed(sizes: Sizes) -> Iterator[Row]:
         simulation.stop()
         paths = {name: simulation.trajectory(name, APP) for name in names}
     last = max(path.last for path in paths.values())
-    undisturbed = virtual(*swarm, "--iterations", str(last), rows=True)[1].trajectories
+    undisturbed = run_virtually(*swarm, "--iterations", str(last), rows=True)[1].trajectories
     compared = [(path.rows[k], undisturbed[name].rows[k]) for name, path in paths.items() for k in path.rows]
     missing = sum(k not in path.rows for path in paths.values() for k in range(path.last + 1))
     yield Row(f"faults played, seed {sizes.seed}", float(played.total()), "", float(sizes.count), None)

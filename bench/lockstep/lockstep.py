@@ -25,7 +25,7 @@ from bench.rigs import talking_sim
 from bench.rigs.simulation import SWARM_SIM, Simulation, simulate
 from bench.rows import Row, measured, number, possible
 from services.mesh.links.radio_model import AirModel
-from sim.virtual.run import simulate as virtual
+from sim.virtual.run import run_virtually
 from swarm.bus.zenoh_bus import Bus
 from swarm.core.graph import Graph
 from swarm.recording import trajectory
@@ -131,7 +131,7 @@ def _slot_radio(sizes: Sizes) -> Iterator[Row]:
         swarm = ("--robots", "6", "--topology", topology, "--iterations", str(sizes.iterations))
         options = ("consensus", *swarm, "--radio", "slots", "--links", links)
         ours = number(simulate(*options, program=talking_sim.PROGRAM), "iteration_s_median")
-        model = number(virtual(*options)[0], "iteration_s_median")
+        model = number(run_virtually(*options)[0], "iteration_s_median")
         yield Row(f"slot radio, links = {links}, {topology} 6, beside virtual time", ours, "s", model, SLOTS_GOAL)
 
 

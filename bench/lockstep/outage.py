@@ -18,7 +18,7 @@ from bench.rigs import talking_sim
 from bench.rigs.simulation import SWARM_SIM, Simulation
 from bench.rows import Row
 from services.mesh.links.radio_model import AirModel
-from sim.virtual.run import simulate as virtual
+from sim.virtual.run import run_virtually
 from swarm.core.graph import Graph
 from swarm.core.lockstep.links import SILENT_AFTER, SILENT_AFTER_RTTS
 from swarm.core.lockstep.questions import WANT_AFTER
@@ -66,7 +66,7 @@ def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     """Measure; yields rows as they are there."""
     for topology in sizes.topologies:
         graph = Graph.of_shape(topology, NAMES)
-        undisturbed = virtual(*_swarm(topology, sizes.iterations), rows=True)[1].trajectories
+        undisturbed = run_virtually(*_swarm(topology, sizes.iterations), rows=True)[1].trajectories
         cuts = outages(graph, sizes.iterations)
         runs = [_run(topology, sizes.iterations, talking_sim.PROGRAM, _options(cuts)) for _ in range(sizes.runs)]
         # A value that stands twice with different bits is an error of `read` already.

@@ -12,7 +12,7 @@ from sim.scenario.scenario import build
 from sim.virtual.bus import VirtualBus
 from sim.virtual.radio.mesh import VirtualMesh
 from sim.virtual.radio.slot_air import SlotAir
-from sim.virtual.run import PLACE, VirtualRun, simulate
+from sim.virtual.run import PLACE, VirtualRun, run_virtually
 from swarm.app.overlays import Overlays
 
 DROP = ("--absent", "drop", "--drop-after", "3")
@@ -32,7 +32,7 @@ def consensus(
 ) -> dict[str, object]:
     """Return the report of one run on a graph such as `loop 6`."""
     shape, robots = graph.split()
-    report, _ = simulate(
+    report, _ = run_virtually(
         "consensus", "--robots", robots, "--topology", shape, "--iterations", str(iterations), "--seed", str(seed),
         "--radio", radio, "--links", links, *more,
     )  # fmt: skip

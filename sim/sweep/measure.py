@@ -12,7 +12,7 @@ from sim.report import is_metric, metrics
 from sim.scenario.options import parse
 from sim.scenario.scenario import build
 from sim.sweep.plan import Job
-from sim.virtual.run import PLACE, simulate
+from sim.virtual.run import PLACE, run_virtually
 from swarm.errors import SwarmError
 from swarm.frozen import frozen
 from swarm.recording.trajectory import Trajectory
@@ -68,7 +68,7 @@ def measure(job: Job, app: LoadedApp | None = None) -> SweptRun:
     before = logging.root.manager.disable
     logging.disable(logging.WARNING)  # twenty runs at once would tell the same twenty times
     try:
-        report, outcome = simulate(*job.arguments, rows=True, app=app)
+        report, outcome = run_virtually(*job.arguments, rows=True, app=app)
     except SwarmError as error:
         return SweptRun(job.point, job.seed, 0, None, None, 0.0, None, 0.0, str(error))
     finally:

@@ -389,7 +389,7 @@ def _has_no_steps(source: Source) -> bool:
     return isinstance(source, EventHost) and source.runner.period is None
 
 
-def simulate(*arguments: str, rows: bool = False, app: loader.LoadedApp | None = None) -> tuple[Json, RunOutcome]:
+def run_virtually(*arguments: str, rows: bool = False, app: loader.LoadedApp | None = None) -> tuple[Json, RunOutcome]:
     """Run `swarm sim ARGUMENTS --virtual` in this process: the report of `--json`, and what it was made from. `app`:
     see `build`."""
     options = arguments_of([*arguments, "--virtual"])

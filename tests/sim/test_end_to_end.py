@@ -14,7 +14,7 @@ from conftest import wait_until
 
 from bench.rigs import talking_sim
 from bench.rigs.simulation import Simulation, SimulationError, simulate
-from sim.virtual.run import simulate as virtual
+from sim.virtual.run import run_virtually
 from swarm.bus.zenoh_bus import Bus
 from swarm.messages import read
 from swarm.process.simulations import pid_of
@@ -38,7 +38,7 @@ def processes_of(run_dir: Path) -> list[int]:
 @cache
 def undisturbed():
     """The same run without disturbance, under virtual time: trajectories that others are compared with."""
-    report, outcome = virtual(*RUN, rows=True)
+    report, outcome = run_virtually(*RUN, rows=True)
     assert report["virtual"]
     assert report["messages_per_iteration"] == pytest.approx(4, abs=0.5)
     return outcome.trajectories

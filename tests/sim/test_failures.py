@@ -9,7 +9,7 @@ from conftest import thinned
 
 from bench.rigs.simulation import Simulation
 from sim.disturbances import Cut, Off, drawn, parsed_cut, parsed_off
-from sim.virtual.run import simulate
+from sim.virtual.run import run_virtually
 from swarm.errors import ConfigError
 from swarm.recording.run import Run
 
@@ -43,7 +43,7 @@ def test_every_kind_of_app_goes_through_failures(tmp_path: Path, kind: str) -> N
     app = f"from swarm import {kind}\nclass Mine({kind}):\n    n: int = 0\n{BODIES[kind]}"
     (tmp_path / "mine.py").write_text(app)
     swarm = (str(tmp_path / "mine.py"), "--robots", "4", "--topology", "loop", "--seconds", "16", "--absent", "drop")
-    report, outcome = simulate(*swarm, *FAILURES, "--latency", "0.1", "--record", str(tmp_path / "run"), rows=True)
+    report, outcome = run_virtually(*swarm, *FAILURES, "--latency", "0.1", "--record", str(tmp_path / "run"), rows=True)
     assert report["problems"] == []
     assert report["never"] == []
     assert outcome.restarts == {"r0": 1, "r1": 1, "r2": 1, "r3": 0}
@@ -65,8 +65,8 @@ def test_every_kind_of_app_goes_through_failures(tmp_path: Path, kind: str) -> N
 
 def test_a_killed_lockstep_app_goes_on_from_its_snapshot_to_the_same_bits() -> None:
     swarm = ("consensus", "--robots", "4", "--topology", "loop", "--iterations", "120")
-    _, plain = simulate(*swarm, rows=True)
-    report, outcome = simulate(*swarm, "--kill", "r1.app@1s", "--kill", "any.mesh@2s..3s", rows=True)
+    _, plain = run_virtually(*swarm, rows=True)
+    report, outcome = run_virtually(*swarm, "--kill", "r1.app@1s", "--kill", "any.mesh@2s..3s", rows=True)
     assert report["restarts"] == 2
     assert {name: path.rows for name, path in outcome.trajectories.items()} == {
         name: path.rows for name, path in plain.trajectories.items()
@@ -75,7 +75,7 @@ def test_a_killed_lockstep_app_goes_on_from_its_snapshot_to_the_same_bits() -> N
 
 def test_a_push_throws_a_robot_over_only_where_it_is_hard_enough() -> None:
     for impulse, lies in (("0.2", False), ("0.6", True), ("-0.6", True)):
-        _, outcome = simulate(
+        _, outcome = run_virtually(
             "stand_up",
             "--lying",
             "back",
@@ -92,7 +92,7 @@ def test_a_push_throws_a_robot_over_only_where_it_is_hard_enough() -> None:
 
 
 def test_what_never_happened_is_named() -> None:
-    report, _ = simulate(
+    report, _ = run_virtually(
         "consensus", "--robots", "3", "--iterations", "50", "--cut", "r0-r1@5s,60s", "--kill", "r0.app@1s"
     )
     (never,) = report["never"]
@@ -117,7 +117,7 @@ NEVER = {
 
 
 def test_a_robot_may_be_switched_off_just_after_its_mesh_was_killed() -> None:
-    report, _ = simulate(
+    report, _ = run_virtually(
         *("consensus", "--robots", "4", "--seconds", "9", "--absent", "drop", "--drop-after", "1s"),
         *("--kill", "r2.mesh@1s", "--off", "r2@1.1s,5s"),
     )
@@ -126,7 +126,7 @@ def test_a_robot_may_be_switched_off_just_after_its_mesh_was_killed() -> None:
 
 
 def test_a_robot_that_is_still_off_when_the_run_ends_has_not_come() -> None:
-    report, _ = simulate(
+    report, _ = run_virtually(
         *("consensus", "--robots", "3", "--topology", "full", "--seconds", "12", "--absent", "drop"),
         *("--drop-after", "1", "--off", "r1@start,10s", "--off", "r1@2s,40s"),
     )
@@ -135,7 +135,7 @@ def test_a_robot_that_is_still_off_when_the_run_ends_has_not_come() -> None:
 
 
 def test_acts_on_a_robot_that_is_off_and_a_robot_that_never_came_are_named_under_virtual_time() -> None:
-    report, outcome = simulate(*ABSENT)
+    report, outcome = run_virtually(*ABSENT)
     assert set(report["never"]) == NEVER
     assert len(report["never"]) == len(NEVER)
     assert outcome.bodies["r1"].tilt == 0.0
@@ -152,7 +152,7 @@ def test_acts_on_a_robot_that_is_off_and_a_robot_that_never_came_are_named_betwe
 
 def test_a_late_robot_that_is_switched_off_comes_when_it_is_on_again() -> None:
     late = ("--off", "r2@start,4s", "--off", "r2@1s,6s")
-    report, outcome = simulate(
+    report, outcome = run_virtually(
         "consensus", "--robots", "3", "--seconds", "12", "--absent", "drop", "--drop-after", "0.5", *late
     )
     assert (report["never"], report["missing"]) == ([], [])
@@ -174,7 +174,7 @@ def test_the_seed_draws_times_and_robots() -> None:
 
 def test_the_services_of_virtual_time_are_named() -> None:
     with pytest.raises(ConfigError, match="mesh and app are processes of their own"):
-        simulate("consensus", "--robots", "3", "--kill", "r0.dwm@1s")
+        run_virtually("consensus", "--robots", "3", "--kill", "r0.dwm@1s")
 
 
 LINKS = (("r-0", "r1"), ("r1", "r-2-b"))
@@ -205,4 +205,6 @@ def test_the_seed_draws_the_link_of_a_cut_with_any() -> None:
 @pytest.mark.parametrize("topology", ["line", "auto"])
 def test_a_cut_of_no_link_is_refused_on_every_topology(link: str, topology: str) -> None:
     with pytest.raises(ConfigError, match=f"--cut {link}@1s,1s: there is no such link .* robots are r0, r1, r2"):
-        simulate("consensus", "--robots", "3", "--topology", topology, "--cut", f"{link}@1s,1s", "--iterations", "1")
+        run_virtually(
+            "consensus", "--robots", "3", "--topology", topology, "--cut", f"{link}@1s,1s", "--iterations", "1"
+        )

@@ -14,7 +14,7 @@ from services.apps.runner import metrics_of
 from sim.rehearsal import rehearse
 from sim.sweep.measure import measure, summarize
 from sim.sweep.plan import Job, SweepPoint
-from sim.virtual.run import simulate
+from sim.virtual.run import run_virtually
 from swarm import sweep
 from swarm.app.truth import RobotTruth, TruthWatch
 from swarm.config import Config
@@ -64,7 +64,7 @@ def write(place: Path, text: str) -> str:
 def test_an_apps_own_errors_are_results_and_stand_in_the_report(tmp_path: Path) -> None:
     app = write(tmp_path, OWN_PLACE)
     arguments = ("--robots", "3", "--seconds", "6", "--set", "r0.gain=0.3")
-    report, outcome = simulate(app, *arguments, "--record", str(tmp_path / "run"), rows=True)
+    report, outcome = run_virtually(app, *arguments, "--record", str(tmp_path / "run"), rows=True)
     path = outcome.trajectories["r1"]
     assert path.columns[-2:] == ("result.error", "result.error_gain")
     assert path.value(1, "result.error") > 0.5
@@ -75,12 +75,12 @@ def test_an_apps_own_errors_are_results_and_stand_in_the_report(tmp_path: Path) 
 
 
 def test_an_app_that_measures_and_says_where_gets_the_error_of_the_target(tmp_path: Path) -> None:
-    report, _ = simulate(write(tmp_path, FINDS), "--robots", "2", "--iterations", "5")
+    report, _ = run_virtually(write(tmp_path, FINDS), "--robots", "2", "--iterations", "5")
     assert report["error"] == pytest.approx(0.1)
     further = FINDS + "\n    def error_far(self, truth):\n        return 2.0\n"
-    report, _ = simulate(write(tmp_path, further), "--robots", "2", "--iterations", "5")
+    report, _ = run_virtually(write(tmp_path, further), "--robots", "2", "--iterations", "5")
     assert (report["error"], report["error_far"]) == (pytest.approx(0.1), 2.0)
-    report, _ = simulate("goto", "--robots", "2", "--seconds", "2")  # x and y are its own place
+    report, _ = run_virtually("goto", "--robots", "2", "--seconds", "2")  # x and y are its own place
     assert "error" not in report
 
 
@@ -114,20 +114,20 @@ class Told(PeriodicApp):
         return r0["value"] + r0["own"]
 """
     given = ("--set", "r0.value=3", "--set", "r0.own=0.5")
-    report, _ = simulate(write(tmp_path, told), "--robots", "2", "--seconds", "1", *given)
+    report, _ = run_virtually(write(tmp_path, told), "--robots", "2", "--seconds", "1", *given)
     assert (report["problems"], report["error"]) == ([], 3.5)
 
 
 def test_a_metric_that_raises_is_named_with_file_and_line(tmp_path: Path) -> None:
     app = write(tmp_path, OWN_PLACE.replace("return math.dist", "return 1 / 0 or math.dist"))
-    report, _ = simulate(app, "--robots", "2", "--seconds", "2")
+    report, _ = run_virtually(app, "--robots", "2", "--seconds", "2")
     assert f"error() at iteration 0: {app}, line 15: ZeroDivisionError" in report["problems"][0]
     app = write(tmp_path, OWN_PLACE.replace("return math.dist", "return str or math.dist"))
-    report, _ = simulate(app, "--robots", "2", "--seconds", "2")
+    report, _ = run_virtually(app, "--robots", "2", "--seconds", "2")
     where = f"error() at iteration 0: {app}, from line 14 on: "
     assert f"{where}expected a number, got <class 'str'>: return a float" in report["problems"][0]
     app = write(tmp_path, OWN_PLACE.replace("error(self, truth)", "error(self)"))
-    report, _ = simulate(app, "--robots", "2", "--seconds", "2")
+    report, _ = run_virtually(app, "--robots", "2", "--seconds", "2")
     assert f"{where}TypeError: " in report["problems"][0]
     assert "(declare `def error(self, truth)`)" in report["problems"][0]
 

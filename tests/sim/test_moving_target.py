@@ -7,7 +7,7 @@ import pytest
 
 from bench.rigs.simulation import Simulation
 from sim.scenario.options import parse
-from sim.virtual.run import simulate
+from sim.virtual.run import run_virtually
 from swarm.config.types import SimulationConfig as World
 from swarm.errors import ConfigError
 from swarm.recording.reader import SUFFIX, RecordingReader
@@ -27,12 +27,12 @@ def test_a_moving_target_stands_until_all_have_begun_and_then_goes_straight_on()
 
 @pytest.mark.slow
 def test_the_algorithm_moving_follows_a_target_behind_which_info_lags():
-    follows, outcome = simulate(*SIX, *MOVING, "--algorithm", "moving")
+    follows, outcome = run_virtually(*SIX, *MOVING, "--algorithm", "moving")
     moved = math.dist(outcome.targets()["r0"], (0.5, 1.0))
     assert moved == pytest.approx(math.hypot(0.1, 0.05) * follows["seconds"], abs=0.02)
     result = follows["result"]["r0"]
     assert (result["vx"], result["vy"]) == pytest.approx((0.1, 0.05), abs=0.04)
-    lags, _ = simulate(*SIX, *MOVING, "--algorithm", "info")
+    lags, _ = run_virtually(*SIX, *MOVING, "--algorithm", "info")
     assert follows["error_cm"] < 3.0 < lags["error_cm"]
 
 

@@ -15,7 +15,7 @@ from laptop.cli.runs import export
 from services.apps.builtin.localization import ALGORITHMS
 from sim.report import END_BOUND_CM
 from sim.scenario import options, scenario
-from sim.virtual.run import simulate
+from sim.virtual.run import run_virtually
 from swarm.errors import RecordingError
 from swarm.recording import thesis_csv
 from swarm.recording.run import Run
@@ -30,7 +30,7 @@ THESIS = ("localization", "--algorithm", "thesis", "--set", "check=false", "--st
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """The files of a run of three robots, by name."""
     place = tmp_path_factory.mktemp("run") / "run"
-    simulate(*THESIS, "--robots", "3", "--iterations", "40", "--noise", "thesis", "--record", str(place))
+    run_virtually(*THESIS, "--robots", "3", "--iterations", "40", "--noise", "thesis", "--record", str(place))
     return export._layouts(Run(place), [])
 
 
@@ -41,7 +41,7 @@ def written(place: Path, files: dict[str, str]) -> str:
 
 
 def replay(place: str) -> dict:
-    return simulate(*THESIS, "--replay", place, "--latency", "0ms")[0]
+    return run_virtually(*THESIS, "--replay", place, "--latency", "0ms")[0]
 
 
 def test_a_replay_that_follows_is_no_problem(tmp_path: Path, recorded: dict[str, str]) -> None:
@@ -109,7 +109,7 @@ def settled(place: Path, change: Callable[[dict[str, str]], dict[str, str]], *op
         measured = {k: (math.dist((x, y), (0.5, 1.0)) + 0.001 * (k % 7), x, y) for k in range(1, 101)}
         files[f"{index}.csv"] = late(thesis_csv.localization(rows, measured), 0.03 * index)
     options = ("localization", "--replay", written(place, change(files)), "--latency", "0ms", *options)
-    return simulate(*options)[0]
+    return run_virtually(*options)[0]
 
 
 def test_files_that_are_not_of_one_run_are_refused(tmp_path: Path) -> None:
@@ -194,9 +194,9 @@ def test_an_export_of_robots_at_one_time_is_accepted(tmp_path: Path) -> None:
     """Without latency and noise all iterations are at one time, and settled ones equal the ones before."""
     run = tmp_path / "run"
     options = ("--noise", "none", "--latency", "0ms", "--algorithm", "flood", "--iterations", "30")
-    simulate("localization", *options, "--record", str(run))
+    run_virtually("localization", *options, "--record", str(run))
     files = export._layouts(Run(run), [])
-    report = simulate("localization", "--replay", written(tmp_path, files), "--algorithm", "flood")[0]
+    report = run_virtually("localization", "--replay", written(tmp_path, files), "--algorithm", "flood")[0]
     assert report["problems"] == report["early_ends"] == []
 
 
@@ -250,7 +250,7 @@ def test_another_algorithm_ends_where_the_recording_does(tmp_path: Path, algorit
             measured = {k: (math.dist(place, (0.5, 1.0)), *place) for k in range(1, 200)}
             files[f"{index}.csv"] = thesis_csv.localization(rows, measured)
         options = ("localization", "--algorithm", algorithm, "--replay", written(tmp_path, files), "--latency", "0ms")
-        report = simulate(*options)[0]
+        report = run_virtually(*options)[0]
         if ends == (0.5, 1.0):
             assert report["replay_deviation_cm"] < 5
             assert report["problems"] == []
@@ -265,7 +265,7 @@ def test_another_algorithm_ends_where_the_recording_does(tmp_path: Path, algorit
 @pytest.mark.parametrize("run", ["test_2", "test_3", "test_5"])
 def test_the_thesis_recordings_keep_the_bound(run: str, algorithm: str) -> None:
     options = ("localization", "--algorithm", algorithm, "--replay", str(DATA / "localization" / run))
-    report = simulate(*options, "--latency", "0ms")[0]
+    report = run_virtually(*options, "--latency", "0ms")[0]
     assert report["replay_deviation_cm"] < END_BOUND_CM
     assert report["problems"] == []
 
@@ -274,7 +274,7 @@ def test_the_thesis_recordings_keep_the_bound(run: str, algorithm: str) -> None:
 @pytest.mark.skipif(not DATA.is_dir(), reason=f"no recordings in {DATA}: set SWARM_THESIS_DATA to their folder")
 def test_without_a_robot_another_algorithm_ends_elsewhere(tmp_path: Path) -> None:
     files = {name: (DATA / "localization" / "test_3" / name).read_text() for name in ("0.csv", "1.csv")}
-    (problem,) = simulate("localization", "--replay", written(tmp_path, files), "--latency", "0ms")[0]["problems"]
+    (problem,) = run_virtually("localization", "--replay", written(tmp_path, files), "--latency", "0ms")[0]["problems"]
     assert "a robot's file is missing" in problem
 
 

@@ -10,7 +10,7 @@ from laptop.cli.robots import logs
 from services.apps.equipment.speaker import MOST_LINES_S, Speaker
 from sim.scenario.options import parse
 from sim.scenario.scenario import build
-from sim.virtual.run import PLACE, VirtualRun, simulate
+from sim.virtual.run import PLACE, VirtualRun, run_virtually
 from swarm.app.robot import Robot
 from swarm.core.graph import Graph
 from swarm.errors import LocalError
@@ -78,7 +78,7 @@ def test_a_run_that_is_not_there_is_no_service_of_robots() -> None:
 
 
 def test_a_name_that_is_nothing_here_names_the_runs_that_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    simulate("consensus", "--robots", "2", "--iterations", "3", "--record", str(tmp_path / "runs" / "first"))
+    run_virtually("consensus", "--robots", "2", "--iterations", "3", "--record", str(tmp_path / "runs" / "first"))
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(logs, "find", lambda: None)
     parser = argparse.ArgumentParser()
@@ -112,7 +112,7 @@ def test_logs_beside_a_simulation_say_when_there_is_nothing_and_refuse_a_name_th
 
 
 def test_a_sweep_is_not_flooded_by_what_apps_print(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    simulate(write(tmp_path, "SyncApp"), "--robots", "2", "--iterations", "6")
+    run_virtually(write(tmp_path, "SyncApp"), "--robots", "2", "--iterations", "6")
     assert capsys.readouterr().out == ""
 
 

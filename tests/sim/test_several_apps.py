@@ -9,7 +9,7 @@ import pytest
 from bench.rigs.simulation import Simulation
 from laptop.cli import main
 from sim.scenario import options, scenario
-from sim.virtual.run import PLACE, simulate
+from sim.virtual.run import PLACE, run_virtually
 from swarm.errors import ConfigError
 from swarm.recording.run import Run
 
@@ -26,7 +26,7 @@ def cli(*arguments):
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     place = tmp_path_factory.mktemp("several")
-    report, _ = simulate(*THREE, "--record", str(place))
+    report, _ = run_virtually(*THREE, "--record", str(place))
     return report, place
 
 
@@ -43,7 +43,7 @@ def test_each_is_reported_and_the_first_says_when_it_ends(recorded):
 
 def test_each_computes_what_it_does_alone(recorded):
     _, place = recorded
-    _, alone = simulate("consensus", "--robots", "3", "--iterations", "60", rows=True)
+    _, alone = run_virtually("consensus", "--robots", "3", "--iterations", "60", rows=True)
     run = Run(place)
     assert run.app == "consensus"
     for name, path in run.trajectories().items():
@@ -82,7 +82,7 @@ def test_each_app_of_a_run_can_be_drawn(recorded, tmp_path, monkeypatch, capsys)
 
 def test_several_apps_record_the_same_bytes_with_the_same_seed(recorded, tmp_path):
     _, place = recorded
-    simulate(*THREE, "--record", str(tmp_path))
+    run_virtually(*THREE, "--record", str(tmp_path))
     for path in place.iterdir():
         assert (tmp_path / path.name).read_bytes() == path.read_bytes()
 
@@ -90,7 +90,7 @@ def test_several_apps_record_the_same_bytes_with_the_same_seed(recorded, tmp_pat
 def test_messages_of_one_app_are_not_anothers(tmp_path):
     """Both have asked the same mesh, each with tickets of its own."""
     press = ("--press", "r0.A@1s", "--seconds", "3")
-    report, _ = simulate("unicast_demo", "flooding_demo", "--robots", "3", *press, "--record", str(tmp_path))
+    report, _ = run_virtually("unicast_demo", "flooding_demo", "--robots", "3", *press, "--record", str(tmp_path))
     assert report["result"]["r0"] == {"sent": 1, "delivered": 1, "received": 0}
     assert report["beside"]["flooding_demo"]["result"]["r0"]["complete"] == 1
     asked = [sample.message["ticket"] for sample in Run(tmp_path).samples("swarm/r0/app/*/asked")]
@@ -104,7 +104,7 @@ def test_a_fault_beside_is_named_and_the_others_go_on(tmp_path):
         "    def step(self, neighbours):\n        if self.k == 5 and self.robot.name == 'r1':\n"
         "            raise RuntimeError('oh')\n"
     )
-    report, _ = simulate("consensus", str(app), "--robots", "3", "--iterations", "40")
+    report, _ = run_virtually("consensus", str(app), "--robots", "3", "--iterations", "40")
     assert report["iterations"] == 40
     (problem,) = report["problems"]
     assert problem.startswith("r1 bad ")

@@ -10,7 +10,7 @@ from conftest import wait_until
 
 from bench.rigs.simulation import Simulation
 from sim.control.link_cuts import cut_link
-from sim.virtual.run import simulate as virtual
+from sim.virtual.run import run_virtually
 from swarm.process.simulations import pid_of
 
 FORKED = {"program": ("laptop.cli.runs.sim",), "start": fork_server.start}
@@ -23,7 +23,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 @cache
 def undisturbed(*run: str):
     """The trajectories of the same run under virtual time."""
-    return virtual(*run, rows=True)[1].trajectories
+    return run_virtually(*run, rows=True)[1].trajectories
 
 
 def is_undisturbed(simulation: Simulation, *run: str) -> bool:

@@ -11,7 +11,7 @@ import pytest
 from laptop.cli.runs import export, plot
 from laptop.runs import tables
 from laptop.runs.results import load
-from sim.virtual.run import simulate
+from sim.virtual.run import run_virtually
 from swarm.errors import LocalError, RecordingError
 from swarm.recording.run import Run
 
@@ -19,7 +19,7 @@ from swarm.recording.run import Run
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("run") / "run"
-    simulate("led_sync", "--robots", "3", "--seconds", "4", "--clock-skew", "20ppm", "--record", str(place))
+    run_virtually("led_sync", "--robots", "3", "--seconds", "4", "--clock-skew", "20ppm", "--record", str(place))
     return place
 
 
@@ -81,7 +81,9 @@ class Matrix(SyncApp):
 def test_a_matrix_has_one_name_for_each_entry_wherever_it_is_shown(tmp_path: Path) -> None:
     (tmp_path / "matrix.py").write_text(MATRIX)
     place, columns = tmp_path / "run", ["P[0,0]", "P[0,1]", "P[1,0]", "P[1,1]"]
-    outcome = simulate(str(tmp_path / "matrix.py"), "--robots", "2", "--iterations", "3", "--record", str(place))[1]
+    outcome = run_virtually(str(tmp_path / "matrix.py"), "--robots", "2", "--iterations", "3", "--record", str(place))[
+        1
+    ]
     named = (*columns, *(f"result.{name}" for name in columns), "result.trace")
     assert {path.columns for path in outcome.trajectories.values()} == {named}
     assert {path.columns for path in Run(place).trajectories().values()} == {named}

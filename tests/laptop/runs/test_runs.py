@@ -15,7 +15,7 @@ from runs_apps import Beside, Light, Mean, NeverStarts, Place, Raises
 import swarm
 from laptop.plotting import states
 from services.apps import loader
-from sim.virtual.run import simulate as by_command
+from sim.virtual.run import run_virtually
 from swarm import SyncApp, load, rehearse, simulate, sweep
 from swarm.errors import AppError, ConfigError, LocalError, RecordingError
 from swarm.recording import trajectory
@@ -42,7 +42,7 @@ def test_a_class_of_a_test_is_simulated_and_its_states_are_an_array_by_iteration
 def test_simulate_computes_what_swarm_sim_virtual_does_to_the_bit() -> None:
     run = simulate("consensus", robots=np.int64(6), topology="thesis-d", jitter=0.01, seed=3, iterations=40)
     words = "consensus --robots 6 --topology thesis-d --jitter 0.01 --seed 3 --iterations 40"
-    _, outcome = by_command(*words.split(), rows=True)
+    _, outcome = run_virtually(*words.split(), rows=True)
     for place, path in enumerate(outcome.trajectories.values()):
         assert [path.value(k, "value") for k in range(41)] == run["value"][:, place].tolist()
 
@@ -384,5 +384,5 @@ def test_results_have_the_shapes_that_the_author_gives_them() -> None:
     assert "v[1,2]" in run.to_pandas()
     paths, (file,) = run.recording.trajectories(), run.path.glob("*.mcap")
     found = loader.of_class(Grids)
-    _, outcome = by_command(found.name, "--robots", "2", "--iterations", "3", rows=True, app=found)
+    _, outcome = run_virtually(found.name, "--robots", "2", "--iterations", "3", rows=True, app=found)
     assert trajectory.read(file).columns == paths["r0"].columns == outcome.trajectories["r0"].columns

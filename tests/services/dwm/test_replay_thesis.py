@@ -9,7 +9,7 @@ from conftest import CONFIG, Processes, ask, stop, wait_until
 from thesis_data import DATA, needs_localization
 
 from services.dwm.replay import _Row
-from sim.virtual.run import simulate
+from sim.virtual.run import run_virtually
 from swarm.bus.packer import TOO_LARGE
 from swarm.bus.zenoh_bus import Bus
 from swarm.messages import Measurement, Status
@@ -78,7 +78,7 @@ def test_no_row_of_test_5_makes_a_message_that_is_too_large() -> None:
 @pytest.mark.slow
 def test_no_telemetry_of_a_swarm_on_test_5_is_too_large(caplog: pytest.LogCaptureFixture) -> None:
     words = ("--algorithm", "thesis", "--step-size", "5e-7", "--latency", "0ms")
-    report, outcome = simulate("localization", "--replay", str(TEST_5), *words)
+    report, outcome = run_virtually("localization", "--replay", str(TEST_5), *words)
     assert report["problems"] == []
     assert outcome.scenario.iterations == report["iterations"] == ROWS
     assert [record.message for record in caplog.records if "the bus takes at most" in record.message] == []

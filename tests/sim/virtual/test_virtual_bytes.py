@@ -43,7 +43,7 @@ DISTURBED = (
 
 RUN = """
 import builtins, hashlib, json, pathlib, sys
-from sim.virtual.run import simulate
+from sim.virtual.run import run_virtually
 
 def plain(numbers, /, start=0):
     for number in numbers:
@@ -62,7 +62,7 @@ def compensated(numbers, /, start=0):
 builtins.sum = {"1": plain, "2": compensated}[sys.argv[3]]
 for name, arguments in json.loads(sys.argv[1]).items():
     folder = pathlib.Path(sys.argv[2]) / name.replace(" ", "_")
-    report, _ = simulate(*arguments, "--record", str(folder))
+    report, _ = run_virtually(*arguments, "--record", str(folder))
     digests = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir()}
     size = sum(path.stat().st_size for path in folder.glob("*.mcap"))
     print(json.dumps([name, [report["problems"], sorted(digests.items()), size]]), flush=True)

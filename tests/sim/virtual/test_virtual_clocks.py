@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from sim.scenario.options import parse
 from sim.virtual.events import EventQueue, LocalTime
-from sim.virtual.run import simulate
+from sim.virtual.run import run_virtually
 from swarm.errors import ConfigError
 from swarm.recording.run import Run
 
@@ -29,8 +29,8 @@ def test_a_call_is_made_when_the_own_clock_shows_its_time(offset, rate, delays):
 
 
 def test_a_lockstep_needs_no_common_clock(tmp_path):
-    _, plain = simulate(*SIX, rows=True)
-    report, outcome = simulate(*SIX, *SKEWED, "--record", str(tmp_path), rows=True)
+    _, plain = run_virtually(*SIX, rows=True)
+    report, outcome = run_virtually(*SIX, *SKEWED, "--record", str(tmp_path), rows=True)
     assert report["problems"] == []
     assert report["iteration_s_median"] == pytest.approx(0.038, abs=0.002)
     assert {n: path.rows for n, path in outcome.trajectories.items()} == {
@@ -42,7 +42,7 @@ def test_a_lockstep_needs_no_common_clock(tmp_path):
 def test_leds_blink_together_by_the_mesh_clock_alone(tmp_path):
     """Zeros up to an hour apart, rates up to 30 ppm, no NTP."""
     arguments = ("led_sync", "--robots", "6", *SKEWED, "--seconds", "15", "--record", str(tmp_path))
-    report, _ = simulate(*arguments)
+    report, _ = run_virtually(*arguments)
     assert report["problems"] == []
     assert report["scene"]["apart_neighbours_p95_ms"] <= 10
     assert report["scene"]["apart_all_p95_ms"] <= 20

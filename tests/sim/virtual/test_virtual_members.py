@@ -10,7 +10,7 @@ from conftest import thinned
 
 from sim.scenario.options import parse
 from sim.scenario.scenario import build
-from sim.virtual.run import PLACE, VirtualRun, simulate
+from sim.virtual.run import PLACE, VirtualRun, run_virtually
 from swarm.core.epochs.actions import EpochRequest
 from swarm.errors import ConfigError
 from swarm.messages import SetAppEpoch
@@ -28,11 +28,11 @@ def values(outcome, name):
 
 @pytest.fixture(scope="module")
 def undisturbed():
-    return simulate(*LOOP, "--iterations", "100", rows=True)
+    return run_virtually(*LOOP, "--iterations", "100", rows=True)
 
 
 def test_by_default_a_robot_that_is_cut_off_is_waited_for(undisturbed):
-    report, outcome = simulate(*LOOP, "--iterations", "100", *AWAY, rows=True)
+    report, outcome = run_virtually(*LOOP, "--iterations", "100", *AWAY, rows=True)
     assert report["problems"] == []
     assert report["iterations"] == 100
     assert report["seconds"] > 10
@@ -40,7 +40,7 @@ def test_by_default_a_robot_that_is_cut_off_is_waited_for(undisturbed):
 
 
 def test_a_robot_that_is_cut_off_is_dropped_and_the_others_go_on(tmp_path):
-    report, outcome = simulate(*LOOP, "--seconds", "9", *DROP, *AWAY, "--record", str(tmp_path), rows=True)
+    report, outcome = run_virtually(*LOOP, "--seconds", "9", *DROP, *AWAY, "--record", str(tmp_path), rows=True)
     assert report["problems"] == []
     last = {name: path.last for name, path in outcome.trajectories.items()}
     assert last["r1"] < 30
@@ -53,13 +53,13 @@ def test_a_robot_that_is_cut_off_is_dropped_and_the_others_go_on(tmp_path):
 
 def test_a_robot_that_is_cut_off_for_ever_is_named_at_the_end():
     cut = ("--cut", "r0-r1@0.5s,999s", "--cut", "r1-r2@0.5s,999s")
-    report, _ = simulate(*LOOP, "--iterations", "60", *DROP, *cut)
+    report, _ = run_virtually(*LOOP, "--iterations", "60", *DROP, *cut)
     assert report["missing"] == ["r1"]
     assert report["iterations"] == 60
 
 
 def test_a_robot_that_comes_back_is_taken_in_with_its_value(tmp_path):
-    report, outcome = simulate(*LOOP, "--seconds", "20", *DROP, *AWAY, "--record", str(tmp_path), rows=True)
+    report, outcome = run_virtually(*LOOP, "--seconds", "20", *DROP, *AWAY, "--record", str(tmp_path), rows=True)
     assert report["problems"] == []
     ends = {name: path.last for name, path in outcome.trajectories.items()}
     assert max(ends.values()) - min(ends.values()) <= 2
@@ -74,7 +74,7 @@ def test_a_robot_that_comes_back_is_taken_in_with_its_value(tmp_path):
 
 def test_a_run_of_so_many_iterations_ends_without_the_robot_that_was_dropped():
     away = ("--cut", "r0-r1@0.5s,1000s", "--cut", "r1-r2@0.5s,1000s")
-    report, outcome = simulate(*LOOP, "--iterations", "100", *DROP, *away)
+    report, outcome = run_virtually(*LOOP, "--iterations", "100", *DROP, *away)
     assert report["problems"] == []
     assert [path.last == 100 for path in outcome.trajectories.values()] == [True, False, True, True, True]
     assert report["seconds"] < 15
@@ -82,7 +82,7 @@ def test_a_run_of_so_many_iterations_ends_without_the_robot_that_was_dropped():
 
 @pytest.mark.parametrize("mesh", thinned(["start", "settled", "delay"]))
 def test_a_robot_that_reboots_is_taken_in_again_from_its_first_state(mesh):
-    report, outcome = simulate(
+    report, outcome = run_virtually(
         *LOOP, "--seconds", "20", *DROP, "--off", "r3@1s,6s", "--mesh", mesh, "--set", "r3.value=9", rows=True
     )
     assert report["problems"] == []
@@ -96,19 +96,19 @@ def test_a_robot_that_reboots_is_taken_in_again_from_its_first_state(mesh):
 
 
 def test_a_robot_that_reboots_is_waited_for_in_vain_where_nobody_may_be_dropped():
-    report, _ = simulate(*LOOP, "--iterations", "200", "--off", "r3@1s,2s")
+    report, _ = run_virtually(*LOOP, "--iterations", "200", "--off", "r3@1s,2s")
     (problem,) = report["problems"]
     assert "r3 has lost its state and waits for the next epoch" in problem
 
 
 def test_a_robot_that_comes_late_is_waited_for(undisturbed):
-    report, outcome = simulate(*LOOP, "--iterations", "100", "--off", "r3@start,7s", rows=True)
+    report, outcome = run_virtually(*LOOP, "--iterations", "100", "--off", "r3@start,7s", rows=True)
     assert report["problems"] == []
     assert all(values(outcome, name) == values(undisturbed[1], name) for name in outcome.trajectories)
 
 
 def test_a_robot_that_comes_late_is_taken_in_where_the_others_have_begun():
-    report, outcome = simulate(*LOOP, "--seconds", "20", *DROP, "--off", "r3@start,7s", rows=True)
+    report, outcome = run_virtually(*LOOP, "--seconds", "20", *DROP, "--off", "r3@start,7s", rows=True)
     assert report["problems"] == []
     ends = {name: path.last for name, path in outcome.trajectories.items()}
     assert max(ends.values()) - min(ends.values()) <= 2
@@ -119,7 +119,7 @@ def test_a_robot_that_comes_late_is_taken_in_where_the_others_have_begun():
 
 def test_times_count_from_the_first_iteration_of_all_where_all_robots_come_late():
     late = [f"--off=r{i}@start,{1 + 2 * i}s" for i in range(3)]
-    _, outcome = simulate("consensus", "--robots", "3", "--topology", "loop", "--seconds", "5", *late, rows=True)
+    _, outcome = run_virtually("consensus", "--robots", "3", "--topology", "loop", "--seconds", "5", *late, rows=True)
     firsts = [min(time for k, time in path.times.items() if k > 0) for path in outcome.trajectories.values()]
     assert outcome.started_s is not None
     assert outcome.started_s == max(firsts) > 5
@@ -131,7 +131,7 @@ def test_a_fault_stops_nobody_else_where_robots_may_be_dropped(tmp_path):
         "from swarm import SyncApp\n\n\nclass Bad(SyncApp):\n    value: float\n\n"
         "    def step(self, neighbours):\n        self.value = 1.0 / (3 - self.k) if self.robot.name == 'r1' else 0.0\n"
     )
-    report, outcome = simulate(str(app), "--robots", "5", "--topology", "loop", "--iterations", "50", *DROP)
+    report, outcome = run_virtually(str(app), "--robots", "5", "--topology", "loop", "--iterations", "50", *DROP)
     (problem,) = report["problems"]
     assert "r1" in problem
     assert "iteration 3" in problem
@@ -186,7 +186,7 @@ def test_changes_of_members_are_the_same_bytes_whatever_the_hashes_are(tmp_path)
 
 def test_a_robot_that_is_none_cannot_be_switched_off():
     with pytest.raises(ConfigError, match="--off r9@1s,2s: the robots are r0"):
-        simulate(*LOOP, "--off", "r9@1s,2s")
+        run_virtually(*LOOP, "--off", "r9@1s,2s")
 
 
 def test_a_lone_robot_goes_on_at_its_pace_after_a_change_of_members():
@@ -218,5 +218,5 @@ def test_an_error_in_converged_is_the_apps_fault(tmp_path):
         "from swarm import SyncApp\n\nclass Unsure(SyncApp):\n    value: float\n\n    def step(self, neighbours):\n"
         "        self.value += 1\n\n    def converged(self):\n        return 1 / (self.k - 3)\n"
     )
-    report, _ = simulate(str(app), "--robots", "2", "--until", "converged")
+    report, _ = run_virtually(str(app), "--robots", "2", "--until", "converged")
     assert any("ZeroDivisionError" in problem for problem in report["problems"])

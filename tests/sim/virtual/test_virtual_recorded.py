@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from conftest import thinned
 
-from sim.virtual.run import simulate
+from sim.virtual.run import run_virtually
 from swarm.recording.run import Run
 
 Told = list[tuple[float, str, dict]]
@@ -13,7 +13,7 @@ Told = list[tuple[float, str, dict]]
 
 def recorded(place: Path, *arguments: str) -> Told:
     """Time, topic and message of all that a run has recorded."""
-    simulate(*arguments, "--record", str(place))
+    run_virtually(*arguments, "--record", str(place))
     return [(sample.t, sample.topic, sample.message) for sample in Run(place).samples()]
 
 
@@ -43,7 +43,7 @@ def test_links_are_recorded_as_up_from_when_they_are(tmp_path: Path) -> None:
 
 
 def test_a_power_cycle_is_a_restart() -> None:
-    report, outcome = simulate(
+    report, outcome = run_virtually(
         *("consensus", "--robots", "3", "--topology", "loop", "--seconds", "12", "--absent", "drop"),
         *("--off", "r1@1s,2s", "--off", "r1@6s,1s", "--off", "r2@start,1s"),
     )

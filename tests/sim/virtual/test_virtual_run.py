@@ -8,7 +8,7 @@ from sim.report import summary
 from sim.report_table import table
 from sim.scenario.options import parse
 from sim.scenario.scenario import build
-from sim.virtual.run import PLACE, simulate
+from sim.virtual.run import PLACE, run_virtually
 from sim.virtual.run import VirtualRun as Virtual
 from swarm.errors import ConfigError
 from swarm.messages import SetAppParameters, read
@@ -25,7 +25,7 @@ def values(outcome):
 
 @pytest.fixture(scope="module")
 def undisturbed():
-    return simulate(*SIX, rows=True)
+    return run_virtually(*SIX, rows=True)
 
 
 def test_consensus_ends_on_the_mean_in_the_time_of_the_links(undisturbed):
@@ -51,27 +51,27 @@ def test_consensus_ends_on_the_mean_in_the_time_of_the_links(undisturbed):
     ],
 )
 def test_whatever_the_links_do_the_trajectory_stays_bit_equal(undisturbed, disturbance):
-    report, outcome = simulate(*SIX, *disturbance, rows=True)
+    report, outcome = run_virtually(*SIX, *disturbance, rows=True)
     assert report["problems"] == []
     assert values(outcome) == values(undisturbed[1])
 
 
 def test_jitter_and_cuts_cost_the_time_that_they_should(undisturbed):
-    jittered, _ = simulate("consensus", "--robots", "6", "--iterations", "600", "--jitter", "10ms")
+    jittered, _ = run_virtually("consensus", "--robots", "6", "--iterations", "600", "--jitter", "10ms")
     # An independent model of lockstep on such links has 39.4 ms on a line of six, 1.4 ms of them for steps and bytes.
     assert jittered["iteration_s_median"] == pytest.approx(0.0380, abs=0.0006)
-    lossy, _ = simulate("consensus", "--robots", "6", "--iterations", "600", "--loss", "50%")
+    lossy, _ = run_virtually("consensus", "--robots", "6", "--iterations", "600", "--loss", "50%")
     # Of two neighbours' frames the later one counts: at a loss of one half that is lost 5/3 times, for one 1 time.
     assert 0.03 + 3.75e-3 < lossy["iteration_s_median"] < 0.03 + 3 * 3.75e-3
-    cut, _ = simulate(*SIX, "--cut", "r2-r3@0.5s,2s")
+    cut, _ = run_virtually(*SIX, "--cut", "r2-r3@0.5s,2s")
     assert cut["seconds"] == pytest.approx(undisturbed[0]["seconds"] + 2.0, abs=0.15)
 
 
 def test_a_loop_goes_on_around_a_link_that_never_comes_back():
     loop = (*SIX, "--topology", "loop")
-    report, outcome = simulate(*loop, "--cut", "r0-r1@0.5s,1000s", rows=True)
+    report, outcome = run_virtually(*loop, "--cut", "r0-r1@0.5s,1000s", rows=True)
     assert report["problems"] == []
-    assert values(outcome) == values(simulate(*loop, rows=True)[1])
+    assert values(outcome) == values(run_virtually(*loop, rows=True)[1])
     # Over the other five links, of 30 ms each.
     assert report["iteration_s_median"] == pytest.approx(5 * 0.03, abs=0.005)
 
@@ -79,7 +79,7 @@ def test_a_loop_goes_on_around_a_link_that_never_comes_back():
 def test_equal_seeds_give_equal_recordings_and_others_do_not(tmp_path):
     def files(name, *arguments):
         folder = tmp_path / name
-        simulate(*SIX, "--jitter", "10ms", "--record", str(folder), *arguments)
+        run_virtually(*SIX, "--jitter", "10ms", "--record", str(folder), *arguments)
         return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
     first = files("a")
@@ -89,9 +89,9 @@ def test_equal_seeds_give_equal_recordings_and_others_do_not(tmp_path):
 
 
 def test_a_robot_alone_and_an_automatic_topology_run():
-    report, _ = simulate("consensus", "--robots", "1", "--iterations", "5")
+    report, _ = run_virtually("consensus", "--robots", "1", "--iterations", "5")
     assert report["iterations"] == 5
-    report, _ = simulate("consensus", "--robots", "5", "--topology", "auto", "--iterations", "20")
+    report, _ = run_virtually("consensus", "--robots", "5", "--topology", "auto", "--iterations", "20")
     assert report["iterations"] == 20
 
 
@@ -101,7 +101,7 @@ def test_a_fault_of_the_app_is_named_with_robot_and_iteration(tmp_path):
         "from swarm import SyncApp\n\n\nclass Bad(SyncApp):\n    value: float\n\n"
         "    def step(self, neighbours):\n        self.value = 1.0 / (3 - self.k) if self.robot.name == 'r1' else 0.0\n"
     )
-    report, _ = simulate(str(app), "--robots", "3", "--iterations", "20")
+    report, _ = run_virtually(str(app), "--robots", "3", "--iterations", "20")
     assert len(report["problems"]) == 1
     assert "r1" in report["problems"][0]
     assert "iteration 3" in report["problems"][0]
@@ -109,14 +109,14 @@ def test_a_fault_of_the_app_is_named_with_robot_and_iteration(tmp_path):
 
 
 def test_a_run_that_cannot_go_on_says_who_is_waited_for():
-    report, _ = simulate(*SIX, "--cut", "r2-r3@0.5s,1000s")
+    report, _ = run_virtually(*SIX, "--cut", "r2-r3@0.5s,1000s")
     (problem,) = report["problems"]
     assert "r3" in problem
     assert "no iteration for" in problem
 
 
 def test_localization_measures_and_finds_the_target():
-    report, _ = simulate("localization", "--robots", "3", "--iterations", "60")
+    report, _ = run_virtually("localization", "--robots", "3", "--iterations", "60")
     assert report["problems"] == []
     assert report["error_cm"] < 8
 
@@ -130,7 +130,7 @@ def test_a_replay_ends_where_the_recording_does(tmp_path):
     )
     for robot in range(2):
         (tmp_path / f"{robot}.csv").write_text(rows)
-    report, outcome = simulate("localization", "--replay", str(tmp_path), "--latency", "0ms")
+    report, outcome = run_virtually("localization", "--replay", str(tmp_path), "--latency", "0ms")
     assert report["problems"] == []
     assert report["iterations"] == outcome.scenario.iterations == 12
 
@@ -165,14 +165,14 @@ class Blink(PeriodicApp):
 
 
 def test_robots_without_an_app_stand_and_a_push_topples_one():
-    report, _ = simulate("--robots", "2", "--seconds", "3", "--push", "r1@1s,0.6")
+    report, _ = run_virtually("--robots", "2", "--seconds", "3", "--push", "r1@1s,0.6")
     assert report["result"]["r0"] == {"mode": "balancing", "tilt_deg": 0.0, "fault": ""}
     assert report["result"]["r1"]["mode"] != "balancing"
 
 
 def test_a_button_reaches_an_event_driven_app_and_its_neighbours():
     app = str(EXAMPLES / "button_count.py")
-    report, _ = simulate(app, "--robots", "3", "--seconds", "4", "--press", "r1.A@1s", "--press", "r1.A@2s")
+    report, _ = run_virtually(app, "--robots", "3", "--seconds", "4", "--press", "r1.A@1s", "--press", "r1.A@2s")
     assert all(result["presses"] == 2 for result in report["result"].values())
 
 
@@ -180,7 +180,7 @@ def test_a_channel_runs_beside_the_periodic_app_that_it_belongs_to(tmp_path):
     app = tmp_path / "blink.py"
     app.write_text(BLINK)
     records = tmp_path / "records"
-    report, outcome = simulate(str(app), "--robots", "4", "--iterations", "40", "--record", str(records))
+    report, outcome = run_virtually(str(app), "--robots", "4", "--iterations", "40", "--record", str(records))
     assert report["problems"] == []
     assert report["iterations"] == 40
     assert all(result["f"] == pytest.approx(2.5, abs=0.01) for result in report["result"].values())
@@ -198,21 +198,21 @@ def test_a_fault_of_a_handler_is_named(tmp_path):
         "from swarm import EventApp\n\n\nclass Bad(EventApp):\n    value: int\n\n"
         "    def on_button(self, button):\n        raise RuntimeError(button)\n"
     )
-    report, _ = simulate(str(app), "--robots", "3", "--seconds", "5", "--press", "r2.C@1s")
+    report, _ = run_virtually(str(app), "--robots", "3", "--seconds", "5", "--press", "r2.C@1s")
     (problem,) = report["problems"]
     assert "r2" in problem
     assert "RuntimeError: c" in problem
 
 
 def test_an_app_that_waits_for_events_ends_when_nothing_happens():
-    report, _ = simulate(str(EXAMPLES / "button_count.py"), "--robots", "2", "--press", "r0.A@1s")
+    report, _ = run_virtually(str(EXAMPLES / "button_count.py"), "--robots", "2", "--press", "r0.A@1s")
     assert report["problems"] == []
     assert report["result"]["r1"] == {"presses": 1}
 
 
 @pytest.mark.slow
 def test_an_app_that_never_rests_and_has_no_iterations_ends():
-    report, _ = simulate("led_sync", "--algorithm", "thesis", "--robots", "2")
+    report, _ = run_virtually("led_sync", "--algorithm", "thesis", "--robots", "2")
     assert report["problems"] == []
     assert report["seconds"] == 120.0
 
@@ -231,7 +231,7 @@ def test_a_periodic_app_follows_an_automatic_topology(tmp_path):
         '        return {"near": self._seen, "links": links, "changes": self._changes}\n'
     )
     auto = ("--robots", "5", "--topology", "auto", "--iterations", "120", "--cut", "r0-r1@30s,100s")
-    report, _ = simulate(str(app), *auto)
+    report, _ = run_virtually(str(app), *auto)
     results = report["result"].values()
     assert all(result["near"] == result["links"] for result in results)
     assert max(result["changes"] for result in results) == 2
@@ -274,13 +274,13 @@ def test_parameters_of_a_channel_change_while_it_runs(tmp_path):
 
 def test_a_run_without_latency_needs_a_limit_of_iterations():
     with pytest.raises(ConfigError, match="--latency 0: such a run needs --iterations"):
-        simulate("consensus", "--robots", "2", "--latency", "0ms", "--seconds", "1")
-    report, _ = simulate("consensus", "--robots", "2", "--latency", "0ms", "--iterations", "20")
+        run_virtually("consensus", "--robots", "2", "--latency", "0ms", "--seconds", "1")
+    report, _ = run_virtually("consensus", "--robots", "2", "--latency", "0ms", "--iterations", "20")
     assert report["iterations"] == 20
 
 
 def test_a_run_of_less_than_a_second_ends_in_time():
-    report, _ = simulate("consensus", "--robots", "2", "--seconds", "0.3")
+    report, _ = run_virtually("consensus", "--robots", "2", "--seconds", "0.3")
     assert report["seconds"] == pytest.approx(0.3, abs=0.05)
 
 
@@ -291,7 +291,7 @@ def test_a_run_for_some_seconds_ends_though_a_robot_never_comes_to_its_first_ite
         "        if self.robot.name == 'r1':\n            raise ValueError('broken')\n"
         "    def step(self, neighbours):\n        self.value += 1\n"
     )
-    report, _ = simulate(str(file), "--robots", "3", "--seconds", "5", "--absent", "drop", "--drop-after", "2")
+    report, _ = run_virtually(str(file), "--robots", "3", "--seconds", "5", "--absent", "drop", "--drop-after", "2")
     assert any("broken" in problem for problem in report["problems"])
     assert report["seconds"] < 100
 
@@ -316,7 +316,9 @@ def test_a_robot_that_is_switched_off_twice_before_its_app_begins_runs_it_once()
 
 
 def test_a_robot_that_is_off_stays_off_for_longer_when_it_is_switched_off_again():
-    report, _ = simulate("consensus", "--robots", "3", "--iterations", "300", "--off", "r1@1s,2s", "--off", "r1@2s,5s")
+    report, _ = run_virtually(
+        "consensus", "--robots", "3", "--iterations", "300", "--off", "r1@1s,2s", "--off", "r1@2s,5s"
+    )
     assert report["seconds"] > 7.0
 
 
@@ -327,7 +329,7 @@ def test_an_authors_app_with_the_name_of_a_built_in_one_is_the_authors(tmp_path,
         "from swarm import SyncApp\nclass Mine(SyncApp):\n    value: float\n    def step(self, neighbours):\n"
         "        self.value += 1\n"
     )
-    report, outcome = simulate(str(file), "--robots", "2")
+    report, outcome = run_virtually(str(file), "--robots", "2")
     assert report["app"] == file.stem
     assert report["iterations"] == 100
     assert outcome.scenario.lying is None

@@ -20,7 +20,7 @@ from laptop.plotting.style import figure
 from sim.report import summary
 from sim.scenario.options import parse
 from sim.scenario.scenario import build
-from sim.virtual.run import PLACE, VirtualRun, simulate
+from sim.virtual.run import PLACE, VirtualRun, run_virtually
 from swarm.recording.run import Run
 from swarm.recording.virtual_file import DirectRecording
 
@@ -38,7 +38,7 @@ def runs(tmp_path_factory):
         ("unicast_demo", "--robots", "4", "--seconds", "4", *press),
         ("stand_up", "--robots", "2", "--seconds", "8", "--press", "r1.A@1s"),
     ):
-        simulate(app, *options, "--record", str(folder / app))
+        run_virtually(app, *options, "--record", str(folder / app))
     return folder
 
 
@@ -95,7 +95,7 @@ def test_a_result_is_drawn_by_its_plain_name_and_one_unknown_column_among_known_
 def test_the_map_of_an_authors_app_has_the_target_that_it_ranges_to_and_its_estimates(tmp_path):
     finder = Path(__file__).parents[3] / "examples" / "find_target.py"
     words = ("--robots", "3", "--iterations", "15", "--target-velocity", "0.05,0.02")
-    simulate(str(finder), *words, "--record", str(tmp_path / "run"))
+    run_virtually(str(finder), *words, "--record", str(tmp_path / "run"))
     path = tmp_path / "map.svg"
     assert plot(tmp_path / "run", "--kind", "map", "-o", path) == 0
     text = path.read_text()
@@ -165,7 +165,7 @@ def test_the_moment_a_robot_stands_is_the_apps_own(runs, tmp_path):
 
 
 def test_no_tilt_is_drawn_while_a_robot_is_off(tmp_path):
-    simulate("stand_up", "--robots", "2", "--seconds", "14", "--press", "r1.A@1s", "--off", "r0@5s,4s",
+    run_virtually("stand_up", "--robots", "2", "--seconds", "14", "--press", "r1.A@1s", "--off", "r0@5s,4s",
              "--record", str(tmp_path / "run"))  # fmt: skip
     with figure(tmp_path / "x.svg", settings=style.RC) as made:
         KINDS["standup"](made, Run(tmp_path / "run"))
@@ -219,7 +219,7 @@ def test_a_recorded_message_is_followed_over_all_links(runs):
 def test_a_target_that_moves_is_drawn_on_its_way(tmp_path):
     record = tmp_path / "run"
     moving = ("--algorithm", "moving", "--target-velocity", "0.1,0.05", "--seconds", "4")
-    _, outcome = simulate("localization", *moving, "--record", str(record))
+    _, outcome = run_virtually("localization", *moving, "--record", str(record))
     run = Run(record)
     way = [(sample.message["x"], sample.message["y"]) for sample in run.samples("swarm/r0/sim/target")]
     assert way[0] == (0.5, 1.0)
@@ -255,7 +255,7 @@ def test_words_of_links_that_cross_stand_apart():
 
 def test_each_of_two_floods_under_way_at_once_has_its_own_arrivals(tmp_path):
     press = ("--press", "r0.A@1s", "--press", "r0.B@1.02s", "--press", "r0.C@3s")
-    simulate("flooding_demo", "--robots", "4", "--seconds", "4", *press, "--record", str(tmp_path))
+    run_virtually("flooding_demo", "--robots", "4", "--seconds", "4", *press, "--record", str(tmp_path))
     run = Run(tmp_path)
     found = _arrivals(_requests(run), _answers(run), _heard(run))
     assert [sorted(robot for _, robot in each) for each in found.values()] == [["r1", "r2", "r3"]] * 3
@@ -323,7 +323,9 @@ def test_of_real_robots_the_picture_says_that_its_clock_is_that_of_the_leds(tmp_
 
 
 def test_flashes_of_a_robot_that_others_went_on_without_are_compared_with_none(tmp_path):
-    simulate("led_sync", "--robots", "3", "--seconds", "9", "--push", "r0@4s,0.5", "--record", str(tmp_path / "run"))
+    run_virtually(
+        "led_sync", "--robots", "3", "--seconds", "9", "--push", "r0@4s,0.5", "--record", str(tmp_path / "run")
+    )
     with figure(tmp_path / "leds.svg", settings=style.RC) as made:
         KINDS["leds"](made, Run(tmp_path / "run"))
     below = made.axes[1]

@@ -8,7 +8,7 @@ import threading
 import pytest
 
 from laptop.cli import main
-from sim.virtual.run import simulate
+from sim.virtual.run import run_virtually
 from swarm.bus.zenoh_bus import Bus
 from swarm.messages import AppState, Links, LinkState, Pose, type_of
 from swarm.messages.codec import decode
@@ -20,7 +20,7 @@ from swarm.recording.run import Run
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
-    simulate("localization", "--robots", "2", "--iterations", "10", "--record", str(folder / "x"))
+    run_virtually("localization", "--robots", "2", "--iterations", "10", "--record", str(folder / "x"))
     return folder / "x"
 
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from laptop.cli import main
-from sim.virtual.run import simulate
+from sim.virtual.run import run_virtually
 from swarm.errors import RecordingError
 from swarm.recording import thesis_csv
 from swarm.recording.run import Run
@@ -122,7 +122,7 @@ def test_any_text_is_read_or_refused(text, kind):
 
 def test_a_run_of_ours_goes_out_and_can_be_replayed(tmp_path):
     """What a simulated swarm estimated and measured, as the thesis would have written it: our own replay takes it."""
-    simulate("localization", "--robots", "3", "--iterations", "20", "--record", str(tmp_path / "run"))
+    run_virtually("localization", "--robots", "3", "--iterations", "20", "--record", str(tmp_path / "run"))
     assert swarm("export", tmp_path / "run", "--csv", tmp_path / "csv", "--table", tmp_path / "table") == 0
     recordings = read_folder(tmp_path / "csv")
     run = Run(tmp_path / "run")
@@ -151,7 +151,7 @@ def test_two_files_that_share_a_topic_are_refused(tmp_path, capsys):
 
 
 def test_robots_that_drive_to_their_places_go_out_with_all_their_states(tmp_path):
-    simulate("formation", "--robots", "3", "--iterations", "8", "--record", str(tmp_path / "run"))
+    run_virtually("formation", "--robots", "3", "--iterations", "8", "--record", str(tmp_path / "run"))
     assert swarm("export", tmp_path / "run", "--csv", tmp_path / "csv") == 0
     known = Run(tmp_path / "run").trajectories()["r0"].rows
     assert (tmp_path / "csv" / "0.csv").read_text().count(",0\n") == len(known) - 1
@@ -169,7 +169,7 @@ def test_an_estimate_goes_out_with_the_measurement_of_its_own_step():
 
 
 def test_states_of_ours_go_out_as_new_and_sent(tmp_path):
-    simulate("consensus", "--robots", "2", "--iterations", "2", "--record", str(tmp_path / "run"))
+    run_virtually("consensus", "--robots", "2", "--iterations", "2", "--record", str(tmp_path / "run"))
     assert swarm("export", tmp_path / "run", "--csv", tmp_path / "consensus") == 0
     lines = (tmp_path / "consensus" / "1.csv").read_text().splitlines()
     assert [line.count(",") for line in lines] == [1, 2, 2, 2, 2]
@@ -179,7 +179,7 @@ def test_states_of_ours_go_out_as_new_and_sent(tmp_path):
 
 
 def test_one_file_for_all_robots(tmp_path):
-    simulate("consensus", "--robots", "2", "--iterations", "5", "--record", str(tmp_path / "run"))
+    run_virtually("consensus", "--robots", "2", "--iterations", "5", "--record", str(tmp_path / "run"))
     assert swarm("export", tmp_path / "run", "--mcap", tmp_path / "all.mcap") == 0
     before, after = Run(tmp_path / "run"), Run(tmp_path / "all.mcap")
     said = [(sample.topic, sample.data) for sample in after.samples()]

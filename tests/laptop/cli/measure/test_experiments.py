@@ -15,7 +15,7 @@ from needs import needs_ssh
 from laptop.cli.measure import experiments
 from laptop.cli.measure.experiments import Laboratory, config_of
 from services.mesh.core.routing.physical_links import callers, physical, piconets
-from sim.virtual.run import simulate
+from sim.virtual.run import run_virtually
 from swarm.config import Config, load, parse
 from swarm.config.dump import dump
 from swarm.config.example import EXAMPLE
@@ -156,7 +156,7 @@ RECORDED = {"line-3": "4", "loop-3": "6"}
 def test_three_robots_make_their_runs_over_ssh_and_the_report_finds_their_radio(robots: FakeRobots) -> None:
     """The robots' systemd and apps are doubles; deploying, starting, asking and fetching are not."""
     for name, edges in RECORDED.items():
-        simulate(
+        run_virtually(
             "consensus", "--robots", "3", "--topology", name.removesuffix("-3"), "--links", "graph",
             "--radio", "slots:stay=0.2,host=0.004", "--iterations", "60", "--seed", "5",
             "--record", str(robots.folder / "recorded" / edges),

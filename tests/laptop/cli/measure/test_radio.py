@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from laptop.cli.measure import radio
-from sim.virtual.run import simulate
+from sim.virtual.run import run_virtually
 from swarm.errors import LocalError
 from swarm.messages import LinkState
 
 
 def record(path: Path, iterations: int) -> None:
-    simulate(
+    run_virtually(
         "consensus", "--robots", "4", "--topology", "loop", "--links", "graph", "--radio", "slots:stay=0.25",
         "--iterations", str(iterations), "--record", str(path),
     )  # fmt: skip

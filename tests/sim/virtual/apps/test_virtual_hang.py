@@ -6,7 +6,7 @@ import threading
 import pytest
 
 from sim.virtual.apps import hang
-from sim.virtual.run import simulate
+from sim.virtual.run import run_virtually
 from swarm.recording.run import Run
 
 SYNC = """\
@@ -53,7 +53,7 @@ def app(tmp_path, text):
 @pytest.mark.parametrize("how", [LOOP, "time.sleep(100)"])
 def test_a_step_that_hangs_is_named(tmp_path, how):
     words = ("--robots", "3", "--iterations", "20", "--record", str(tmp_path / "run"))
-    report, outcome = simulate(app(tmp_path, SYNC.format(how=how)), *words, rows=True)
+    report, outcome = run_virtually(app(tmp_path, SYNC.format(how=how)), *words, rows=True)
     (problem,) = report["problems"]
     assert problem.startswith("r1 app Hanging on r1, iteration 7: ")
     assert "hanging.py, line 10: Hangs: it has not ended within" in problem
@@ -69,13 +69,13 @@ def test_a_step_that_hangs_is_named(tmp_path, how):
 def test_the_others_go_on_where_they_may(tmp_path):
     drop = ("--absent", "drop", "--drop-after", "1")
     words = ("--robots", "3", "--topology", "full", "--iterations", "200", *drop)
-    report, outcome = simulate(app(tmp_path, SYNC.format(how=LOOP)), *words, rows=True)
+    report, outcome = run_virtually(app(tmp_path, SYNC.format(how=LOOP)), *words, rows=True)
     assert report["missing"] == ["r1"]
     assert [outcome.trajectories[name].last for name in ("r0", "r1", "r2")] == [200, 7, 200]
 
 
 def test_a_handler_that_hangs_is_named(tmp_path):
-    report, _ = simulate(app(tmp_path, PERIODIC), "--robots", "2", "--seconds", "3")
+    report, _ = run_virtually(app(tmp_path, PERIODIC), "--robots", "2", "--seconds", "3")
     (problem,) = report["problems"]
     assert "Hanging on r1, step 3: " in problem
     assert re.search("line (9|10): Hangs", problem)
@@ -85,7 +85,7 @@ def test_a_hanging_app_is_stopped_in_another_thread_too(tmp_path):
     """As a worker of Dask runs it."""
     found = []
     path = app(tmp_path, SYNC.format(how=LOOP))
-    thread = threading.Thread(target=lambda: found.append(simulate(path, "--robots", "2", "--iterations", "20")))
+    thread = threading.Thread(target=lambda: found.append(run_virtually(path, "--robots", "2", "--iterations", "20")))
     thread.start()
     thread.join()
     assert "iteration 7" in found[0][0]["problems"][0]
@@ -94,5 +94,5 @@ def test_a_hanging_app_is_stopped_in_another_thread_too(tmp_path):
 def test_steps_that_end_are_left_alone(tmp_path):
     """Many that together take longer than one may."""
     path = app(tmp_path, SYNC.format(how="pass").replace("self.value += 1.0", "time.sleep(0.02)"))
-    report, _ = simulate(path, "--robots", "2", "--iterations", "20")
+    report, _ = run_virtually(path, "--robots", "2", "--iterations", "20")
     assert report["problems"] == []

@@ -4,7 +4,7 @@ import pytest
 
 from sim.scenario.options import parse
 from sim.scenario.scenario import build
-from sim.virtual.run import PLACE, VirtualRun, simulate
+from sim.virtual.run import PLACE, VirtualRun, run_virtually
 from swarm.errors import ConfigError, LocalError
 
 ARGUMENTS = ("consensus", "--robots", "12", "--topology", "random:3", "--iterations", "60")
@@ -20,8 +20,8 @@ ARGUMENTS = ("consensus", "--robots", "12", "--topology", "random:3", "--iterati
     ],
 )
 def test_states_are_bit_equal_and_times_alike(links):
-    with_mesh, first = simulate(*ARGUMENTS, *links, rows=True)
-    delays, second = simulate(*ARGUMENTS, *links, "--mesh", "delay", rows=True)
+    with_mesh, first = run_virtually(*ARGUMENTS, *links, rows=True)
+    delays, second = run_virtually(*ARGUMENTS, *links, "--mesh", "delay", rows=True)
     for name, path in first.trajectories.items():
         assert second.trajectories[name].rows == path.rows
     assert delays["iteration_s_median"] == pytest.approx(with_mesh["iteration_s_median"], rel=0.06)
@@ -45,16 +45,16 @@ def _calls(*more: str) -> float:
 
 
 def test_periodic_apps_and_devices_run_on_delays():
-    report, _ = simulate("examples/follow_leds.py", "--robots", "4", "--iterations", "10", "--mesh", "delay")
+    report, _ = run_virtually("examples/follow_leds.py", "--robots", "4", "--iterations", "10", "--mesh", "delay")
     assert report["iterations"] == 10
     assert report["problems"] == []
 
 
 def test_what_needs_a_mesh_is_refused():
     with pytest.raises(LocalError, match="neighbours alone"):
-        simulate("flooding_demo", "--robots", "3", "--press", "r0.A@1s", "--seconds", "3", "--mesh", "delay")
+        run_virtually("flooding_demo", "--robots", "3", "--press", "r0.A@1s", "--seconds", "3", "--mesh", "delay")
     with pytest.raises(ConfigError, match="automatic"):
-        simulate("consensus", "--topology", "auto", "--mesh", "delay")
+        run_virtually("consensus", "--topology", "auto", "--mesh", "delay")
 
 
 def test_a_large_swarm_has_a_short_table(capsys):
@@ -62,7 +62,7 @@ def test_a_large_swarm_has_a_short_table(capsys):
     from sim.report_table import MOST_ROWS, table
 
     arguments = ("consensus", "--robots", "60", "--topology", "loop", "--iterations", "3", "--mesh", "delay")
-    report, outcome = simulate(*arguments)
+    report, outcome = run_virtually(*arguments)
     text = table(summary(outcome), outcome)
     assert "and 10 robots more" in text
     assert len(report["result"]) == 60

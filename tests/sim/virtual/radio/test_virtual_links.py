@@ -11,7 +11,7 @@ from iteration_moments import moments_of
 from bench.radio.swarm import SIZE, fail_over, transfer
 from sim.scenario.options import parse
 from sim.scenario.scenario import build
-from sim.virtual.run import PLACE, VirtualRun, simulate
+from sim.virtual.run import PLACE, VirtualRun, run_virtually
 from swarm.errors import ConfigError
 
 SIX = ("consensus", "--robots", "6", "--topology", "thesis-d")
@@ -24,30 +24,30 @@ def rows(outcome):
 
 @pytest.fixture(scope="module")
 def graph():
-    return rows(simulate(*SIX, "--iterations", "60", rows=True)[1])
+    return rows(run_virtually(*SIX, "--iterations", "60", rows=True)[1])
 
 
 @pytest.mark.parametrize("radio", [(), ("--radio", "slots")])
 @pytest.mark.parametrize("links", ["star", "auto"])
 def test_what_carries_a_topology_changes_no_bit_of_a_run(graph, links, radio):
-    report, outcome = simulate(*SIX, "--iterations", "60", "--links", links, *radio, rows=True)
+    report, outcome = run_virtually(*SIX, "--iterations", "60", "--links", links, *radio, rows=True)
     assert report["problems"] == []
     assert rows(outcome) == graph
 
 
 def test_more_robots_than_a_hub_has_links_for_are_carried_by_several_hubs():
     many = ("consensus", "--robots", "11", "--topology", "loop", "--iterations", "30")
-    report, outcome = simulate(*many, "--links", "tree", rows=True)
+    report, outcome = run_virtually(*many, "--links", "tree", rows=True)
     assert report["problems"] == []
-    assert rows(outcome) == rows(simulate(*many, rows=True)[1])
+    assert rows(outcome) == rows(run_virtually(*many, rows=True)[1])
 
 
 @pytest.mark.parametrize("app", ["led_sync", "localization"])
 def test_apps_of_other_kinds_run_over_a_star(app):
     arguments = (app, "--robots", "4", "--topology", "line", "--seconds", "3")
-    report, _ = simulate(*arguments, "--links", "star")
+    report, _ = run_virtually(*arguments, "--links", "star")
     assert report["problems"] == []
-    assert report["iterations"] == pytest.approx(simulate(*arguments)[0]["iterations"], rel=0.6)
+    assert report["iterations"] == pytest.approx(run_virtually(*arguments)[0]["iterations"], rel=0.6)
 
 
 def world(*arguments):
@@ -67,15 +67,15 @@ def test_a_robot_has_the_topologys_neighbours_and_the_hubs_links():
 
 
 def test_a_cut_of_a_hubs_link_holds_a_run_up_and_changes_nothing(graph):
-    report, outcome = simulate(*SIX, "--iterations", "60", "--links", "star", "--cut", "r0-r2@0.5s,4s", rows=True)
+    report, outcome = run_virtually(*SIX, "--iterations", "60", "--links", "star", "--cut", "r0-r2@0.5s,4s", rows=True)
     assert report["problems"] == []
     assert report["seconds"] > 4
     assert rows(outcome) == graph
 
 
 def test_a_cut_between_two_robots_that_the_hub_joins_costs_nothing():
-    quiet, _ = simulate(*SIX, "--iterations", "60", "--links", "star")
-    cut, _ = simulate(*SIX, "--iterations", "60", "--links", "star", "--cut", "r1-r2@0.5s,4s")
+    quiet, _ = run_virtually(*SIX, "--iterations", "60", "--links", "star")
+    cut, _ = run_virtually(*SIX, "--iterations", "60", "--links", "star", "--cut", "r1-r2@0.5s,4s")
     assert cut["seconds"] == quiet["seconds"]
 
 

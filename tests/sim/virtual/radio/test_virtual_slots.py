@@ -9,21 +9,21 @@ from sim.report import summary
 from sim.report_table import table
 from sim.scenario.options import parse
 from sim.scenario.scenario import build
-from sim.virtual.run import PLACE, VirtualRun, simulate
+from sim.virtual.run import PLACE, VirtualRun, run_virtually
 from swarm.errors import ConfigError
 
 CONSENSUS = ("consensus", "--robots", "3", "--topology", "line", "--set", "r2.value=4", "--iterations", "60")
 
 
 def test_a_run_over_the_slot_radio_ends_with_the_same_bits_as_one_over_plain_links():
-    plain, _ = simulate(*CONSENSUS)
-    slots, _ = simulate(*CONSENSUS, "--radio", "slots")
+    plain, _ = run_virtually(*CONSENSUS)
+    slots, _ = run_virtually(*CONSENSUS, "--radio", "slots")
     assert slots["problems"] == []
     assert slots["result"] == plain["result"]
 
 
 def test_a_slot_run_is_reproducible_and_depends_on_its_seed():
-    runs = [simulate(*CONSENSUS, "--radio", "slots", "--seed", seed)[0] for seed in ("1", "1", "2")]
+    runs = [run_virtually(*CONSENSUS, "--radio", "slots", "--seed", seed)[0] for seed in ("1", "1", "2")]
     for run in runs:
         del run["computed_s"]
     assert runs[0] == runs[1]
@@ -31,14 +31,14 @@ def test_a_slot_run_is_reproducible_and_depends_on_its_seed():
 
 
 def test_a_cut_ends_a_link_of_the_slot_radio_and_it_comes_back():
-    report, _ = simulate(*CONSENSUS, "--iterations", "200", "--radio", "slots", "--cut", "r0-r1@0.5s,8s")
+    report, _ = run_virtually(*CONSENSUS, "--iterations", "200", "--radio", "slots", "--cut", "r0-r1@0.5s,8s")
     assert report["problems"] == []
     assert report["iterations"] == 200
     assert report["seconds"] > 8
 
 
 def test_a_robot_that_comes_late_is_called_and_waited_for_over_the_slot_radio():
-    report, _ = simulate(*CONSENSUS, "--radio", "slots", "--off", "r2@start,7s")
+    report, _ = run_virtually(*CONSENSUS, "--radio", "slots", "--off", "r2@start,7s")
     assert report["problems"] == []
     assert report["iterations"] == 60
 
@@ -121,7 +121,7 @@ def test_a_robot_that_is_on_again_before_its_links_are_given_up_has_them_again(r
 
 def test_a_report_says_how_late_the_radio_of_real_processes_was():
     late = {"frames": 300, "late_mean_s": 0.0005, "late_most_s": 0.012, "stood_still_s": 2.0}
-    outcome = replace(simulate(*CONSENSUS)[1], radio=late)
+    outcome = replace(run_virtually(*CONSENSUS)[1], radio=late)
     report = summary(outcome)
     assert report["radio"] == late
     said = "radio       0.5 ms late on average, 12.0 ms at most, with 300 frames; it stood still for 2 s"

@@ -9,7 +9,7 @@ from services.mesh.core.overlays.robot_overlays import MEMBERS_PERIOD, RobotOver
 from services.mesh.core.routing.link_state import HOLD_DOWN, HOPS, REFRESH, AdvertisedLinks, LinkStateMap
 from services.mesh.core.routing.membership import SETTLE
 from services.mesh.core.routing.topology import Advertisement, Weight, routes, routes_by_hops
-from sim.virtual.run import simulate
+from sim.virtual.run import run_virtually
 
 NAMES = [f"r{i}" for i in range(9)]
 PAIRS = [(a, b) for a in NAMES for b in NAMES if a < b]
@@ -121,8 +121,8 @@ def test_a_robot_of_a_settled_swarm_whose_links_never_come_up_notices_that():
 
 def test_a_settled_swarm_computes_what_one_does_that_has_just_begun():
     arguments = ("consensus", "--robots", "12", "--topology", "random:3", "--iterations", "40")
-    cold, first = simulate(*arguments, "--mesh", "start", rows=True)
-    settled, second = simulate(*arguments, "--mesh", "settled", rows=True)
+    cold, first = run_virtually(*arguments, "--mesh", "start", rows=True)
+    settled, second = run_virtually(*arguments, "--mesh", "settled", rows=True)
     assert {name: path.rows for name, path in first.trajectories.items()} == {
         name: path.rows for name, path in second.trajectories.items()
     }
@@ -137,7 +137,7 @@ def test_in_a_settled_swarm_a_broken_link_is_told_and_floods_reach_all(tmp_path)
         "    def on_message(self, message):\n        self.heard += 1\n\n"
         "    def on_answer(self, ticket, outcome):\n        self.reached = len(outcome.robots)\n"
     )
-    report, _ = simulate(
+    report, _ = run_virtually(
         str(app), "--robots", "12", "--topology", "loop", "--mesh", "settled", "--seconds", "15",
         "--press", "r0.A@1s", "--cut", "r3-r4@2s,9s", "--press", "r5.A@8s",
     )  # fmt: skip
