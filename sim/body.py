@@ -10,7 +10,8 @@ from swarm.process.edges import run
 
 
 def main() -> None:
-    """Stand up, since nobody has to be warned of a simulated robot; where they begin lying they wait for an order."""
+    """Run the balancer. The robot stands up at once, since it endangers nobody. If it begins lying, it waits for a
+    command."""
     balance(simulated_bus, start_mode="rest" if lying() else "stand")
 
 

@@ -17,11 +17,11 @@ from swarm.recording.trajectory import Trajectory
 Json = dict[str, object]
 
 REPLAY_BOUND_CM = 0.1
-"""By so much a replay may differ from what was recorded: the thesis' own recordings are followed to 0.001 cm."""
+"""Largest deviation of a replay from the recording, cm. The thesis' own recordings are followed to 0.001 cm."""
 END_BOUND_CM = 10.0
-"""By so much another algorithm's last estimates may differ from the recorded ones: 6 cm in the thesis' recordings."""
+"""Largest deviation of another algorithm's last estimates from the recorded ones, cm: 6 in the thesis' recordings."""
 SETTLED_CM = 20.0
-"""Estimates that have moved by less over their last third have settled: in the thesis' recordings by up to 12 cm."""
+"""Largest motion of a settled estimate over its last third, cm: up to 12 in the thesis' recordings."""
 
 TARGET_COLUMNS = ("result.x", "result.y")
 
@@ -35,7 +35,7 @@ class RunOutcome:
     started_s: float | None
     """Seconds from the command to the first iteration of all robots; None where there was none."""
     seconds: float
-    """How long it ran after that."""
+    """Duration of the run after that, s."""
     trajectories: Mapping[str, Trajectory]
     bodies: Mapping[str, BalancerState | None]
     messages: int | None
@@ -50,15 +50,15 @@ class RunOutcome:
     computed_s: float | None = None
     """Seconds that a run under virtual time took to compute; None of one in real time."""
     scene: Mapping[str, object] = field(default_factory=dict)
-    """What the world saw of it (sim/scene.py)."""
+    """Figures of what the world saw of the run (sim/scene.py)."""
     moves_from: float = math.inf
     """The time at which a target that moves began to, by the clock of the trajectories, s."""
     beside: Mapping[str, Mapping[str, Trajectory]] = field(default_factory=dict)
     """The trajectories of other apps that the robots ran meanwhile."""
     never: tuple[str, ...] = ()
-    """What was to happen and did not, and why."""
+    """One sentence for each disturbance that did not happen, with the reason."""
     radio: Mapping[str, float] = field(default_factory=dict)
-    """How late the process was that is the radio (`sim.processes.radio`)."""
+    """The lateness of the radio process (`sim.processes.radio`), by name; empty without one."""
 
     def target(self, t: float) -> tuple[float, float]:
         """Return the target's place at a time of the trajectories, m."""
@@ -144,7 +144,7 @@ def summary(outcome: RunOutcome) -> Json:
 
 
 def is_consensus(scenario: Scenario) -> bool:
-    """Return whether it is the built-in app, whose truth is known."""
+    """Return whether the run is about the built-in app, whose truth is known."""
     return scenario.built_in == "consensus"
 
 

@@ -1,6 +1,6 @@
-"""Orders to a running simulation: apps of its robots start and stop, as systemd would have it on real ones.
+"""Requests to a running simulation: apps of its robots start and stop, as systemd would have it on real ones.
 
-A datagram to RUN/orders.sock, which the simulation answers: msgpack maps both ways.
+A request is a datagram to RUN/orders.sock, and the simulation answers by another one. Both are msgpack maps.
 """
 
 import socket
@@ -37,7 +37,7 @@ class AppRequest:
 
 
 def request_app(run_dir: Path, act: str, app: str, robots: Sequence[str], settings: Sequence[str] = ()) -> str:
-    """Have it done by the simulation in `run_dir`; what was done, in words. Raises `LocalError`."""
+    """Have the simulation in `run_dir` start or stop an app. Return what was done, in words. Raises `LocalError`."""
     order = encode(check(act, app, robots, settings))
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
         sock.bind("")  # a name that the kernel chooses, for the answer
@@ -55,7 +55,7 @@ def request_app(run_dir: Path, act: str, app: str, robots: Sequence[str], settin
 
 
 def check(act: str, app: str, robots: Sequence[str], settings: Sequence[str] = ()) -> AppRequest:
-    """The order if it can be one, else `LocalError`."""
+    """Return the request with these values. Raises `LocalError` for values that no request has."""
     if act not in ACTS:
         raise LocalError(f"expected {' or '.join(ACTS)}, got {act[:20]!r}")
     if not is_name(app):
@@ -68,7 +68,7 @@ def check(act: str, app: str, robots: Sequence[str], settings: Sequence[str] = (
 
 
 def unpack(datagram: bytes) -> AppRequest:
-    """The order in a datagram; `PayloadError` where there is none."""
+    """Return the request in a datagram. Raises `PayloadError` for a datagram without one."""
     try:
         found = decode(AppRequest, datagram, SOCKET)
         return check(found.act, found.app, found.robots, found.settings)

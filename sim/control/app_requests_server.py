@@ -1,4 +1,4 @@
-"""The simulation's ear for orders (`sim.control.app_requests`): it starts and stops apps, and answers."""
+"""Receives requests to start and stop apps in a simulation (`sim.control.app_requests`)."""
 
 import contextlib
 from collections.abc import Callable, Sequence
@@ -16,7 +16,7 @@ _AT_ONCE = 8
 
 
 class Orders:
-    """Looked at by the simulation's main thread, which is the one that may start processes."""
+    """The requests that reach a simulation. Its main thread, the only one that may start processes, calls `look`."""
 
     def __init__(
         self,
@@ -30,7 +30,7 @@ class Orders:
         self._socket = datagrams.receiver(run_dir, app_requests.SOCKET)
 
     def look(self) -> list[str]:
-        """Carry out what has come; what was done, in words."""
+        """Carry out the requests that have come. Return what was done, in words."""
         said = []
         arrived = datagrams.received(self._socket, app_requests.MAX_DATAGRAM)
         for datagram, sender in islice(arrived, _AT_ONCE):

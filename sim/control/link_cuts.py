@@ -1,5 +1,5 @@
-"""Cutting the simulated radio: the process that is the radio is told, or each end of a link by a datagram to its mesh's
-`sim:` transport. A file in the run directory tells it to those that are being restarted, once they are back."""
+"""Cuts of the simulated radio. The radio process is told of a cut. Where there is none, a datagram tells the `sim:`
+transport of the mesh at each end of the link. A file in the run directory tells meshes that start later."""
 
 import contextlib
 import socket
@@ -43,7 +43,7 @@ def cut_link(run_dir: Path, robot: str, peer: str, seconds: float) -> None:
 
 
 def silence(run_dir: Path, robot: str, peer: str, seconds: float) -> None:
-    """Let nothing pass between `robot` and `peer` at the robot's end; a cut link wants both ends told.
+    """Let nothing pass between `robot` and `peer` at the robot's end. A link is cut when both ends are told.
 
     Raises OSError where the robot's mesh is not there.
     """

@@ -14,7 +14,7 @@ from swarm.errors import PayloadError
 MAX_DATAGRAM = 256
 
 KEPT = (DISK, "dwm.tty")
-"""What stays in a robot's directory: its disk, and the module at its serial port, which has a battery of its own."""
+"""Entries that stay in a robot's directory: its disk, and the module at its serial port, which has its own battery."""
 LOGS = ".log"
 """The log files that the simulation itself writes there."""
 
@@ -33,7 +33,7 @@ class Power:
         self._socket = datagrams.receiver(run_dir, SOCKET)
 
     def look(self, now: float) -> None:
-        """Do what was asked, and boot what has been off for long enough."""
+        """Switch off the robots for which that was asked, and boot those that have been off for long enough."""
         for datagram, _ in datagrams.received(self._socket, MAX_DATAGRAM):
             try:
                 wish = unpack(datagram)
@@ -47,7 +47,7 @@ class Power:
             self._processes.start(robot)
 
     def off(self, robot: str, now: float, seconds: float) -> None:
-        """Switch a robot off, and after so many seconds on. One that is off already stays so for longer."""
+        """Switch a robot off, and after so many seconds on. A robot that is off already stays off for longer."""
         if robot not in self._off:
             self.cycles[robot] += 1
             self._switch_off(robot)

@@ -67,5 +67,5 @@ class ActionEffects:
             target[address] = source.pop(address)
 
     def handle_timer(self, now: float) -> None:
-        """Let go what was held long enough."""
+        """Release the buttons that were held long enough."""
         self._robot.atmega.press(sum(1 << bit for bit, until in enumerate(self._until) if now < until))

@@ -1,4 +1,4 @@
-"""Acts of a person on a simulated robot: press a button, push it, lay it down; and the datagrams that tell its body.
+"""Actions of a person on a simulated robot: press a button, push it, lay it down; and the datagrams that tell its body.
 
 The world uses the same way to say where a body that is started again had been.
 """
@@ -147,12 +147,13 @@ _OF: dict[type[SimulationAction], bytes] = {kind: name.encode() for name, kind i
 
 
 def pack(act: SimulationAction) -> bytes:
-    """The datagram: the act's name, a colon, its fields as msgpack."""
+    """Return the datagram of an action: its name, a colon, its fields as msgpack."""
     return _OF[type(act)] + b":" + encode(act)
 
 
 def unpack(datagram: bytes) -> SimulationAction:
-    """The inverse of `pack`; raises `PayloadError` or `LocalError` for what is no act, or out of range."""
+    """Return the action in a datagram of `pack`. Raises `PayloadError` or `LocalError` for one that is none, or out of
+    range."""
     name, _, fields = datagram.partition(b":")
     kind = _NAMES.get(name.decode("ascii", "replace"))
     if kind is None:
@@ -161,7 +162,7 @@ def unpack(datagram: bytes) -> SimulationAction:
 
 
 def check(act: SimulationAction) -> SimulationAction:
-    """The same act; raises `LocalError` where it cannot be done."""
+    """Return the same action. Raises `LocalError` for one that is impossible."""
     match act:
         case Press(button, seconds):
             if button not in BUTTONS:

@@ -19,9 +19,9 @@ _NOTES_ROOM = 1 + 2 * balboa.TUNE_NOTES
 _WINDOW_END = balboa.MAILBOX_WINDOW + balboa.WINDOW_SIZE
 _CHANGES_KEPT = 64
 _FREE_STACK = 1100
-"""Bytes; what the firmware shows in the simulator."""
+"""Bytes of free stack that the firmware shows in the simulator."""
 _STOPPED = bytes(4)
-"""Of MOTORS: both duties 0."""
+"""The field MOTORS with both duties 0."""
 
 _MOTION = struct.Struct("<2HB")
 _BATTERY = struct.Struct("<H")
@@ -42,10 +42,10 @@ class AtmegaDevice:
         self.battery = 7.4
         """V."""
         self.tune: tuple[int, tuple[tuple[int, int], ...]] = (0, ())
-        """The last one written: volume, pairs of pitch and duration in 10 ms."""
+        """The tune that was written last: volume, pairs of pitch and duration in 10 ms."""
         self.in_bootloader = False
         self.led_changes: deque[tuple[float, tuple[bool, bool, bool]]] = deque(maxlen=_CHANGES_KEPT)
-        """When the LEDs' registers changed, and to what; for the world, which takes them out."""
+        """The times and values of changes of the LEDs' registers; the world takes them out."""
         self._lit = (False, False, False)
         self._buttons = 0
         self._motor_signs, self._encoder_signs = [1, 1], [1, 1]
@@ -71,17 +71,17 @@ class AtmegaDevice:
 
     @property
     def leds(self) -> tuple[bool, bool, bool]:
-        """Red, yellow, green as they shine."""
+        """Return whether the red, the yellow and the green LED shine."""
         red, yellow, green = self._buffer[balboa.LEDS : balboa.LEDS + 3]
         return bool(red), bool(yellow), bool(green)
 
     @property
     def motors(self) -> tuple[float, float]:
-        """Duties in force, left and right."""
+        """Return the duties in force, left and right."""
         return balboa.decode_motors(bytes(self._buffer[balboa.MOTORS : balboa.MOTORS + 4]))
 
     def press(self, buttons: int) -> None:
-        """Hold buttons down: bit 0 A, bit 1 B, bit 2 C."""
+        """Hold buttons down: bit 0 is A, bit 1 is B, bit 2 is C."""
         self._buttons = buttons & 7
 
     def reverse(self, what: str, side: int, *, reversed_: bool) -> None:
@@ -127,7 +127,7 @@ class AtmegaDevice:
             self._refuse()
 
     def read(self, count: int, now: float) -> bytes:
-        """Bytes from the index on; zeros beyond the last field."""
+        """Return bytes from the index on; beyond the last field they are zeros."""
         del now
         joint = balboa.STATUS + 1
         if self._onward and self._index <= joint < self._index + count:
@@ -139,7 +139,7 @@ class AtmegaDevice:
         return self._run(count)
 
     def _run(self, count: int) -> bytes:
-        """Bytes from the index on, one after the other."""
+        """Return bytes from the index on, one after the other."""
         start, self._index = self._index, min(0xFF, self._index + count)
         if self._marking:
             self._mark = self._index
@@ -219,7 +219,7 @@ class AtmegaDevice:
         self._buffer[balboa.REFUSED] = (self._buffer[balboa.REFUSED] + 1) % 256
 
     def _apply(self, values: bytes, now: float) -> bool:
-        """False for what makes no sense."""
+        """Apply values that were written at the index. Return False for values that make no sense."""
         first = self._index
         if first < balboa.ENCODERS:
             self._buffer[first : first + len(values)] = values

@@ -31,7 +31,7 @@ REST_TILT = math.radians(110)
 
 
 class BalboaBody:
-    """State of one body. Starts held upright, as by a hand, until the first motor command that is not zero."""
+    """State of one body. A hand holds the body upright until the first motor command that is not zero."""
 
     def __init__(
         self,
@@ -63,7 +63,7 @@ class BalboaBody:
         self._prepare()
 
     def _prepare(self) -> None:
-        """Everything of the equations that does not change."""
+        """Compute the coefficients of the equations, which do not change."""
         model, r = self.model, self.model.wheel_radius
         self._m11 = model.mass + model.wheel_mass + (model.wheel_inertia + model.rotor_inertia) / r**2
         self._m22 = model.inertia + model.mass * model.lever**2 + model.rotor_inertia
@@ -138,7 +138,7 @@ class BalboaBody:
             self.push(momentum)
 
     def wheel_angles(self) -> tuple[float, float]:
-        """Left and right wheel against the body since the start, rad: what the encoders count."""
+        """Return the angles of the left and right wheel against the body since the start, rad. Encoders count them."""
         half = self.turn * self.model.track / 2
         r = self.model.wheel_radius
         return (self.travel - half) / r - self.tilt, (self.travel + half) / r - self.tilt
@@ -197,7 +197,7 @@ class BalboaBody:
         return spin * dt
 
     def _turn_by_hand(self, seconds: float) -> None:
-        """The motors may run meanwhile: the wheels are held, too."""
+        """Turn the body as a hand lays it down. The motors may run meanwhile: the hand holds the wheels, too."""
         self.speed = self.turn_rate = 0.0
         self.acceleration = self.tilt_acceleration = 0.0
         target = self._hand * REST_TILT
@@ -217,7 +217,7 @@ class BalboaBody:
         self.acceleration = self.tilt_acceleration = 0.0
 
     def _integrate(self, steps: int) -> None:
-        """The inner loop: some thousand steps a second for each robot, hence everything in local names."""
+        """Integrate so many steps. A robot takes some thousand steps a second, hence everything is in local names."""
         model = self.model
         r, half_track = model.wheel_radius, model.track / 2
         m11, m22, ml, rotor = self._m11, self._m22, self._ml, self._rotor_coupling

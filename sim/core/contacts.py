@@ -15,7 +15,7 @@ from sim.core.track import Point
 TOUCH_M = 0.15
 """Distance between axles at which two robots touch."""
 APART_M = 0.17
-"""Distance at which a contact is over: nearer again is another one."""
+"""Distance at which a contact is over. If the robots come nearer again, that is another contact."""
 HIT_AGAIN_S = 0.03
 """Shortest time between two hits of one contact: bodies report every 0.04 s, and both need a report since the last."""
 MOST_CONTACTS = 1000
@@ -75,7 +75,7 @@ class Contacts:
     """Keeps where all robots are. Times are of one clock, s."""
 
     def __init__(self, masses: Mapping[str, float]) -> None:
-        """`masses`: of each robot, kg."""
+        """`masses`: the mass of each robot, kg."""
         self._masses = masses
         self._bodies: dict[str, _Body] = {}
         self._cells: dict[tuple[int, int], list[str]] = {}
@@ -85,7 +85,7 @@ class Contacts:
         """Robots that stood when they were hit last, and when that was."""
         self.closest: Closest | None = None
         self.contacts: list[Contact] = []
-        """The first ones, at most `MOST_CONTACTS`."""
+        """The first contacts, at most `MOST_CONTACTS`."""
         self.count = 0
         self.fallen: list[tuple[float, str]] = []
         """The robots that fell soon after a hit, with the times."""
@@ -126,7 +126,7 @@ class Contacts:
         return self._hits(*pair, approach)
 
     def _near(self, robot: str) -> Iterator[str]:
-        """The robots that may touch it, or be nearer to it than any two were."""
+        """Yield the robots that may touch a robot, or be nearer to it than any two were."""
         if self.closest is None or self.closest.distance > _CELL_M:
             yield from (other for other in self._bodies if other != robot)
             return
@@ -145,13 +145,13 @@ class Contacts:
         self._bodies[robot] = body
 
     def _normal(self, robot: str, other: str) -> tuple[float, Point]:
-        """Distance, and the direction from one to the other."""
+        """Return the distance, and the direction from one robot to the other."""
         a, b = self._bodies[robot], self._bodies[other]
         distance = math.hypot(b.x - a.x, b.y - a.y)
         return distance, ((b.x - a.x) / distance, (b.y - a.y) / distance) if distance > 0.0 else (1.0, 0.0)
 
     def _approach(self, robot: str, other: str) -> float:
-        """Speed with which the two come nearer, m/s."""
+        """Return the speed at which two robots come nearer to each other, m/s."""
         _, (nx, ny) = self._normal(robot, other)
         a, b = self._bodies[robot], self._bodies[other]
         return (a.vx - b.vx) * nx + (a.vy - b.vy) * ny

@@ -35,10 +35,10 @@ class Device(Protocol):
     """A device that answers at an address."""
 
     def write(self, data: bytes, now: float) -> None:
-        """The bytes of a write transaction, at least one; OSError 121 where one is not acknowledged."""
+        """Take the bytes of a write transaction, at least one. Raises OSError 121 for one that is not acknowledged."""
 
     def read(self, count: int, now: float) -> bytes:
-        """The bytes of a read transaction."""
+        """Return the bytes of a read transaction."""
 
 
 class ImuErrors(NamedTuple):
@@ -218,7 +218,7 @@ class SimulatedRobot:
         }
         """The devices by address; a device that is taken out is absent."""
         self.sda_held = False
-        """A device holds SDA low in the middle of a byte: nothing goes until nine clock pulses have come."""
+        """Whether a device holds SDA low in the middle of a byte: then nothing goes until nine clock pulses."""
         self.failures: list[int] = []
         """Error numbers with which the next transfers fail, 0 = this one does not."""
         self.bits = 0
@@ -253,7 +253,7 @@ class SimulatedRobot:
         return (BITS_PER_TRANSFER + BITS_PER_BYTE * (1 + count)) / self.scl + held
 
     def wire_s(self) -> float:
-        """Time on the wire so far, s."""
+        """Return the time on the wire so far, s."""
         return self._wire_s
 
     def _reach(self, address: int, count: int, now: float) -> Device:

@@ -13,7 +13,7 @@ _PAGE_ADDRESSING = 2
 
 
 class DisplayDevice:
-    """Powered up: dark, and its memory is anything."""
+    """An SSD1306 that has just been powered up: it is dark, and its memory holds anything."""
 
     def __init__(self) -> None:
         self.reset()
@@ -43,7 +43,8 @@ class DisplayDevice:
         return bytes((0x00 if self._on else 0x40,)) * count
 
     def picture(self) -> list[str]:
-        """64 lines of 128 characters, `#` bright, as one sees it with the connector on top; all dark when it is off."""
+        """Return 64 lines of 128 characters, `#` bright, as one sees the picture with the connector on top. A display
+        that is off is all dark."""
         if not (self._on and self._pump):
             return ["." * COLUMNS] * (8 * PAGES)
         lines = []

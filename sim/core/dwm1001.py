@@ -41,7 +41,7 @@ RESTART = 1.0
 """Seconds that `reset` takes."""
 
 JOINING = 0.5
-"""Seconds from there until it belongs to its network."""
+"""Seconds from the end of a restart until the module belongs to its network."""
 
 STILL_AFTER = 2.0
 """Seconds without motion until the accelerometer says that it stands still [estimated]."""
@@ -56,7 +56,7 @@ UNKNOWN_CALL, BAD_PARAMETER = 1, 3
 
 VERSION = Version((1, 3, 0, 1), 0x00010700, 0xDECA002A)
 READY_RATE = UpdateRate(1, 1)
-"""As `swarm dwm configure` leaves it."""
+"""The rates that `swarm dwm configure` sets."""
 
 BANNER = "\r\n\r\n DWM1001 TWR Real Time Location System (simulated)\r\n\r\n Help      :  ? or help\r\n\r\ndwm> "
 
@@ -68,11 +68,11 @@ class Flash:
     settings: Settings
     rate: UpdateRate = READY_RATE
     place: Position = NOWHERE
-    """Of an anchor."""
+    """The place of an anchor."""
 
 
 class Dwm1001:
-    """One module. `settings` are those in force."""
+    """One module. Its `settings` are those in force."""
 
     def __init__(
         self,
@@ -139,7 +139,7 @@ class Dwm1001:
                 self._location, self._located = self._measure(), True
 
     def receive(self, data: bytes, now: float) -> None:
-        """Bytes from the line."""
+        """Take bytes from the line."""
         if now < self._away_until:
             return
         if self.in_shell:
@@ -178,7 +178,7 @@ class Dwm1001:
         self._answer(encode_refusal(UNKNOWN_CALL), now)
 
     def _call(self, request: bytes, now: float) -> bytes:
-        """The answer to one whole request."""
+        """Return the answer to one whole request."""
         try:
             call = calls.call_of(request)
         except FrameError:
@@ -269,7 +269,7 @@ class Dwm1001:
         return not self.settings.anchor and self.settings.uwb == UWB_ACTIVE
 
     def _period(self) -> float:
-        """s from the last measurement to the next; a motion ends a long one."""
+        """Return the seconds from the last measurement to the next. A motion ends a long period."""
         rate = self.flash.rate
         still = self.settings.stationary and self._measured - self._moved >= STILL_AFTER
         return (rate.still if still else rate.moving) * calls.RATE_UNIT

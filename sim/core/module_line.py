@@ -20,11 +20,11 @@ TTY = "dwm.tty"
 PERIOD = 0.100
 PATIENCE = 0.090
 SILENCE = 0.005
-"""Seconds after which what was begun will not go on."""
+"""Seconds of silence after which an answer that was begun will not go on."""
 MAILBOX_PATIENCE = 0.5
 PAGES = 10
 MAILBOX_SIZE = PAGES * balboa.WINDOW_SIZE
-"""Bytes."""
+"""Bytes of the mailbox."""
 
 _REPORT_HEAD = struct.Struct("<HH")
 _HEAD, _PLACE, _RECORD = 21, slice(5, 18), 20
@@ -32,12 +32,12 @@ _HEAD, _PLACE, _RECORD = 21, slice(5, 18), 20
 
 
 def module_address(index: int) -> str:
-    """Short address of the module of the robot of this number, where the config gives none."""
+    """Return the short address of the module of the robot of this number, where the config gives none."""
     return f"{0xDE00 + index:04X}"
 
 
 class ModuleLine:
-    """See the module. Times are those of the caller's clock."""
+    """The line as its module describes it. Times are those of the caller's clock."""
 
     def __init__(self, now: float) -> None:
         self.state = UwbState.SILENT
@@ -66,7 +66,7 @@ class ModuleLine:
         self.mail, self.echo, self.answer_length, self._request_length = Mail.BUSY, token, 0, length
 
     def reporting(self, now: float) -> Callable[[], bytes]:
-        """Tells the UWB block as it is now, to who asks for it later: few do."""
+        """Return a function that makes the UWB block as it is at this moment: few ask for it."""
         sequence, came, report = self.newest, self._came, self._report
 
         def block() -> bytes:
@@ -76,7 +76,7 @@ class ModuleLine:
         return block
 
     def receive(self, data: bytes, now: float) -> None:
-        """Bytes from the module."""
+        """Take bytes from the module."""
         self._last_byte, self._heard = now, True
         if self._line == "mail":
             self._answer += data
@@ -85,7 +85,7 @@ class ModuleLine:
             self._read_location(now)
 
     def handle_timer(self, now: float) -> None:
-        """Give up what is late, ask anew when it is time."""
+        """Give up an answer that is late, and ask anew when it is time."""
         if self._line == "poll":
             if self._heard and now - self._last_byte >= SILENCE:
                 self._decoder.reset()
@@ -104,7 +104,7 @@ class ModuleLine:
             self._ask("poll", LOC_GET.request, now)
 
     def to_send(self) -> bytes:
-        """Bytes for the module."""
+        """Return the bytes for the module."""
         data, self._out = self._out, b""
         return data
 
