@@ -68,7 +68,7 @@ class Off:
 
     robot: str
     at: float | None
-    """s, counted like a cut's; None: from the beginning."""
+    """Time like a cut's, s; None: from the beginning."""
     seconds: float
     span: Span | None = None
 
@@ -124,7 +124,7 @@ D = TypeVar("D", bound=Disturbance)
 
 SWITCHED_OFF = "the robot was switched off then"
 NOT_RUNNING = "the service did not run then"
-"""Why a disturbance was not possible."""
+"""Reasons for which a disturbance was not possible."""
 
 
 def parsed_cut(text: str) -> Cut:
@@ -180,8 +180,8 @@ def parsed_press(text: str) -> ScheduledPress:
 
 
 def drawn(asked: Sequence[D], names: Sequence[str], seed: int, links: Collection[Edge] = ()) -> tuple[D, ...]:
-    """The same with the times, robots and links that the seed draws. Raises `ConfigError` for a robot or a link that is
-    none."""
+    """Return the disturbances with the times, robots and links that the seed draws. Raises `ConfigError` for a robot or
+    a link that does not exist."""
     found = []
     for index, each in enumerate(asked):
         numbers = random.Random(f"{seed} {type(each).__name__} {index}")

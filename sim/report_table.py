@@ -16,7 +16,7 @@ MOST_ROWS = 50
 
 
 def table(report: Json, outcome: RunOutcome) -> str:
-    """The report for people."""
+    """Return the report as text for people."""
     rows = [("robot", "iterations", *_headings(outcome), "restarts")]
     names = outcome.scenario.config.names
     for name in names[:MOST_ROWS]:

@@ -20,7 +20,7 @@ EVERY = 5
 """Iterations that one draw of the noise holds."""
 
 ITERATION = 0.32
-"""s; what the thesis' iterations took in its five localization runs."""
+"""Duration of an iteration in the thesis' five localization runs, s."""
 
 Point = tuple[float, float]
 
@@ -48,7 +48,7 @@ def noisy_recordings(
 
 
 def as_csv(recording: ThesisRecording) -> str:
-    """The recording in the layout of `swarm.recording.thesis_ranges`; the columns of estimates are zero."""
+    """Return the recording in the layout of `swarm.recording.thesis_ranges`; the columns of estimates are zero."""
     lines = ["0.0" + ",0.0" * 6]
     for t, row in zip(recording.times, recording.rows, strict=True):
         distance, own_x, own_y = (100.0 * value for value in row)

@@ -88,7 +88,8 @@ class SceneRecord:
         return Phases(percentile(near, 95), percentile(every, 95), self._synchronous(since))
 
     def _synchronous(self, since: float) -> float | None:
-        """The first flash after which for a while all went on together."""
+        """Return the time of the first flash after which all LEDs went on together throughout `WINDOW_S`; None without
+        one."""
         end = min(times[-1] for times in self.flashes.values()) - WINDOW_S
         for begin in sorted({t for times in self.flashes.values() for t in times if since <= t <= end}):
             windows = {
@@ -105,7 +106,8 @@ class SceneRecord:
         return None
 
     def misfits(self, offsets: Mapping[str, Point]) -> list[tuple[float, float]]:
-        """Time, and how far the robots are from the shape with these places (root mean square, m, wherever it is)."""
+        """Return times, and how far the robots are then from the shape with these places (root mean square, m),
+        wherever the shape is."""
         if not all(self.tracks.values()):
             return []
         begin = max(track.begin for track in self.tracks.values())

@@ -24,13 +24,13 @@ class Track:
         return len(self._times)
 
     def __iter__(self) -> Iterator[tuple[float, Point]]:
-        """Times (s) and places (m), in order."""
+        """Yield times (s) and places (m), in order."""
         for t, x, y in zip(self._times, self._x, self._y, strict=True):
             yield t, (x, y)
 
     @property
     def begin(self) -> float:
-        """Time of the first place, s."""
+        """Return the time of the first place, s."""
         return self._times[0]
 
     def add(self, t: float, place: Point) -> None:
@@ -46,7 +46,7 @@ class Track:
         self._y.append(place[1])
 
     def at(self, t: float) -> Point | None:
-        """The first place at or after a time, or the last one; None before the first."""
+        """Return the first place at or after a time, or the last place; None before the first one."""
         if not self._times or t < self._times[0]:
             return None
         i = min(bisect_left(self._times, t), len(self._times) - 1)

@@ -23,7 +23,7 @@ QUALITY = {3: 60, 4: 90}
 _STEPS = 20
 _CONVERGED = 1e-5
 _FAR = 1000.0
-"""m: a solution farther away is none."""
+"""Distance beyond which a solution does not count, m."""
 
 
 @frozen
@@ -39,9 +39,9 @@ class ErrorModel:
     hidden: float = 0.05
     """Probability of no line of sight."""
     hidden_excess: float = 0.30
-    """Mean of the exponential detour then."""
+    """Mean of the exponential detour without line of sight."""
     hidden_noise: float = 0.10
-    """Standard deviation then, in place of `noise`."""
+    """Standard deviation without line of sight, in place of `noise`."""
     outlier: float = 0.01
     """Probability of a wild error, uniform within +/- `outlier_size`, on top."""
     outlier_size: float = 0.50
@@ -64,11 +64,11 @@ class Module:
 
     address: str
     x: float
-    """Where it really is, m."""
+    """The true place of the module, m."""
     y: float
     z: float
     known: Position
-    """Where it was set up to be, as it says itself; quality 0 = not set up, no tag positions itself by it."""
+    """The place that the module was given and tells. With quality 0 it has none, and no tag positions itself by it."""
 
 
 class Tag:
@@ -116,9 +116,9 @@ class Tag:
 def least_squares_point(
     places: Sequence[tuple[float, float, float]], distances: Sequence[float]
 ) -> tuple[float, float] | None:
-    """The point at height 0 with the least squares of range errors, by Gauss-Newton from the anchors' centre.
+    """Return the point at height 0 with the least squares of range errors, by Gauss-Newton from the anchors' centre.
 
-    None with fewer than three ranges, with anchors in a line, or where the steps do not converge.
+    Return None with fewer than three ranges, with anchors in a line, or where the steps do not converge.
     """
     if len(places) < 3:
         return None

@@ -18,7 +18,7 @@ class SimulatedBus:
         *,
         take: Callable[[float], None] | None = None,
     ) -> None:
-        """`on_transfer(now)` is called after each write: where the truth is told to the world.
+        """`on_transfer(now)` is called after each write, and tells the truth to the world.
 
         `take(seconds)` lets the time pass that a transfer or a pause takes. Without it that time is counted only: six
         robots on a small machine would wake up 1500 times a second for nothing.

@@ -25,7 +25,7 @@ ANCHORS = "anchors"
 
 _IDENTITY = 0xDECA9AABC0A2 << 16
 _MOTION = 0.01
-"""m or rad that the accelerometer of a simulated module notices [estimated]."""
+"""Smallest motion, m or rad, that the accelerometer of a simulated module notices [estimated]."""
 
 
 class SimulatedModule:
@@ -46,7 +46,7 @@ class SimulatedModule:
         path.symlink_to(os.ttyname(self._far))
 
     def fileno(self) -> int:
-        """Readable when there is something for `receive`."""
+        """Return a descriptor that is readable when there is something for `receive`."""
         return self._near
 
     def handle_timer(self, now: float) -> None:
@@ -57,7 +57,7 @@ class SimulatedModule:
                 os.write(self._near, data)
 
     def receive(self, now: float) -> None:
-        """Read what came over the line."""
+        """Read the bytes that came over the line."""
         with contextlib.suppress(BlockingIOError):
             self.module.receive(os.read(self._near, 4096), now)
 
@@ -76,9 +76,9 @@ class ModuleBoard:
         self._config = config
         self._seed = seed
         self._modules: dict[str, SimulatedModule] = {}
-        """By robot, or by the address of one that stands by itself."""
+        """The modules by robot, or by the address of a module that stands by itself."""
         self._places: dict[str, tuple[float, float, float, float]] = {}
-        """Where each is: x, y, z in m, heading in rad."""
+        """The place of each module: x, y, z in m, heading in rad."""
         self._selector = selectors.EpollSelector()
         self._target = target = config.dwm.target
         self.moves_from = math.inf
@@ -108,7 +108,7 @@ class ModuleBoard:
         module.close()
 
     def module(self, name: str) -> Dwm1001:
-        """The module of a robot, or an anchor's by its address."""
+        """Return the module of a robot, or an anchor's by its address."""
         return self._modules[name].module
 
     def update_pose(self, robot: str, x: float, y: float, heading: float) -> None:
@@ -119,7 +119,7 @@ class ModuleBoard:
             self._modules[robot].module.moved(clock.now())
 
     def fileno(self) -> int:
-        """Readable when `poll` has something to read."""
+        """Return a descriptor that is readable when `poll` has something to read."""
         return self._selector.fileno()
 
     def next_deadline(self) -> float:

@@ -18,20 +18,20 @@ from swarm.errors import LocalError
 from swarm.process.paths import runtime_dir
 
 RETRY_S = 1.0
-"""Between attempts to find the module."""
+"""Seconds between two attempts to find the module."""
 
 
 class ModuleWire:
     """The serial line between the simulated ATmega and the world's DWM1001, a pseudo-terminal."""
 
     def __init__(self, line: Callable[[], ModuleLine], path: Path) -> None:
-        """`line` gives the ATmega's end, which is another one after a reset."""
+        """`line` gives the ATmega's end of the line, which is a new one after each reset."""
         self._line, self._path = line, path
         self._terminal: int | None = None
         self._try_at = 0.0
 
     def carry(self, now: float) -> None:
-        """Bytes in both directions; what finds no one at the other end is lost, as on a wire."""
+        """Carry bytes in both directions. Bytes without a reader at the other end are lost, as on a wire."""
         if self._terminal is None:
             self._open(now)
         request = self._line().to_send()
@@ -57,7 +57,7 @@ class ModuleWire:
 
 
 def lying() -> int:
-    """1 where robots begin on their front, -1 on their back, 0 where they stand up by themselves."""
+    """Return 1 where robots begin on their front, -1 on their back, 0 where they stand up by themselves."""
     text = os.environ.get("SWARM_SIM_LYING", "")
     sides = {"": 0, "front": 1, "back": -1}
     if text not in sides:
@@ -66,7 +66,7 @@ def lying() -> int:
 
 
 def _devices(config: Config, robot: str, body: BalboaBody, noise: random.Random) -> SimulatedRobot:
-    """The devices of a robot, with what [simulation] says of them."""
+    """Return the devices of a robot, with the values that [simulation] gives them."""
     measured, errors = config.simulation, draw_errors(noise)
     if measured.gyro_noise is not None:
         errors = errors._replace(gyro_noise=measured.gyro_noise)

@@ -20,7 +20,7 @@ from swarm.process.paths import socket_path
 WORLD_SOCKET = "world.sock"
 REPORT_S = 0.04
 ANSWER_S = 0.5
-"""How long a world may take to say where the body had been."""
+"""Seconds that a world may take to say where the body had been."""
 _ACTS_AT_ONCE = 4
 _MAX_DATAGRAM = 4096
 
@@ -42,7 +42,7 @@ class WorldClient:
         self._socket.setblocking(False)
 
     def look(self, now: float) -> None:
-        """Report and take acts when it is time; called at every write to the bus."""
+        """Report and take actions when it is time. This is called at every write to the bus."""
         changes = self._robot.atmega.led_changes
         while changes:
             t, (red, yellow, green) = changes[0]
@@ -76,7 +76,7 @@ class WorldClient:
             _log.warning("the world does not say where the body had been: it begins at its place")
 
     def _tell(self, message: dict[str, object]) -> bool:
-        """False where there is no world (yet), which misses it."""
+        """Send a report to the world. Return False where there is no world (yet): the report is lost."""
         try:
             self._socket.sendto(msgpack.packb(message), self._world)
         except OSError:
@@ -84,7 +84,7 @@ class WorldClient:
         return True
 
     def _take(self, now: float) -> bool:
-        """Do one act; False where there is none."""
+        """Do one action. Return False where none waits."""
         try:
             datagram = self._socket.recv(_MAX_DATAGRAM)
         except OSError:

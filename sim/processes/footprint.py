@@ -20,17 +20,19 @@ def commanded() -> float:
 
 
 def resident_mib(children: Iterable[Child]) -> float:
-    """Resident memory of the children and all they started, MiB. Pages shared by several are counted in each."""
+    """Return the resident memory of the children and all they started, MiB. Pages shared by several are counted in
+    each."""
     return sum(_memory_kib(pid, "Rss") for child in children for pid in tree(child)) / 1024
 
 
 def proportional_mib(child: Child) -> float:
-    """Proportional set size of a child and all it started, MiB: shared pages divided among those who share them."""
+    """Return the proportional set size of a child and all it started, MiB: shared pages divided among those who share
+    them."""
     return sum(_memory_kib(pid, "Pss") for pid in tree(child)) / 1024
 
 
 def tree(child: Child) -> list[int]:
-    """Pids of a child and its descendants."""
+    """Return the pids of a child and its descendants."""
     found = [] if child.process is None else [child.process.pid]
     for pid in found:
         for task in Path(f"/proc/{pid}/task").glob("*/children"):

@@ -36,7 +36,7 @@ _TRUTHS = {Truth: "truth", Target: "target", LedChange: "leds"}
 
 @dataclass
 class Seen:
-    """The latest of one robot."""
+    """The latest messages of one robot."""
 
     status: dict[str, Status] = field(default_factory=dict)
     """The status by service."""
@@ -129,7 +129,7 @@ class Monitor:
                 bus.ask(pattern, self._samples[name].__setitem__)
 
     def look(self) -> dict[str, Seen]:
-        """The latest of every robot, by name; it changes with the next look."""
+        """Return the latest messages of every robot, by name. The next look changes them."""
         for name, samples in self._samples.items():
             # dict() of a dict is one step of the interpreter: Zenoh's threads may be storing meanwhile.
             for topic, payload in dict(samples).items():
@@ -139,7 +139,7 @@ class Monitor:
         return self._seen
 
     def said(self) -> list[tuple[str, AppLog]]:
-        """Robot and line of what apps have printed and logged since the last call."""
+        """Return robot and line for all that apps have printed and logged since the last call."""
         found = []
         while self._said:
             topic, payload = self._said.popleft()

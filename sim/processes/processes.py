@@ -19,10 +19,10 @@ from swarm.errors import LocalError
 from swarm.process.simulations import pid_file
 
 RESTART_DELAY_S = 0.2
-"""Seconds, as RestartSec in the units of deploy/systemd."""
+"""Seconds until a service is started again, as RestartSec in the units of deploy/systemd."""
 START_LIMIT = 5
 START_LIMIT_INTERVAL_S = 10.0
-"""A service that ends this often within this time is given up, as StartLimitBurst does."""
+"""A service that ends this often within this time, s, is given up, as StartLimitBurst does."""
 APP_FAULT = 3
 NO_RESTART = (2, APP_FAULT)
 """Exit codes that a restart cannot mend: wrong configuration, fault of an app (RestartPreventExitStatus)."""
@@ -85,20 +85,21 @@ class Child:
             self.restart_at = now + RESTART_DELAY_S
 
     def hold(self) -> None:
-        """End it, and leave it so."""
+        """End the process, and do not start it again."""
         self.held, self.restart_at = True, None
         if self.process is not None:
             self.process.terminate()
             self.process.send_signal(signal.SIGCONT)  # a stopped process would never see the other signal
 
     def release(self) -> None:
-        """Start it if it does not run, whatever went before; one that still ends on order is started when it has."""
+        """Start the process if it does not run, whatever went before. If it is still about to end, it starts after
+        that."""
         self.held, self.given_up, self._ends = False, "", []
         if self.process is None and self.restart_at is None:
             self.start()
 
     def last_words(self, lines: int = 3) -> str:
-        """The end of its log."""
+        """Return the last lines of its log."""
         with contextlib.suppress(OSError):
             return "\n".join(self.log_file.read_text(errors="replace").splitlines()[-lines:])
         return ""
@@ -127,11 +128,11 @@ class Processes:
         self.children.append(child)
 
     def of(self, robot: str) -> list[Child]:
-        """The processes of one robot."""
+        """Return the processes of one robot."""
         return [child for child in self.children if child.robot == robot]
 
     def find(self, robot: str, service: str) -> Child | None:
-        """The process of a robot's service; None where there never was one."""
+        """Return the process of a robot's service; None where there never was one."""
         return next((child for child in self.of(robot) if child.service == service), None)
 
     def kill(self, robot: str) -> None:
@@ -155,7 +156,7 @@ class Processes:
         return True
 
     def start(self, robot: str) -> None:
-        """Boot a robot that `kill` has ended: whatever went before is forgotten."""
+        """Boot a robot that `kill` has ended. Earlier ends of its services do not count any more."""
         for child in self.of(robot):
             child.release()
 
@@ -181,7 +182,8 @@ class Processes:
         return lost
 
     def stop(self, grace_s: float = 3.0) -> None:
-        """End all processes: asked first, apps before what they stand on, killed where they do not listen."""
+        """End all processes, apps before the services that they use. A process that does not end when asked is
+        killed."""
         running = [child.process for child in reversed(self.children) if child.process is not None]
         for process in running:
             with contextlib.suppress(ProcessLookupError):

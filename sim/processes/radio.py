@@ -69,7 +69,7 @@ class SocketEnd(End):
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SOCKET // 2)  # the kernel doubles it
         self._server = server
         self._arrived: deque[bytes] = deque()
-        """What the mesh has not read yet; b"" is the end."""
+        """Bytes that the mesh has not read yet; b"" is the end."""
 
     def take(self) -> bytes | None:
         try:
@@ -124,9 +124,9 @@ class RadioServer:
         """The time of the real clock at which the radio's clock began."""
         self._connections = RadioConnections(self._time, meshes, parameters, seed)
         self.ends: set[SocketEnd] = set()
-        """Those with an open socket."""
+        """The ends with an open socket."""
         self._meshes: dict[str, socket.socket] = {}
-        """To the mesh of each robot that can be called."""
+        """A connection to the mesh of each robot that can be called."""
         self._asking: set[socket.socket] = set()
         """Connections without a request yet."""
         self._calls = 0
@@ -230,7 +230,7 @@ class RadioServer:
         return a != b and a in self._paths and b in self._paths
 
     def _called(self, sock: socket.socket, call: RadioCall, link: RadioLink | None, reason: str) -> None:
-        """A call has ended: tell both meshes."""
+        """Tell both meshes that a call has ended."""
         there = None
         if link is not None and (there := self._connect(call.called, call.caller)) is None:
             self._connections.radio.drop(link)
@@ -255,7 +255,7 @@ class RadioServer:
         self._time.at(self._time.now + LOOK_EVERY, self._look)
 
     def _connect(self, robot: str, caller: str) -> socket.socket | None:
-        """Connect to a robot's mesh as a caller, "": as the radio itself; None where it is not there."""
+        """Connect to a robot's mesh as a caller, "": as the radio itself. Return None where the mesh is not there."""
         self._calls += 1
         sock = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         sock.setblocking(False)
@@ -269,7 +269,7 @@ class RadioServer:
 
 
 def main() -> None:
-    """Run until SIGTERM; then write how late it was."""
+    """Run the radio until SIGTERM; then write how late it was."""
     die_with_parent()
     log.setup("radio")
     reader = argparse.ArgumentParser(prog="sim.processes.radio")

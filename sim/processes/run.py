@@ -96,7 +96,7 @@ class ProcessRun:
         """Robots that are still to come, and when, s after the command."""
         timed = (each for each in scenario.disturbances if each.at is not None)
         self._disturbances = sorted(timed, key=lambda each: each.at or 0.0)
-        """What is still to happen."""
+        """The disturbances that are still to happen."""
         self._impossible: list[str] = []
         """One sentence for each disturbance that was not possible when its time had come."""
 
@@ -251,7 +251,7 @@ class ProcessRun:
             self._progress.say(f"warning: {self._impossible[-1]}")
 
     def _do(self, what: Disturbance, now: float) -> None:
-        """Do it; raises `LocalError` where it is not possible at this moment."""
+        """Cause a disturbance. Raises `LocalError` where it is not possible at this moment."""
         match what:
             case Cut(a, b, _, seconds):
                 cut_link(self._run_dir, a, b, seconds)
@@ -272,7 +272,7 @@ class ProcessRun:
                 datagrams.send_action(self._run_dir / robot, actions.Push(impulse))
 
     def _refresh(self, now: float) -> None:
-        """Have every mesh's counters as they are at the end; one that does not answer keeps the last it told."""
+        """Wait for every mesh's counters as they are at the end. Of a mesh that does not answer the last ones hold."""
         self._monitor.ask_status()
         while clock.now() < now + REFRESH_LIMIT_S:
             seen = self._monitor.look()
@@ -335,7 +335,7 @@ class ProcessRun:
 
 
 def _members(seen: Mapping[str, Seen]) -> tuple[str, ...]:
-    """The robots of the newest epoch that one of them knows."""
+    """Return the members of the newest epoch that a robot knows."""
     epochs = [robot.epoch for robot in seen.values() if robot.epoch is not None]
     newest = max(epochs, key=lambda epoch: (epoch.epoch, epoch.frames), default=None)
     return tuple(seen) if newest is None else newest.members
@@ -364,7 +364,7 @@ def _iteration(seen: Seen) -> int:
 
 
 def _messages(seen: Mapping[str, Seen]) -> int | None:
-    """App frames sent by all meshes, as they count them in their status."""
+    """Return the number of app frames that all meshes have sent, as they count them in their status."""
     counts = [robot.status["mesh"].counters.get("sent_sync", 0) for robot in seen.values() if "mesh" in robot.status]
     return sum(counts) if counts else None
 
@@ -377,7 +377,7 @@ def _ready(seen: Mapping[str, Seen], missing: Mapping[str, Sequence[str]]) -> in
 
 
 def _obstacles(seen: Mapping[str, Seen], missing: Mapping[str, Sequence[str]]) -> str:
-    """Why a swarm did not start, robot by robot."""
+    """Return why a swarm did not start, robot by robot."""
     found = []
     for name, robot in seen.items():
         if missing[name]:

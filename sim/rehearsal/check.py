@@ -21,14 +21,14 @@ PI_FACTOR = 10.0
 """A Pi Zero 2 W (Cortex-A53, 1 GHz) runs plain Python about this much slower than a laptop [estimated: 8 to 15]."""
 
 STEP_BUDGET = 0.010
-"""s on a Pi: a third of what a message takes over Bluetooth, so that a step does not set the pace of the lockstep."""
+"""Longest step on a Pi, s: a third of a message's time over Bluetooth, so that steps do not set the lockstep's pace."""
 
 PATIENCE = 180.0
 """Seconds after which a rehearsal is ended from outside: it hangs where Python cannot be interrupted. Each of the five
 graphs ends by itself after 20 s."""
 
 SEEDS = ("1", "2")
-"""Of Python's hashing, one for each process: sets and dicts of text come in another order."""
+"""Seeds of Python's hashing, one for each process: sets and dicts of text come in another order."""
 
 DESCRIPTION = (
     "Examine an app before any robot moves: what it declares, the size of its messages, the time of a step, and "
@@ -39,7 +39,8 @@ Json = dict[str, Any]
 
 
 def main() -> int:
-    """Exit code 0: nothing is wrong; 1: something is; 2: it could not be looked at."""
+    """Return exit code 0 if nothing is wrong with the app, 1 if something is; the code is 2 if it cannot be
+    examined."""
     parser = argparse.ArgumentParser(prog="swarm check", description=DESCRIPTION)
     parser.add_argument("app", metavar="APP", help=f"a file with an app, or {', '.join(BUILT_IN)}")
     parser.add_argument("--robots", type=int, default=6, metavar="N", help="robots in the rehearsal (6)")
@@ -109,7 +110,7 @@ def judge(one: list[Json], other: list[Json]) -> Json:
 
 
 def text(found: Mapping[str, Any]) -> str:
-    """The findings for people."""
+    """Return the findings as text for people."""
     lines = []
     if "app" in found:
         here, there = 1e6 * found["step_s"], 1e3 * found["step_pi_s"]

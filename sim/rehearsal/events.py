@@ -49,7 +49,7 @@ class RehearsedRobot:
 
     @prints_heard()
     def press(self, button: str) -> None:
-        """Somebody presses "a", "b" or "c"."""
+        """Press the button "a", "b" or "c"."""
         self._world.act(self.name, actions.Press(button.upper(), PRESS_S))
 
     def result(self) -> Mapping[str, Value]:
@@ -83,10 +83,10 @@ class EventRehearsal:
 
     @property
     def now(self) -> float:
-        """s since the start."""
+        """Return the seconds since the start."""
         return self.world.time.now
 
     @prints_heard()
     def run(self, until: float) -> None:
-        """Let time pass, s since the start."""
+        """Let time pass until `until`, s since the start."""
         self.world.time.run(until)

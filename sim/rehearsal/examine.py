@@ -42,13 +42,13 @@ GRAPHS = ("line", "loop", "thesis-d", "full", "random:1")
 """Standard graphs; thesis-d is one of six robots."""
 
 SECONDS = 20.0
-"""Virtual time of an event-driven or periodic app, from when all robots have begun."""
+"""Seconds of virtual time of an event-driven or periodic app, counted from when all robots have begun."""
 
 START_LIMIT = 10.0
 """Seconds of virtual time within which all robots must have begun."""
 
 YES, NO, UNASKED = "yes", "no", "not asked for"
-"""Whether the app has had poses, or ranges, in the rehearsal."""
+"""Words for whether the app has had poses, or ranges, in the rehearsal."""
 
 FRAME = 18
 """Bytes that mesh and lockstep add to a state on an authenticated link (docs/reference/network/frames.md)."""
@@ -65,7 +65,7 @@ class Task:
 
     @property
     def kind(self) -> type[AnyApp]:
-        """The class that runs."""
+        """Return the class that runs."""
         chosen = {one.name: one.value for one in self.settings if one.name == "algorithm"}
         return self.app.choose(chosen)[0]
 
@@ -83,7 +83,7 @@ class _Finding:
     line: int | None = None
     warnings: list[str] = field(default_factory=list)
     seconds: float = 0.0
-    """Virtual time that it was given."""
+    """Seconds of virtual time that the app was given."""
     last: bool = False
     """Whether the app hangs or mostly waits: each other graph would take as long again to say the same."""
     iterations: int = 0
@@ -91,7 +91,7 @@ class _Finding:
     poses: str = UNASKED
     ranges: str = UNASKED
     step_mean: float = 0.0
-    """Seconds of CPU time on this machine."""
+    """Mean CPU time of a step on this machine, s."""
     trend: dict[str, object] = field(default_factory=dict)
     """See `trends.judge`."""
     digests: list[int] = field(default_factory=list)
@@ -256,7 +256,7 @@ def _one_step(
 
 
 def _reversed_step(runner: Runner, act: Callable[[], tuple[bytes, bytes]]) -> tuple[bytes, bytes]:
-    """The step with the neighbours the other way round."""
+    """Do the step with the neighbours in reverse order."""
     app = runner.app
     plain = app.step
     object.__setattr__(app, "step", lambda neighbours: plain(neighbours[::-1]))
@@ -341,7 +341,7 @@ def _events(task: Task, finding: _Finding) -> None:
 
 
 def _pass(swarm: EventRehearsal, until: float) -> None:
-    """Let time pass; `AppError` where an app has failed."""
+    """Let time pass. Raises `AppError` where an app has failed."""
     swarm.run(until)
     for unit in swarm.units.values():
         if unit.fault:
@@ -356,7 +356,7 @@ def _periods(swarm: EventRehearsal) -> dict[str, float | None]:
 
 
 def _had(apps: Sequence[AnyApp]) -> tuple[str, str]:
-    """Whether robots that asked for poses, and for ranges, have some."""
+    """Return whether robots that asked for poses, and for ranges, have some."""
     poses, ranges = [], []
     for app in apps:
         devices, ranging = app.robot.devices, app.robot.ranging

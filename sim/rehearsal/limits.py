@@ -23,7 +23,7 @@ _THIS_THREAD = getattr(resource, "RUSAGE_THREAD", resource.RUSAGE_SELF)
 """Whose pauses are counted; macOS counts those of the whole process only."""
 
 ALARMS = (signal.SIGPROF, signal.SIGALRM)
-"""What ends a step: it has computed, or waited, for too long."""
+"""Signals that end a step: it has computed, or waited, for too long."""
 
 
 class Hang(BaseException):
@@ -35,7 +35,7 @@ class Hang(BaseException):
 
 
 def limited(source: str, act: Callable[[], T]) -> T:
-    """Do it, but not for ever: `Hang` names the line of `source` that it was at."""
+    """Call `act` and return its result. Raises `Hang` with the line of `source` that runs when the time is over."""
     alarm.source = source  # type: ignore[attr-defined]
     signal.setitimer(signal.ITIMER_PROF, STEP_LIMIT)
     signal.setitimer(signal.ITIMER_REAL, WAIT_LIMIT)
@@ -47,25 +47,25 @@ def limited(source: str, act: Callable[[], T]) -> T:
 
 
 class Stopwatch:
-    """The time that something takes from now on."""
+    """Measures time from when it is made."""
 
     def __init__(self) -> None:
         self._clock, self._computed, self._pauses = time.monotonic(), time.process_time(), _pauses()
 
     @property
     def computed(self) -> float:
-        """Seconds of CPU time."""
+        """Return the seconds of CPU time."""
         return time.process_time() - self._computed
 
     @property
     def waited(self) -> float:
-        """Seconds without computing; 0 if this thread has not waited by itself. Then other programs have had the
-        processor, which is no fault of the app."""
+        """Return the seconds without computing; 0 if this thread has not waited by itself. Then other programs have had
+        the processor, which is no fault of the app."""
         return time.monotonic() - self._clock - self.computed if _pauses() > self._pauses else 0.0
 
     @property
     def spent(self) -> str:
-        """The limit of a graph that is over; empty for none."""
+        """Return the limit of a graph that is exceeded, in words; empty for none."""
         if self.computed >= TIME_LIMIT:
             return f"{TIME_LIMIT:g} s of computing"
         return f"{WAIT_LIMIT:g} s by the clock" if time.monotonic() - self._clock >= WAIT_LIMIT else ""

@@ -56,7 +56,7 @@ class RehearsalOverlays:
         return found
 
     def receive(self, message: Message) -> None:
-        """Somebody else's has arrived."""
+        """Take a message of another robot."""
         self._inbox.append(message)
 
     def _next(self) -> str:

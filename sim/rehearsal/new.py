@@ -17,7 +17,7 @@ EXAMPLES = packages.PARTS / "examples"
 
 
 def main() -> int:
-    """Write both files, or none; or copy an example."""
+    """Write an app and its test, both or none; or copy an example."""
     parser = argparse.ArgumentParser(
         prog="swarm new", description="Write a commented app that runs, and its test beside it, or copy an example."
     )
@@ -44,7 +44,7 @@ def main() -> int:
 
 
 def write(path: Path, kind: str) -> tuple[Path, Path]:
-    """The two files that were written; `LocalError` where one cannot be, or is there already."""
+    """Write an app and its test, and return both files. Raises `LocalError` where one cannot be written, or exists."""
     name = path.stem
     if path.suffix != ".py" or not is_name(name) or not name.isidentifier():
         raise LocalError(f"{path}: expected NAME.py, NAME a lower-case letter, then up to 15 letters, digits or _")
@@ -64,7 +64,7 @@ def write(path: Path, kind: str) -> tuple[Path, Path]:
 
 
 def examples() -> list[str]:
-    """Names of the files and folders that `copy` knows."""
+    """Return the names of the files and folders that `copy` knows."""
     return sorted(path.name for path in EXAMPLES.iterdir() if not path.name.startswith((".", "_")))
 
 

@@ -15,7 +15,7 @@ from swarm.messages import Measurement
 from swarm.messages.codec import Value
 
 TARGET = (0.5, 1.0)
-"""Thesis figure 4.8, m."""
+"""Place of the target in the thesis' figure 4.8, m."""
 
 STARTS = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
 """The thesis' starting values of consensus (figure 4.4), for shared floats whose class gives none."""
@@ -28,7 +28,7 @@ def rehearsal_config(
     parameters: Mapping[str, Value] | None = None,
     values: Mapping[str, Mapping[str, Value]] | None = None,
 ) -> Config:
-    """The configuration; `parameters` hold for all robots, `values` for single ones by name."""
+    """Return the configuration; `parameters` hold for all robots, `values` for single ones by name."""
     names = [f"r{i}" for i in range(robots)]
     for name in values or {}:
         if name not in names:
@@ -53,13 +53,13 @@ def rehearsal_config(
 
 
 def measurement(name: str, k: int) -> Measurement:
-    """Exact range to the target and own place of step k, ten a second."""
+    """Return the exact range to the target and the robot's own place at step k; there are ten steps a second."""
     here = first_place(int(name[1:]))
     return Measurement(0.1 * k, k, math.dist(here, TARGET), *here)
 
 
 def _without_start(kind: type[AnyApp]) -> list[str]:
-    """Shared floats that the class gives no first value and no parameter."""
+    """Return the shared floats to which the class gives no first value and no parameter."""
     spec = kind.spec
     return [
         field.name

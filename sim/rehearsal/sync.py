@@ -30,7 +30,7 @@ ITERATION_S = 0.1
 """Seconds of virtual time that an iteration takes."""
 
 _SILENT = logging.getLogger("rehearsal")
-"""What an app logs where nobody listens."""
+"""The logger of apps to whose lines nobody listens."""
 _SILENT.addHandler(logging.NullHandler())
 _SILENT.propagate = False
 
@@ -84,11 +84,11 @@ class SyncRehearsal:
             self.results[name] = [each.result()]
 
     def measured(self, name: str) -> Measurement | None:
-        """The measurement for a robot's next step."""
+        """Return the measurement for a robot's next step."""
         return self._measure(name, self.k) if type(self.runners[name].app).measured else None
 
     def around(self, name: str) -> dict[str, bytes]:
-        """The neighbours' states of this iteration."""
+        """Return the neighbours' states of this iteration."""
         return {near: self.states[near][self.k] for near in self.graph.neighbours(name)}
 
     @prints_heard()

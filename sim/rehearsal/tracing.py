@@ -20,8 +20,8 @@ def line_of(kind: type, method: str) -> int:
 
 
 def bad_line(runner: AppRunner, source: str, act: Callable[[], object]) -> int | None:
-    """The line after which a shared field first held what it must not: no number, none of its type. None where `act`
-    leaves them all as they must be."""
+    """Return the line after which a shared field first held a value that is not of its type. None where `act` leaves
+    all fields as they must be."""
     schema, app = runner.schema, runner.app
 
     def wrong() -> bool:
@@ -42,8 +42,8 @@ def bad_line(runner: AppRunner, source: str, act: Callable[[], object]) -> int |
 
 
 def differing_line(runner: AppRunner, source: str, act: Callable[[], object]) -> int | None:
-    """The line after which two runs of `act` first differ, in the app's fields or in local numbers and texts; None
-    where they do not. `act` brings the app back to where it began, first."""
+    """Return the line after which two runs of `act` first differ, in the app's fields or in local numbers and texts;
+    None where they do not. `act` brings the app back to where it began, first."""
     histories: list[list[tuple[int, Values]]] = []
     names = (*runner.schema.names, *type(runner.app).spec.private)
     for _ in range(2):
@@ -64,7 +64,7 @@ def differing_line(runner: AppRunner, source: str, act: Callable[[], object]) ->
 
 @contextmanager
 def float_sums() -> Iterator[set[tuple[str, int]]]:
-    """Files and lines that meanwhile add floats by `sum`, which rounds in another way from Python 3.12 on."""
+    """Yield the files and lines that meanwhile add floats by `sum`, which rounds in another way from Python 3.12 on."""
     found: set[tuple[str, int]] = set()
     plain = builtins.sum
 

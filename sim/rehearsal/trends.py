@@ -6,16 +6,17 @@ from typing import Any
 from swarm.core.arrays import is_array
 
 SETTLED = 0.01
-"""Of the way from the first results to the last ones: within this, they have settled."""
+"""Share of the way from the first results to the last ones within which results have settled."""
 
 ROUNDING = 1e-9
-"""Of a last value: what moves no more than this stands still."""
+"""Share of its last value by which a result that stands still may move."""
 
 GROWTH = 10.0
-"""From a quarter of the run to the half, and from there to the end: whoever grows so twice grows without end."""
+"""Factor of growth. Results that grow by it from a quarter of the run to the half, and again to the end, have no
+end."""
 
 WILD = 1e3
-"""Times the largest first result, at least: less is no divergence."""
+"""A run diverges only if results exceed this factor of the largest first result."""
 
 
 def judge(histories: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, object]:
@@ -56,7 +57,7 @@ def _settles(rows: Mapping[str, Sequence[Sequence[float]]], count: int, width: i
 
 
 def numbers(values: Iterable[object]) -> list[float]:
-    """The numbers among values, those of vectors one by one."""
+    """Return the numbers among values, those of vectors one by one."""
     found: list[float] = []
     for value in values:
         if isinstance(value, int | float):
