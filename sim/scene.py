@@ -12,7 +12,7 @@ from swarm.config import Config
 Json = dict[str, object]
 
 WATCHED = ("led_sync", "stand_up", "formation")
-"""Apps of which there is more to see than that."""
+"""Apps of which there is more to see than how near robots came."""
 
 NEARNESS = ("closest_m", "closest_pair", "closest_after_s", "contacts", "touched", "fell_by_contact")
 """Figures of how near robots came."""
@@ -20,7 +20,7 @@ WORDS = (("touched", "touched"), ("fell", "fell_by_contact"))
 MOST_LISTED = 5
 """Contacts that the report for people names."""
 FORMED_M = 0.05
-"""A formation with a smaller root mean square error is one."""
+"""Root mean square error below which a formation counts as formed, m."""
 
 
 def contacts_of(config: Config) -> Contacts:
@@ -30,8 +30,8 @@ def contacts_of(config: Config) -> Contacts:
 
 
 def seen(scenario: Scenario, scene_record: SceneRecord | None, contacts: Contacts, began: float) -> Json:
-    """Figures by name: times in s since `began`, lengths in m. `scene_record` is None where the app is not `WATCHED`;
-    without a contact, `contacts` is 0 and the names of contacts and falls are left out."""
+    """Return figures by name: times in s since `began`, lengths in m. `scene_record` is None where the app is not
+    `WATCHED`; without a contact, `contacts` is 0 and the names of contacts and falls are left out."""
     found: Json = {}
     if scene_record is not None:
         match scenario.built_in:
@@ -45,7 +45,7 @@ def seen(scenario: Scenario, scene_record: SceneRecord | None, contacts: Contact
 
 
 def sentences(figures: Mapping[str, object]) -> list[str]:
-    """The same for people."""
+    """Return the figures as sentences for people."""
     lines = [f"{name.replace('_', ' '):<11} {_shown(value)}" for name, value in figures.items() if name not in NEARNESS]
     if "closest_m" in figures:
         when = _shown(figures["closest_after_s"])

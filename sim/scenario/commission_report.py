@@ -24,7 +24,7 @@ from swarm.frozen import frozen
 from swarm.messages.json_input import read_json
 
 LONGEST = 1 << 20
-"""Bytes of a report that is read."""
+"""Largest report that is read, bytes."""
 
 
 @frozen

@@ -15,7 +15,7 @@ from services.apps import loader
 from services.apps.builtin.localization.guard import check_step_size, limit_step_size
 from services.mesh.core.routing.physical_links import links_of, physical
 from sim.scenario import imports
-from sim.scenario.options import LAMPS, Options
+from sim.scenario.options import LED_APP, Options
 from swarm.app.event_app import EventApp, channels_of
 from swarm.config.types import MAX_RFCOMM_LINKS, Config
 from swarm.core.graph import Edge, Graph
@@ -25,7 +25,7 @@ from swarm.recording.thesis_ranges import ThesisRecording
 BEGUN_BY_BUTTON = ("flooding_demo", "stand_up", "unicast_demo")
 
 STANDS_M = 0.25
-"""So near to a robot's place its recording has it: the thesis' own are up to 9 cm off."""
+"""Largest distance of a recorded place from the robot's place, m: the thesis' own are up to 9 cm off."""
 
 
 def notes(
@@ -35,7 +35,7 @@ def notes(
     options: Options,
     recordings: Mapping[str, ThesisRecording],
 ) -> Iterator[str]:
-    """Yield what people are told of a run with `config`; `given` is the swarm's own configuration.
+    """Yield the notes on a run with `config`; `given` is the swarm's own configuration.
 
     `recordings` are those that are replayed, by robot.
     """
@@ -120,14 +120,14 @@ def _step_size(config: Config, app: loader.LoadedApp, recordings: Mapping[str, T
 
 
 def _buttons(app: loader.LoadedApp, options: Options) -> tuple[str, ...]:
-    """Tell of the hands that an app waits for."""
+    """Return a note if the app waits for a button."""
     if app.name not in BEGUN_BY_BUTTON or options.presses:
         return ()
     return (f"{app.name} waits for a button: swarm hand press r0 A, from another terminal, or --press r0.A@2s",)
 
 
 def forgetting(config: Config, app: loader.LoadedApp, options: Options) -> tuple[str, ...]:
-    """Tell that a lockstep does not go on by itself with a robot that was switched off."""
+    """Return a note if a lockstep will not go on by itself with a robot that is switched off."""
     kind = app.kind_on(config, config.names[0])
     lockstep = not issubclass(kind, EventApp) or bool(channels_of(kind))
     off = next((each for each in options.offs if each.at is not None), None)
@@ -140,7 +140,7 @@ def forgetting(config: Config, app: loader.LoadedApp, options: Options) -> tuple
 
 
 def _clocks(app: loader.LoadedApp, options: Options) -> tuple[str, ...]:
-    if app.name != LAMPS or options.app != LAMPS or not options.clock_skew:
+    if app.name != LED_APP or options.app != LED_APP or not options.clock_skew:
         return ()
     return (
         f"each robot has a clock of its own, up to {options.clock_skew * 1e6:g} ppm off; --clock-skew changes that",

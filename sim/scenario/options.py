@@ -51,13 +51,14 @@ EVENTS = ("cut", "kill", "off", "press", "push")
 """Options that say what happens to a link or a robot at a time of the run."""
 
 LATENCY = 0.03
-"""s, one way: of links of which nothing else is known."""
+"""Latency of links of which nothing else is known, one way, s."""
 
-LAMPS, LAMPS_SKEW = "led_sync", 20e-6
-"""The app that is about clocks; how far their rates err under virtual time where nothing is said, as crystals do."""
+LED_APP, LED_APP_SKEW = "led_sync", 20e-6
+"""App for which clocks differ by default under virtual time, and their largest rate error, which is that of
+crystals."""
 
 PRESS_S = 0.3
-"""How long a button is held down."""
+"""Seconds for which a button is held down."""
 
 
 @frozen
@@ -65,20 +66,20 @@ class Options:
     """The options of `swarm sim`. Lengths in m, times in s, rates in bytes/s."""
 
     app: str | None
-    """What the run is about."""
+    """Name or file of the app that the run is about."""
     beside: tuple[str, ...]
     """Other apps that each robot runs meanwhile."""
     robots: int | None
     topology: str | None
     links: str | None
-    """Which links carry it; None: as the configuration says."""
+    """The way in which links carry the topology; None: as the configuration says."""
     config: Path | None
     algorithm: str | None
     settings: tuple[AppSetting, ...]
     step_size: float | None
-    """The thesis' unit, 1/cm^2."""
+    """Step size in the thesis' unit, 1/cm^2."""
     like: commission_report.MeasuredRobot | None
-    """What was measured of a real robot, for all simulated ones."""
+    """Measurements of a real robot, which hold for all simulated ones."""
     latency: float
     jitter: float
     bandwidth: float | None
@@ -87,13 +88,13 @@ class Options:
     slots: SlotParameters | None
     """The slot radio; None: all links have the delays above."""
     clock_skew: float
-    """How far the rates of the robots' clocks err at most, 1e-6 = 1 ppm; 0: all have one clock."""
+    """Largest rate error of the robots' clocks, 1e-6 = 1 ppm; 0: all have one clock."""
     cuts: tuple[Cut, ...]
     offs: tuple[Off, ...]
     kills: tuple[Kill, ...]
     pushes: tuple[ScheduledPush, ...]
     presses: tuple[ScheduledPress, ...]
-    """All of these with robots and times that may still be drawn: a `Scenario` has them as they happen."""
+    """In these and in the other disturbances the seed may still draw robots and times; a `Scenario` has them drawn."""
     lying: str | None
     """front or back: how robots lie at the start; None: as the app wants it."""
     seconds: float | None
@@ -108,25 +109,26 @@ class Options:
     plot: Path | None
     run_dir: Path | None
     record: Path | None
-    """Where the trajectories are kept; without it they go with the run."""
+    """Folder in which the trajectories are kept; without it they go with the run."""
     run_options: RunOptions
-    """When its lockstep ends but for `iterations`, and what becomes of robots that stay away."""
+    """Rules for the end of its lockstep, besides `iterations`, and for robots that stay away."""
     virtual: bool
     """Whether the run is in one process under a virtual clock."""
     body: str
-    """Model of the bodies then."""
+    """Model of the bodies under virtual time."""
     mesh: str | None
-    """How much of the mesh there is then; None: by the size of the swarm."""
+    """Mesh model under virtual time; None: chosen by the number of robots."""
     view: bool
-    """Show it in the browser while it runs."""
+    """Whether the browser shows the run."""
     speed: float | None
-    """Seconds of virtual time a second then; infinity: as fast as it computes; None: as the real time."""
+    """Seconds of virtual time a second of a run in the browser; infinity: as fast as it computes; None: as real
+    time."""
     no_open: bool
-    """Only print the page's address."""
+    """Whether the page's address is only printed."""
 
 
 def parser(kind: type[argparse.ArgumentParser] = argparse.ArgumentParser) -> argparse.ArgumentParser:
-    """The argument parser of `swarm sim`."""
+    """Return the argument parser of `swarm sim`."""
     p = kind(
         prog="swarm sim",
         description="Run a simulated swarm: for each robot the processes that run on a Pi, in one simulated world.",
@@ -311,7 +313,7 @@ def parser(kind: type[argparse.ArgumentParser] = argparse.ArgumentParser) -> arg
 
 
 class _Refusing(argparse.ArgumentParser):
-    """Raises what is wrong instead of ending the process."""
+    """A parser that raises an error instead of ending the process."""
 
     def error(self, message: str) -> NoReturn:
         raise ConfigError(message.removeprefix("argument "))
@@ -328,8 +330,8 @@ def parse(arguments: list[str], *, ends: bool = True) -> Options:
         read.latency = LATENCY if measured is None else measured
     if read.clock_skew is None:
         # Of clocks that are one, LEDs tell nothing.
-        lamps = read.virtual and read.app == LAMPS and read.target_velocity is None
-        read.clock_skew = LAMPS_SKEW if lamps else 0.0
+        differ = read.virtual and read.app == LED_APP and read.target_velocity is None
+        read.clock_skew = LED_APP_SKEW if differ else 0.0
     options = Options(run_options=run_options.of(read), **vars(read))
     if options.config is not None and (options.robots is not None or options.topology is not None):
         raise ConfigError("--config names robots and topology itself: leave out --robots and --topology")

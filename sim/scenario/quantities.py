@@ -30,7 +30,7 @@ made for."""
 
 
 def velocity(text: str) -> tuple[float, float]:
-    """`0.1,-0.03`: vx and vy, m/s."""
+    """Parse a velocity `0.1,-0.03`: vx and vy, m/s."""
     try:
         x, y = map(float, text.split(","))
     except ValueError:
@@ -51,12 +51,12 @@ def _quantity(text: str, units: dict[str, float], what: str) -> float:
 
 
 def duration(text: str) -> float:
-    """Seconds of `30ms`, `3s`, `2min` or a bare number of seconds."""
+    """Parse a time `30ms`, `3s`, `2min` or a bare number of seconds; return seconds."""
     return _quantity(text, _DURATION, "a time such as 30ms or 3s")
 
 
 def rate(text: str) -> float:
-    """Bytes per second of `78kB`, `1MB` or a bare number of bytes."""
+    """Parse a rate `78kB`, `1MB` or a bare number of bytes; return bytes per second."""
     value = _quantity(text, _SIZE, "a rate such as 78kB (per second)")
     if value <= 0:
         raise argparse.ArgumentTypeError("a bandwidth must be above zero")
@@ -67,7 +67,7 @@ class AppSetting(NamedTuple):
     """A parameter of an app."""
 
     app: str
-    """Empty: of the first one."""
+    """The app's name; empty: the first app."""
     setting: settings.Setting
 
 
@@ -83,7 +83,7 @@ def setting(text: str) -> AppSetting:
 
 
 def speed(text: str) -> float:
-    """`0.5`, or `max`: infinity."""
+    """Parse a speed `0.5`, or `max`, which is infinity."""
     if text == "max":
         return math.inf
     value = _quantity(text, {"": 1.0}, "a speed such as 0.5, or max")
@@ -101,7 +101,7 @@ def loss(text: str) -> float:
 
 
 def slots(text: str) -> SlotParameters:
-    """The slot radio, `slots` or `slots:stay=0.2,loss=0.1`."""
+    """Parse a slot radio, `slots` or `slots:stay=0.2,loss=0.1`."""
     kind, _, parameters = text.partition(":")
     if kind != "slots":
         raise argparse.ArgumentTypeError(f"{text!r}: expected slots or slots:NAME=X,...")

@@ -53,20 +53,20 @@ START_VALUES = {3: (0.5, 3.0, 5.0), 6: (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)}
 """The thesis' starting values of consensus (figure 4.4)."""
 
 STANDING_UP_FROM = "front"
-"""How robots lie at the start where the app is about standing up."""
+"""The side on which robots lie at the start of an app that is about standing up."""
 
 DEFAULT_ITERATIONS = 100
 ITERATIONS = {"formation": 600, "goto": 3000, "stand_up": 5}
-"""Of apps that want others; those of goto are the most it may take, it ends when all have arrived."""
+"""Iterations of apps that need another number. Those of `goto` are its most: it ends when all have arrived."""
 
 VIRTUAL_SERVICES = ("mesh", "app")
-"""What can be killed under virtual time."""
+"""Services that can be killed under virtual time."""
 
 NOISE = "noise"
-"""Folder of a run in which measurements that were made up are."""
+"""Folder of a run for measurements that were made up."""
 
 SHORTEST_ITERATION = 1e-3
-"""s: a run that ends by its time does no more iterations than these."""
+"""Shortest iteration, s, by which a run that ends by its time gets a number of measurements."""
 
 
 class Beside(NamedTuple):
@@ -74,7 +74,7 @@ class Beside(NamedTuple):
 
     app: str
     program: str
-    """As of a `Scenario`."""
+    """What the app host is started with: a name or a path."""
     loaded: loader.LoadedApp
 
 
@@ -94,7 +94,7 @@ class Scenario:
     topology: str
     iterations: int | None
     run_options: RunOptions
-    """How its lockstep goes, `iterations` and all."""
+    """The rules of its lockstep, `iterations` and all."""
     recordings: dict[str, ThesisRecording]
     """The recordings by robot, with those that --noise makes up."""
     synthetic: bool
@@ -144,7 +144,7 @@ class Scenario:
 
 
 def build(options: Options, run_dir: Path, app: loader.LoadedApp | None = None) -> Scenario:
-    """The scenario of `options` with its sockets in `run_dir`; raises `ConfigError` or `RecordingError`.
+    """Return the scenario of `options` with its sockets in `run_dir`; raises `ConfigError` or `RecordingError`.
 
     `app`: the one that `options.app` names, where it is there already."""
     recordings = read_folder(options.replay) if options.replay is not None else []
@@ -235,7 +235,8 @@ def _disturbances(config: Config, options: Options) -> tuple[Disturbance, ...]:
 
 
 def _apps(app: loader.LoadedApp | None, options: Options) -> tuple[loader.LoadedApp, ...]:
-    """The app that the run is about, and those beside it; whose parameters are given must be among them."""
+    """Return the app that the run is about, and those beside it. Raises `ConfigError` for a parameter of another
+    app."""
     apps = () if app is None else (app, *map(loader.load, options.beside))
     names = [each.name for each in apps]
     if twice := [name for name in names if names.count(name) > 1]:
@@ -247,8 +248,8 @@ def _apps(app: loader.LoadedApp | None, options: Options) -> tuple[loader.Loaded
 
 
 def _study(config: Config, options: Options, iterations: int | None, run_dir: Path) -> dict[str, ThesisRecording]:
-    """The measurements of a simulation study, by robot; also as files, where there is a run directory to replay them
-    from."""
+    """Return the measurements of a simulation study, by robot. If there is a run directory, they are also files in it,
+    from which they are replayed."""
     assert options.noise is not None
     rule = options.run_options.rule
     seconds = options.seconds or (rule.seconds if rule is not None else None)
@@ -360,8 +361,8 @@ def first_place(index: int) -> tuple[float, float]:
 
 
 def _parameters(config: Config, wanted: loader.LoadedApp, options: Options, *, first: bool) -> AppConfig:
-    """The app's parameters: the file's, then the thesis' starting values, then what the command line sets; `first`: it
-    is the one that options mean which name none."""
+    """Return the app's parameters: the file's, then the thesis' starting values, then those of the command line.
+    `first`: options that name no app mean this one."""
     app = config.app(wanted.name)
     common: dict[str, Value] = dict(app.parameters)
     robots: dict[str, dict[str, Value]] = {robot: dict(values) for robot, values in app.robots.items()}

@@ -18,8 +18,8 @@ from swarm.messages.codec import Value
 
 
 def settings_from_values(kind: type[BaseApp], values: Mapping[str, Any], robots: Sequence[str]) -> list[Setting]:
-    """The settings, those for all robots first. Raises `AppError` where a list has not one entry for each robot, or a
-    robot is unknown; whether the app takes the values is seen when it is made."""
+    """Return the settings, those for all robots first. Raises `AppError` where a list has not one entry for each robot,
+    or a robot is unknown; whether the app takes the values is seen when it is made."""
     common: list[Setting] = []
     single: list[Setting] = []
     shapes = {field.name: field.shape for field in kind.spec.schema.fields}

@@ -40,9 +40,9 @@ class Calls:
         self._radio = radio
         self._waiting: dict[str, deque[CallAttempt]] = {}
         self._paging: dict[str, CallAttempt] = {}
-        """By caller."""
+        """The call that is being paged, by caller."""
         self.reachable: set[str] = set()
-        """Who scans for pages."""
+        """The devices that scan for pages."""
         self.scans: dict[str, tuple[float, float]] = {}
         """By device: seconds from one page scan to the next, and how long one takes."""
         for name in radio.devices:
@@ -122,7 +122,8 @@ class Calls:
         self._set_up(call)
 
     def _set_up(self, call: CallAttempt) -> None:
-        """The next frame, from either side in turn; after the last one the link is the callers' own."""
+        """Send the next frame of the set-up, from either side in turn. After the last one the link is the caller's
+        own."""
         if call.step < 0 or call.link is None:
             return
         if call.step == 2 * self._radio.parameters.setup:
@@ -140,7 +141,7 @@ class Calls:
         self._clock.at(self._clock.now, self._next, call.caller)
 
     def _end(self, call: CallAttempt, reason: str) -> None:
-        """It has failed, unless it was over."""
+        """End a call with a reason; do nothing if it has ended."""
         if call.step < 0:
             return
         call.step = -1

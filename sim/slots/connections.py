@@ -38,11 +38,11 @@ class End:
         raise NotImplementedError
 
     def give(self, data: bytes) -> None:
-        """Take bytes of the other end; b"": that one has closed."""
+        """Take bytes of the other end; b"" says that the other end has closed."""
         raise NotImplementedError
 
     def lost(self) -> None:
-        """The radio has given the link up."""
+        """Note that the radio has given the link up."""
         raise NotImplementedError
 
 
@@ -57,7 +57,7 @@ class RadioConnections:
         self.reachable = self._calls.reachable
         """The robots that can be called."""
         self.cuts: dict[frozenset[str], float] = {}
-        """Until when nothing passes between two robots."""
+        """The time until which nothing passes between two robots."""
 
     def cut(self, a: str, b: str, seconds: float) -> None:
         """Let nothing pass between two robots for a while, or as long as an earlier cut lasts; 0 ends that."""

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from sim.slots.parameters import EDR2
 
 PAGE = ""
-"""What a device is tuned to that pages; piconets have their central's name."""
+"""Name of the role of paging, to which a device is tuned. A piconet has its central's name."""
 
 ABOUT = 1e-9
 """Seconds by which sums of slots may be off."""
@@ -42,7 +42,7 @@ class LinkEnd:
         """The time at which the host had the last frame ready for sending, and the last one received."""
 
     def packet(self) -> tuple[int, int]:
-        """Bytes and slots of the next packet."""
+        """Return the bytes and slots of the next packet."""
         if not self.held:
             return 0, 1
         left = self.held[0].left
@@ -68,7 +68,7 @@ class RadioLink:
         """Called when the link is lost."""
 
     def end(self, name: str) -> LinkEnd:
-        """The end of that device."""
+        """Return the end of a device."""
         return self.central if self.central.device.name == name else self.peripheral
 
 
@@ -78,10 +78,10 @@ class RadioDevice:
     def __init__(self, name: str) -> None:
         self.name = name
         self.roles: list[str] = []
-        """What it shares its time among: piconets, and `PAGE`."""
+        """The roles among which it shares its time: piconets, and `PAGE`."""
         self.tuned: str | None = None
         self.ready = 0.0
-        """The time at which the change to that is done."""
+        """The time at which the change to that role is done."""
         self.until = _NEVER
         """The time at which the stay ends."""
         self.scanning = 0.0
@@ -94,9 +94,9 @@ class RadioDevice:
         self.held = 0
         """Frames in its buffers."""
         self.polled: set[RadioLink] = set()
-        """In this stay."""
+        """The links that it has polled in this stay."""
         self.serving = self.switching = 0
-        """Count plans; one that another has replaced does nothing."""
+        """Numbers of plans. A plan that another one has replaced does nothing."""
 
     def is_in(self, piconet: str, now: float) -> bool:
         """Return whether it hears that piconet now."""

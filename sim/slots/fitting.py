@@ -18,9 +18,10 @@ class Curve:
     """One recorded run beside the model's."""
 
     recorded: float
-    """Seconds an iteration."""
+    """Seconds that a recorded iteration took."""
     model: Mapping[float, Sequence[float]]
-    """The same by value of the parameter, of several seeds; the same values in all curves."""
+    """Seconds that an iteration of the model took with several seeds, by value of the parameter. All curves have the
+    same values."""
 
 
 @frozen
@@ -53,7 +54,7 @@ def fitted(curves: Sequence[Curve]) -> FittedValue:
 
 
 def _pace(curve: Curve, value: float) -> float:
-    """Logarithm of the model's pace at a value."""
+    """Return the logarithm of the model's pace at a value."""
     known = sorted(curve.model)
     place = next((n for n in range(1, len(known)) if value <= known[n]), len(known) - 1)
     below, above = known[place - 1], known[place]

@@ -11,7 +11,7 @@ from swarm.errors import ConfigError
 from swarm.frozen import frozen
 
 SLOT = 625e-6
-"""s (Bluetooth Core specification, vol 2 part B, 2.2.2)."""
+"""Duration of a slot, s (Bluetooth Core specification, vol 2 part B, 2.2.2)."""
 
 EDR2 = ((54, 1), (367, 3), (679, 5))
 """Bytes and slots of 2-DH1, 2-DH3 and 2-DH5 packets (Core specification, vol 2 part B, table 6.10)."""
@@ -31,7 +31,7 @@ class SlotParameters:
     """Times in s where nothing else is said."""
 
     stay: float = 0.1
-    """How long a bridge of two piconets stays in each on average. Fitted; 0.05 to 0.3 are possible."""
+    """Mean time for which a bridge of two piconets stays in each. Fitted; 0.05 to 0.3 are possible."""
     spread: float = 0.95
     """A stay is uniform in stay * (1 +- spread). Fitted; with nearly equal stays two bridges would miss each other for
     long."""
@@ -40,10 +40,10 @@ class SlotParameters:
     poll_busy: int = 40
     """Slots between polls of a link that carried data within `busy_for` (T_poll, commonly 40: davidcontreras.es)."""
     poll_idle: int = 80
-    """The same of another link. Fitted."""
+    """Slots between polls of another link. Fitted."""
     busy_for: float = 1.0
     loss: float = 0.05
-    """Probability that a packet with data is lost; of one without, a third of that."""
+    """Probability that a packet with data is lost. A packet without data is lost with a third of it."""
     host: float = 0.0015
     """Mean time in kernel and UART driver, for each frame at each end, s."""
     host_spread: float = 0.5
@@ -55,11 +55,11 @@ class SlotParameters:
     supervision: float = 20.0
     """Silence after which a link is lost (Core specification, vol 2 part B, 3.1), unless the caller sets another."""
     scan: float = 0.32
-    """Between two page scans: 0x0200 slots, as provisioning sets them; `THESIS` has Linux' own. `FastConnectable`
+    """Time between two page scans: 0x0200 slots, as provisioning sets them; `THESIS` has Linux' own. `FastConnectable`
     has 0.16, which takes twice as much time from the links."""
     scan_window: float = 0.0225
-    """How long one takes: interlaced, so two of 0x0012 slots follow one another (Core specification, vol 2 part B,
-    8.3.1)."""
+    """Duration of a page scan. It is interlaced: two scans of 0x0012 slots follow one another (Core specification, vol
+    2 part B, 8.3.1)."""
     scan_paging: float = 0.5
     """Share of its own scans that a paging robot keeps. Fitted."""
     page_weight: float = 3.0
@@ -93,7 +93,7 @@ class SlotParameters:
         return found
 
     def text(self) -> str:
-        """Return what `parse` makes these parameters of."""
+        """Return the text from which `parse` makes these parameters."""
         usual = type(self)()
         names = [field.name for field in fields(self) if getattr(self, field.name) != getattr(usual, field.name)]
         return ",".join(f"{name}={getattr(self, name)!r}" for name in names)

@@ -23,13 +23,13 @@ EVEN = 2 * SLOT
 TRIED = 2
 """Times that a peripheral may be silent until it is asked less often; then the pause doubles up to `RAREST`."""
 RAREST = 16
-"""In pairs of slots."""
+"""Longest pause between two polls of a peripheral that is silent, in pairs of slots."""
 
 _NEVER = float("inf")
 
 
 def _even(time: float) -> float:
-    """The first even slot that begins at `time` or later."""
+    """Return the first even slot that begins at `time` or later."""
     return math.ceil(time / EVEN - ABOUT) * EVEN
 
 
@@ -87,7 +87,7 @@ class SlotRadio:
         return link
 
     def supervise(self, link: RadioLink, seconds: float) -> None:
-        """Give a link up after so much silence; who has called may say so."""
+        """Give a link up after so many seconds of silence, as its caller may wish."""
         link.supervision = seconds
         link.watch += 1
         self._watch(link, link.watch)
@@ -111,7 +111,7 @@ class SlotRadio:
         self._wake(after)
 
     def drop(self, link: RadioLink) -> None:
-        """It is there no more; what it held is gone."""
+        """Remove a link; the frames that it held are lost."""
         if not link.up:
             return
         link.up = False
@@ -180,7 +180,7 @@ class SlotRadio:
             self._stay(device)
 
     def leave_role(self, device: RadioDevice, role: str) -> None:
-        """It does so no longer."""
+        """Remove a role from those among which a device shares its time."""
         if role in device.roles:
             device.roles.remove(role)
             if device.tuned == role:

@@ -24,7 +24,7 @@ class Engine(Protocol):
 
 @contextlib.contextmanager
 def here(app: LoadedApp) -> Iterator[Engine]:
-    """This process, one run after the other: an app that is a class of the program cannot go to another process."""
+    """Yield an engine that does one run after the other here: an app that is a class cannot go to another process."""
 
     def run(jobs: Sequence[Job], done: Callable[[], None]) -> list[SweptRun]:
         found = []
@@ -38,7 +38,7 @@ def here(app: LoadedApp) -> Iterator[Engine]:
 
 @contextlib.contextmanager
 def local(processes: int) -> Iterator[Engine]:
-    """So many processes of this machine."""
+    """Yield an engine of so many processes of this machine."""
     # Not forked: what is imported here has threads of its own.
     context = multiprocessing.get_context("spawn")
     pool: Executor = ProcessPoolExecutor(processes, mp_context=context)

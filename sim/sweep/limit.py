@@ -8,7 +8,7 @@ from sim.sweep.measure import SweptRun
 from sim.sweep.plan import SweepPoint, jobs_of
 
 PRECISION = 0.01
-"""Share of the value to which it is found."""
+"""Share of the largest value by which it may be wrong."""
 
 
 @dataclass
@@ -18,9 +18,9 @@ class Bracket:
     good: float | None = None
     """The largest value with which all runs settled; None where none did."""
     bad: float | None = None
-    """The smallest with which one did not."""
+    """The smallest value with which a run did not settle."""
     why: str = ""
-    """What happened with the smallest: the first problem of its runs, or that their results do not settle."""
+    """The reason at the smallest value: the first problem of its runs, or that their results do not settle."""
 
 
 def _failed(run: SweptRun) -> bool:

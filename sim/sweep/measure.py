@@ -18,7 +18,7 @@ from swarm.frozen import frozen
 from swarm.recording.trajectory import Trajectory
 
 LATE = 0.9
-"""A result that still moves in the last tenth of the iterations has not settled."""
+"""Share of the iterations after which a result that has settled moves no more."""
 
 
 @frozen
@@ -31,25 +31,25 @@ class SweptRun:
     settled: int | None
     """Iterations after which all results stay near their last values; None where they do not."""
     error: float | None
-    """Of the results, where the truth is known: from the mean (consensus), in cm (localization), else what the app's
-    `error` says, the mean over the robots."""
+    """Error of the results, where the truth is known: from the mean (consensus), in cm (localization), else the mean of
+    the app's `error` over the robots."""
     seconds: float
     """Duration of the run in virtual time, s."""
     iteration_s: float | None
     computed_s: float
     problem: str
-    """Why it failed; empty where it did not."""
+    """Why the run failed; empty where it did not."""
     contacts: int = 0
-    """How often two robots touched."""
+    """The number of times that two robots touched."""
     metrics: Mapping[str, float] = field(default_factory=dict)
-    """What the app's methods `error_NAME` say at the end, by name: the mean over the robots."""
+    """Values of the app's methods `error_NAME` at the end, by name: the mean over the robots."""
     never: str = ""
     """Faults that were planned and did not happen, because the run ended before; empty where all did."""
 
 
 def check(jobs: Sequence[Job], app: LoadedApp | None = None) -> None:
-    """Raise what is wrong with the first job where none of them can be run: then it is wrong with the command. `app`
-    as of `measure`."""
+    """Raise the error of the first job where none of them can be run: then the command is wrong. `app`: see
+    `measure`."""
     wrong = None
     for job in jobs:
         try:
@@ -63,8 +63,8 @@ def check(jobs: Sequence[Job], app: LoadedApp | None = None) -> None:
 
 
 def measure(job: Job, app: LoadedApp | None = None) -> SweptRun:
-    """Run it; `app` is what the job names, where it is there already. What is wrong with a run is a result like any
-    other."""
+    """Do a run and return its figures, also where it fails. `app`: the app that the job names, where it is loaded
+    already."""
     before = logging.root.manager.disable
     logging.disable(logging.WARNING)  # twenty runs at once would tell the same twenty times
     try:
@@ -94,8 +94,8 @@ def measure(job: Job, app: LoadedApp | None = None) -> SweptRun:
 
 
 def settled(paths: Sequence[Trajectory], within: float) -> int | None:
-    """Iterations after which every result of every robot stays within so much of its last value; None where one still
-    moves at the end, or there is none."""
+    """Return the iterations after which every result of every robot stays `within` of its last value; None where a
+    result still moves at the end, or there is none."""
     ends = [path.last for path in paths]
     if not ends or min(ends) < 1:
         return None
@@ -132,11 +132,11 @@ class Summary:
     problem: str
     """The first problem."""
     contacts: int
-    """Of all runs together: how often two robots touched."""
+    """The number of times that two robots touched, in all runs together."""
     never: str
     """The first fault that never happened, and in how many runs one did not; empty where all did."""
     metrics: Mapping[str, float]
-    """Of each of the app's methods `error_NAME` the median over the runs, and under `error_NAME_most` the largest."""
+    """For each of the app's methods `error_NAME` the median over the runs, and under `error_NAME_most` the largest."""
 
 
 def summarize(runs: Sequence[SweptRun]) -> Summary:
@@ -163,7 +163,7 @@ def summarize(runs: Sequence[SweptRun]) -> Summary:
 
 
 def _summed(found: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """`Summary.metrics` of several runs."""
+    """Return `Summary.metrics` of several runs."""
     summed: dict[str, float] = {}
     for name in dict.fromkeys(name for each in found for name in each):
         values = [each[name] for each in found if name in each]

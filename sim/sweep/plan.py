@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from swarm.frozen import frozen
 
 _BETWEEN = re.compile(r",(?![^\[]*\])")
-"""Commas that are not within the brackets of a vector."""
+"""Pattern of a comma that is not within the brackets of a vector."""
 
 
 @frozen
@@ -16,7 +16,7 @@ class SweepPoint:
     """One combination of values."""
 
     choices: tuple[tuple[str, str], ...]
-    """What was listed, and what is taken of it here: robots, topology, algorithm, parameters by name."""
+    """Name and value of each list: robots, topology, algorithm, parameters by name."""
 
     def arguments(self) -> list[str]:
         """Return the arguments for `swarm sim`."""
@@ -29,7 +29,7 @@ class SweepPoint:
         return found
 
     def with_value(self, name: str, value: float) -> "SweepPoint":
-        """The same with one parameter more."""
+        """Return the same point with one parameter more."""
         return SweepPoint((*self.choices, (name, repr(value))))
 
 
@@ -42,11 +42,11 @@ class Job:
     seed: int
     arguments: tuple[str, ...]
     within: float
-    """How near its last value a result must stay to count as settled, in the result's unit."""
+    """Distance from its last value within which a settled result stays, in the result's unit."""
 
 
 def values_of(text: str) -> tuple[str, ...]:
-    """The values of a list such as `6,12` or `[0,1],[1,0]`."""
+    """Return the values of a list such as `6,12` or `[0,1],[1,0]`."""
     values = tuple(part.strip() for part in _BETWEEN.split(text))
     if not all(values):
         raise argparse.ArgumentTypeError(f"{text!r} is not a list of values such as 6,12")
@@ -62,7 +62,7 @@ def setting_of(text: str) -> tuple[str, tuple[str, ...]]:
 
 
 def seeds_of(text: str) -> tuple[int, ...]:
-    """`20` = the seeds 1 to 20; `5-9` = those."""
+    """Parse seeds: `20` means the seeds 1 to 20, `5-9` those from 5 to 9."""
     match = re.fullmatch(r"(\d+)(?:-(\d+))?", text)
     if match is None:
         raise argparse.ArgumentTypeError(f"{text!r} is neither a number of seeds such as 20 nor a range such as 5-9")
@@ -84,7 +84,7 @@ def points_of(lists: Sequence[tuple[str, Sequence[str]]]) -> list[SweepPoint]:
 def jobs_of(
     app: str, points: Sequence[SweepPoint], seeds: Sequence[int], rest: Sequence[str], within: float
 ) -> list[Job]:
-    """Every point with every seed; `rest` are arguments of `swarm sim` for all of them."""
+    """Return every point with every seed; `rest` are arguments of `swarm sim` for all of them."""
     return [
         Job(index, seed, (app, *point.arguments(), "--seed", str(seed), *rest), within)
         for index, point in enumerate(points)
