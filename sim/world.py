@@ -48,9 +48,9 @@ class BodyReport:
     heading: float
     tilt: float
     held: bool
-    """In the hand that holds it at the start."""
+    """Whether the robot is in the hand that holds it at the start."""
     speed: float = 0.0
-    """Of the axle, forward, m/s."""
+    """Speed of the axle, forward, m/s."""
 
 
 @frozen
@@ -73,7 +73,7 @@ class LedReport:
 
 Report = BodyReport | LedReport | BodyHello
 _KINDS: tuple[type[Report], ...] = (BodyReport, LedReport, BodyHello)
-"""All that simulated bodies send."""
+"""The types of all messages that simulated bodies send."""
 
 
 class BodyWorld:
@@ -107,7 +107,7 @@ class BodyWorld:
         self._thread.start()
 
     def move_target(self, since: float) -> None:
-        """The target moves from this time on, if the configuration gives it a velocity."""
+        """Let the target move from this time on, if the configuration gives it a velocity."""
         self._modules.moves_from = since
 
     def close(self) -> None:
@@ -120,7 +120,7 @@ class BodyWorld:
         os.close(self._wake)
 
     def look(self, at: Callable[[SceneRecord, Contacts], T]) -> T:
-        """`at(scene_record, contacts)`, while nothing new is seen."""
+        """Return `at(scene_record, contacts)`, called while nothing new is seen."""
         with self._seeing:
             return at(self._scene_record, self._contacts)
 

@@ -44,7 +44,7 @@ class VirtualRouter:
     """What each session wants to be called when somebody hears other keys."""
 
     def changed(self) -> None:
-        """Others may be interested in a key now than before."""
+        """Look again who is interested in which key."""
         for session in self.sessions:
             session.targets.clear()
         waiting, self.waiting = self.waiting, []
@@ -52,7 +52,7 @@ class VirtualRouter:
             call()
 
     def tell(self, token: str, *, alive: bool) -> None:
-        """Tell those that watch it that a liveliness token has come or gone."""
+        """Tell the watchers of a liveliness token that it has come or gone."""
         for _, expression, callback in self.watchers:
             if matches(expression, token):
                 self.time.soon(callback, token, alive)

@@ -31,7 +31,7 @@ class EventQueue:
 
     @property
     def true(self) -> float:
-        """The world's time, whoever's clock this is."""
+        """Return the world's time, whoever's clock this is."""
         return self.now
 
     def when(self, time: float) -> float:
@@ -46,7 +46,7 @@ class EventQueue:
         return self._times[0] if self._times else _NEVER
 
     def at(self, time: float, call: Callable[..., object], *arguments: Any) -> None:
-        """Call at `time`; at once, but not before what is planned already, where it is past."""
+        """Call at `time`. Where that is past, call at once, but not before what is planned already."""
         if time <= self.now:
             self._present.append((call, arguments))
             return
@@ -68,7 +68,7 @@ class EventQueue:
         self._stop = True
 
     def run(self, until: float = _NEVER) -> bool:
-        """Let time pass to `until`, or to the last thing planned. False where `stop` ended it."""
+        """Let time pass to `until`, or to the last planned call. Return False where `stop` ended it."""
         self._stop = False
         times, soon = self._times, self._soon
         done = 0
@@ -97,7 +97,7 @@ class EventQueue:
 
 
 class LocalTime:
-    """The same by a robot's own clock: another zero, and a rate that errs. What runs on the robot knows no other."""
+    """Time by a robot's own clock, with another zero and a rate that errs. Services on the robot know no other time."""
 
     def __init__(self, world: EventQueue, offset: float, rate: float) -> None:
         """The clock shows `offset` + (1 + `rate`) t at time t of the world, s; 1e-5 is 10 ppm too fast."""
@@ -115,15 +115,15 @@ class LocalTime:
 
     @property
     def relation(self) -> dict[str, float]:
-        """`offset` (s) and `rate`: the world's time is t + offset + rate t when this clock shows t."""
+        """Return `offset` (s) and `rate`: the world's time is t + offset + rate t when this clock shows t."""
         return {"offset": -self._offset / self._rate, "rate": 1.0 / self._rate - 1.0}
 
     def when(self, time: float) -> float:
         return self._offset + self._rate * self._true(time)
 
     def at(self, time: float, call: Callable[..., object], *arguments: Any) -> None:
-        """See `EventQueue`. Never before this clock shows `time`: a caller that finds itself too early would plan the
-        same time again, for ever."""
+        """See `EventQueue`. The call never comes before this clock shows `time`: a caller that finds itself too early
+        would plan the same time again, for ever."""
         self._world.at(self._true(time), call, *arguments)
 
     def soon(self, call: Callable[..., object], *arguments: Any) -> None:

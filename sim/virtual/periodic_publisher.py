@@ -11,7 +11,7 @@ from sim.virtual.events import Time
 
 
 class PeriodicPublisher:
-    """Calls at fixed intervals; falls asleep where nobody hears its keys, and goes on in step when somebody does."""
+    """Calls at fixed intervals. It falls asleep where nobody hears its keys, and goes on in step when somebody does."""
 
     def __init__(
         self, time: Time, bus: VirtualBus, keys: tuple[str, ...], period: float, first: float, call: Callable[[], None]
@@ -34,7 +34,7 @@ class PeriodicPublisher:
             self._bus.await_change(self._wake)
 
     def _wake(self) -> None:
-        """Somebody hears something else than before: at the next multiple of the period."""
+        """Go on at the next multiple of the period if somebody hears one of the keys; else sleep on."""
         if not any(map(self._bus.wanted, self._keys)):
             self._bus.await_change(self._wake)
             return

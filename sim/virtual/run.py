@@ -44,7 +44,7 @@ LOOK_EVERY = 1.0
 """Seconds of virtual time between two looks whether it is to end."""
 
 PLACE = Path("/virtual")
-"""Stands for the run directory in the configuration of a run, which has none."""
+"""Path that stands for the run directory, which a virtual run does not have, in its configuration."""
 
 MAX_FROM_START = 50
 """Robots whose mesh is started: the link states of N robots cross each link, which costs as much as N iterations."""
@@ -54,8 +54,8 @@ _NEVER = float("inf")
 
 @contextlib.contextmanager
 def _without_looking_for_garbage() -> Iterator[None]:
-    """The robots live to the end and make no circles: going through millions of their objects again and again takes a
-    third of the time."""
+    """Look for no garbage within this: the robots live to the end and make no circles. Going through millions of their
+    objects again and again takes a third of the time."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -120,20 +120,20 @@ class VirtualRun:
         self._happened: list[Disturbance] = []
         """The disturbances whose time has come."""
         self._impossible: list[str] = []
-        """One sentence for each that was not possible then."""
+        """One sentence for each disturbance that was not possible when its time had come."""
         self._running = set(names)
         self._missing_first = set(names) - self._late.keys() or set(names)
         self._epoch = (0, 0)
         """Counter and number of the newest epoch."""
         self._members = frozenset(names)
-        """Of the newest epoch."""
+        """Members of the newest epoch."""
         self._started: float | None = None
         self._last_progress = max(self._late.values(), default=0.0)
         self._newest = 0
         """The iteration that a robot did last."""
         self._problems: list[str] = []
         self.computed = 0.0
-        """Seconds of real time that it took."""
+        """Seconds of real time that the run took."""
 
     @_without_looking_for_garbage()
     @broken_off()
@@ -219,8 +219,8 @@ class VirtualRun:
         self._problems.append(f"no iteration for {STALLED:g} s: {'; '.join(stuck) or 'the apps say nothing'}")
 
     def _lost(self) -> list[str]:
-        """Apps that react to events and whose locksteps have lost their state: they would wait for ever. Of an app of
-        iterations `_stalled` tells."""
+        """Return the apps that react to events and whose locksteps have lost their state: they would wait for ever.
+        `_stalled` tells of apps with iterations."""
         app = self._scenario.app or ""
         hosts = [(name, robot.apps.get(app)) for name, robot in self.world.robots.items()]
         return [
@@ -314,12 +314,12 @@ class VirtualRun:
             self._first_done()
 
     def _look_whether_over(self) -> None:
-        """Robots that the others go on without are waited for no more."""
+        """Stop if all members are done. Robots without which the others go on do not count."""
         if self._options.seconds is None and self._running.isdisjoint(self._members):
             self.world.time.stop()
 
     def _messages(self) -> int:
-        """App frames that all meshes have sent."""
+        """Return the number of app frames that all meshes have sent."""
         return sum(robot.sent for robot in self.world.robots.values())
 
     def _notes(self, ended_at: float) -> dict[str, str]:
@@ -385,7 +385,7 @@ class _Beside:
 
 
 def _has_no_steps(source: Source) -> bool:
-    """Return whether it waits for events alone."""
+    """Return whether a source waits for events alone."""
     return isinstance(source, EventHost) and source.runner.period is None
 
 

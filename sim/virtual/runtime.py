@@ -14,7 +14,7 @@ from swarm.errors import SwarmError
 T = TypeVar("T")
 
 _LOG = logging.getLogger("virtual")
-"""It is silent: what services log for people on a robot stands in the report of a virtual run."""
+"""A silent logger: what services log for people on a robot stands in the report of a virtual run."""
 _LOG.addHandler(logging.NullHandler())
 _LOG.propagate = False
 

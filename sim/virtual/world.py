@@ -58,8 +58,7 @@ RESTART_DELAY_S = 0.2
 """Seconds after which a process that has ended is started again, as RestartSec in the units of deploy/systemd."""
 
 LONGEST_UP = 3600.0
-"""How long ago, s, a robot may have been switched on where each has a clock of its own: the clocks' zeros differ by so
-much at most."""
+"""Largest difference of the zeros of clocks, where each robot has its own, s: so long ago a robot was switched on."""
 
 
 @dataclass
@@ -70,13 +69,13 @@ class VirtualRobot:
     router: VirtualRouter
     mesh: VirtualMesh | DelayMesh
     meshes_bus: VirtualBus
-    """Where the messages of others appear."""
+    """The session on which the messages of others appear."""
     balancer: VirtualBalancer
     dwm: VirtualDwm
     time: Time
-    """Its clock."""
+    """The robot's clock."""
     storage: MemoryStorage
-    """What its apps have kept."""
+    """The storage of its apps."""
     apps: dict[str, LockstepHost | EventHost] = field(default_factory=dict)
     buses: dict[str, VirtualBus] = field(default_factory=dict)
     """The session of each app."""
@@ -85,7 +84,7 @@ class VirtualRobot:
     starts: int = 1
     """How often it was switched on, or a process of it started again."""
     sent_before: int = 0
-    """Messages of meshes that have ended."""
+    """The number of messages of its meshes that have ended."""
 
     @property
     def sent(self) -> int:
@@ -103,7 +102,7 @@ class Launch(NamedTuple):
     run: int
     run_options: RunOptions
     recording: ThesisRecording | None
-    """That the app replays."""
+    """The recording that the app replays."""
     observer: Observer | None
     runner: MakeRunner | None = None
     """What makes the runner of an event-driven app, in place of `EventRunner`."""
@@ -141,11 +140,11 @@ class VirtualWorld:
         self._model = air
         self._mesh = mesh
         self.records: dict[tuple[str, str], Callable[[str, float, Value], None]] = {}
-        """By robot and app, what `robot.record` calls, where the run is recorded."""
+        """Functions that `robot.record` calls where the run is recorded, by robot and app."""
         self.watched = False
         """Whether somebody looks at the run: then values that apps record go on the bus, too, as on a robot."""
         self.hearers: dict[tuple[str, str], list[Sink]] = {}
-        """By robot and app, who gets what it prints and logs."""
+        """Receivers of what an app prints and logs, by robot and app."""
         self._body = body
         self._lying = lying
         self._skew = skew
@@ -153,7 +152,7 @@ class VirtualWorld:
         self._processes_end = processes_end
         self._launched: dict[tuple[str, str], Launch] = {}
         self._told: dict[str, Mapping[str, Mapping[str, Value]]] = {}
-        """By app what all its robots' truth has in common: the values with which they begin."""
+        """The common part of the truth of all robots, by app: the values with which they begin."""
         self._begin_with: dict[tuple[str, int, int], topology.RunPlace] = {}
         self._common = Common(config)
         self.robots = {name: self._robot(name) for name in config.names}
@@ -224,7 +223,7 @@ class VirtualWorld:
 
     @staticmethod
     def _end(there: VirtualRobot, app: str) -> None:
-        """The end of an app by kill -9: nothing is said any more."""
+        """End an app as by kill -9: nothing is said any more."""
         host = there.apps.pop(app)
         there.buses.pop(app).close()
         host.close()

@@ -77,14 +77,14 @@ class AppRecords:
             self._recorders[source.robot].progressed(source)
 
     def switched(self, source: Source, epoch: AppEpoch) -> None:
-        """The members have changed."""
+        """Record that the members have changed."""
         if self._recorders:
             self._recorders[source.robot].switched(source, epoch)
         if not source.part:
             self._builders[source.robot].go_back(epoch.k)
 
     def parameters(self, robot: str, parameters: AppParameters) -> None:
-        """These parameters are in force on a robot."""
+        """Record which parameters are in force on a robot."""
         if self._recorders:
             self._recorders[robot].parameters(robot, parameters)
 

@@ -17,11 +17,10 @@ from services.apps.runner import AppRunner
 from swarm.core.asynchronous import HANG
 
 LOOK_S = 1.0
-"""Real s between two looks."""
+"""Seconds of real time between two looks."""
 
 SIGNAL = signal.SIGURG
-"""Breaks off the main thread, even where it sleeps; nobody else uses it, and it is ignored where nobody waits for
-it."""
+"""Signal that breaks off the main thread, even where it sleeps. Nobody else uses it, and it is ignored by default."""
 
 
 class Hangs(SystemExit):
@@ -66,8 +65,8 @@ def broken_off() -> Iterator[None]:
 
 
 def _authors(frame: FrameType | None) -> FrameType | None:
-    """The call of an author's code that a thread is in; None where it is in none. The frame itself tells one call from
-    the next."""
+    """Return the call of an author's code that a thread is in; None where it is in none. The frame itself tells one
+    call from the next."""
     found = None
     while frame is not None:
         if frame.f_code is AppRunner._call.__code__:

@@ -58,7 +58,7 @@ class MemoryVotes:
 
 
 class MemoryStorage:
-    """See `services.apps.persistence.storage.Storage`. Of one robot."""
+    """The storage of one robot; see `services.apps.persistence.storage.Storage`."""
 
     def __init__(self, *, snapshots: bool = False) -> None:
         """`snapshots`: whether a process may end, so that the next one wants them."""
@@ -71,7 +71,7 @@ class MemoryStorage:
         return self._snapshots.setdefault(name, MemorySnapshots(count))
 
     def forget(self) -> None:
-        """The robot is switched off: snapshots are gone."""
+        """Forget the snapshots, as when the robot is switched off."""
         if self._snapshots is not None:
             self._snapshots.clear()
 

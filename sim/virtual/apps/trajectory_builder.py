@@ -19,11 +19,11 @@ class TrajectoryBuilder:
     def __init__(self, *, keep: bool) -> None:
         self._keep = keep
         self._ks, self._times = array("q"), array("d")
-        """Iterations, in order, and when each was done; where not all lines are kept."""
+        """Iterations, in order, and the time of each, where not all lines are kept."""
         self._every = 2
-        """The first two windows of so many are kept."""
+        """Number of windows of which the first two are kept."""
         self._lines: dict[int, StepRecord] = {}
-        """All, where they are kept."""
+        """All lines, where they are kept."""
         self._last: StepRecord | None = None
         self._source: Source | None = None
         self._breaks: list[int] = []
@@ -47,7 +47,7 @@ class TrajectoryBuilder:
             self._times.append(line.t)
 
     def go_back(self, k: int) -> None:
-        """The members have changed: the iterations from k on are done again."""
+        """Forget the iterations from k on, which are done again since the members have changed."""
         self._forget(k)
         for later in [other for other in self._lines if other >= k]:
             del self._lines[later]
@@ -55,7 +55,7 @@ class TrajectoryBuilder:
             self._last = None
 
     def begin_anew(self) -> None:
-        """The app has begun anew, and counts from 0: here k goes on."""
+        """Let k go on here while the app, which has begun anew, counts from 0."""
         if self._last is not None:
             self._breaks.append(self._last.k + 1)
 

@@ -19,7 +19,7 @@ UNREACHABLE = "unreachable"
 
 
 Due = dict[float, list["ConnectionEnd"]]
-"""What is on the way to a robot: for each moment at which something arrives the ends it comes to, one a chunk."""
+"""Chunks on the way to a robot: for each moment of arrival the ends to which they come, one for each chunk."""
 
 
 class Medium(Protocol):
@@ -32,7 +32,7 @@ class Medium(Protocol):
         """Add a robot that can be dialled."""
 
     def remove(self, station: "Station") -> None:
-        """It can no more."""
+        """Remove a robot; it can no longer be dialled."""
 
     def cut(self, a: str, b: str, seconds: float) -> None:
         """Let nothing pass between two robots for a while; what is under way arrives afterwards."""
@@ -68,7 +68,7 @@ class ConnectionEnd:
         self.other: ConnectionEnd = self
         self.session: Session | None = None
         self.alive = True
-        """False once this end has closed, or has noticed that the other one has."""
+        """Whether the end is open: False once it has closed, or has noticed that the other end has."""
         self.socket: deque[bytes] = deque()
         """Writes that wait for the air."""
         self.waits = False
@@ -87,7 +87,7 @@ class Station:
         self._ends: dict[Session, Any] = {}
         """The medium's ends of connections."""
         self.wake: Callable[[float], None]
-        """Calls the mesh at a time, s, or earlier: a call that is planned already stays."""
+        """Function that calls the mesh at a time, s, or earlier: a call that is planned already stays."""
 
     def start(self, mesh: Mesh) -> None:
         """Let the robot be dialled."""
@@ -127,16 +127,16 @@ class Station:
     # -- what the air calls ------------------------------------------------------------------------------------
 
     def flushed(self, session: Session) -> None:
-        """A session has given all that leaves now."""
+        """Note that a session has given all that leaves now."""
         self._mesh.flushed(session, self.time.now)
 
     @property
     def running(self) -> bool:
-        """False after the mesh's end."""
+        """Return whether the mesh runs: False after its end."""
         return self._mesh.running
 
     def dialled(self, peer: str, end: Any) -> None:
-        """The connection asked for is there."""
+        """Take the connection that was asked for."""
         end.session = self._mesh.dialled(peer)
         self._ends[end.session] = end
         self._mesh.carry_out()
@@ -151,11 +151,11 @@ class Station:
         self._mesh.carry_out()
 
     def dial_failed(self, peer: str, reason: str) -> None:
-        """The connection asked for could not be made."""
+        """Note that the connection that was asked for could not be made."""
         self._mesh.dial_failed(peer, reason)
 
     def received(self, arrivals: list[tuple[Session, bytes | str]]) -> None:
-        """Take what has come at this moment; see `Mesh.received`."""
+        """Take the arrivals of this moment; see `Mesh.received`."""
         self._mesh.received(arrivals)
 
 
@@ -176,7 +176,7 @@ class Air:
         self._due[station.robot] = {}
 
     def remove(self, station: Station) -> None:
-        """It can no more."""
+        """Remove a robot; it can no longer be dialled."""
         del self._stations[station.robot]
 
     def cut(self, a: str, b: str, seconds: float) -> None:
@@ -267,7 +267,7 @@ class Air:
         return self.cuts.get(frozenset((a, b)), 0.0) if self.cuts else 0.0
 
     def _arrive(self, station: Station, due: Due, at: float) -> None:
-        """The oldest chunks on the way to each of the ends arrive."""
+        """Let the oldest chunk on the way to each of the ends arrive."""
         arrivals: list[tuple[Session, bytes | str]] = []
         for receiver in due.pop(at):
             if self.cuts:
@@ -286,7 +286,7 @@ class Air:
 
 
 def line_of(model: AirModel, sender: str, receiver: str) -> DelayLine:
-    """The way from one robot to another; both names and the seed decide its randomness."""
+    """Return the way from one robot to another; both names and the seed decide its randomness."""
     if not model.draws:
         return DelayLine(model, None)  # a generator takes 2.5 kB, and there may be many links
     return DelayLine(model, random.Random(f"{model.seed}:{sender}>{receiver}"))

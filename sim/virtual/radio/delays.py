@@ -1,4 +1,4 @@
-"""`--mesh delay`: in the place of a robot's mesh the delay that it has, for swarms too large for whole meshes.
+"""`--mesh delay`: the delays of a mesh in place of the mesh itself, for swarms too large for whole meshes.
 
 A message to neighbours takes the time that its frame takes on the link (the same model, the same generators), and
 nothing else: no handshake, no heartbeats, no link state, no queues of other traffic. The relay rules hold. Floods,

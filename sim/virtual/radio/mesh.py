@@ -16,7 +16,7 @@ from sim.virtual.runtime import VirtualRuntime
 from swarm.config import Config
 
 FIRST_INCARNATION = 1
-"""Of every robot's floods."""
+"""First incarnation number of each robot's floods."""
 
 
 class Common:

@@ -48,7 +48,7 @@ class SlotAir(RadioConnections):
         self.reachable.add(station.robot)
 
     def remove(self, station: Station) -> None:
-        """It can no more."""
+        """Remove a robot; it can no longer be dialled."""
         del self._stations[station.robot]
         self.reachable.discard(station.robot)
 

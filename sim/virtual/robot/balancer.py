@@ -42,7 +42,7 @@ TRUTH = 0.1
 BATTERY = 7.4
 """Voltage of the battery, V, which never changes."""
 TICK = 0.01
-"""s: commands act, and LEDs are written, within one; here at once."""
+"""Seconds of a tick. Within one a real balancer obeys commands and writes LEDs; this one does so at once."""
 
 
 class VirtualBalancer:
@@ -67,7 +67,7 @@ class VirtualBalancer:
         self.powered = True
         """Whether the robot is switched on."""
         self.begins_to_move: Callable[[str], object] = str
-        """Called with its name whenever it may begin to move."""
+        """Function that is called with the robot's name whenever the robot may begin to move."""
         self._time = time
         self.bus = bus
         self._scene_record = scene_record
@@ -88,12 +88,12 @@ class VirtualBalancer:
             time.soon(self._be_seen, scene_record)
 
     def look(self) -> VirtualBody:
-        """Return its body as it is now."""
+        """Return the robot's body as it is now."""
         self.body.advance(self._time.now)
         return self.body
 
     def act(self, act: SimulationAction) -> None:
-        """Do what a person does to it."""
+        """Do a person's action to the robot."""
         now = self._time.now
         match act:
             case Press(button, seconds):
@@ -117,7 +117,7 @@ class VirtualBalancer:
         self.begins_to_move(self.robot)
 
     def switch_off(self, *, falls: bool) -> None:
-        """Say nothing any more; the motors are off."""
+        """Switch the robot off: it says nothing any more, and its motors are off."""
         if falls:
             self.body.command("rest", self._time.now)
             self._show_leds()
@@ -125,7 +125,7 @@ class VirtualBalancer:
         self.powered = False
 
     def switch_on(self) -> None:
-        """Begin again, and stand up."""
+        """Switch the robot on; it stands up."""
         self.powered = True
         self.body.command("stand", self._time.now)
         self._changed()
@@ -172,7 +172,7 @@ class VirtualBalancer:
         raise LocalError("parameters: under virtual time a body has no physics that they could change")
 
     def claim_leds(self, leds: Shown, seconds: float, now: float, at: float | None = None) -> None:
-        """Show what an app wants."""
+        """Show the LEDs that an app wants."""
         order = self._claim.order(leds, seconds, now, at)
         self._time.at(order.at, self._show_leds)
         self._time.at(order.until, self._show_leds)
@@ -194,17 +194,17 @@ class VirtualBalancer:
     def _show_leds(self) -> None:
         now, body = self._time.now, self.body
         body.advance(now)
-        lamps = shown(body.mode, _name(body.fault), self._claim.leds(now), low_battery=False, now=now)
-        if self.shown == lamps:
+        leds = shown(body.mode, _name(body.fault), self._claim.leds(now), low_battery=False, now=now)
+        if self.shown == leds:
             return
-        self.shown = lamps
+        self.shown = leds
         if self._scene_record is not None:
-            self._scene_record.leds(self.robot, self._time.true, yellow=lamps[1])
-        self._side.publish(Leds(now, *lamps))
-        self.bus.publish(self._sim_leds_key, LedChange(now, *lamps))
+            self._scene_record.leds(self.robot, self._time.true, yellow=leds[1])
+        self._side.publish(Leds(now, *leds))
+        self.bus.publish(self._sim_leds_key, LedChange(now, *leds))
 
     def _changed(self) -> None:
-        """The mode is another one, and may change by itself once more."""
+        """Note another mode, which may change by itself once more."""
         self._show_leds()
         self._tell_state()
         if (then := self.body.next_change) < math.inf:
@@ -283,5 +283,5 @@ class VirtualBalancer:
 
 
 def _name(fault: str) -> str:
-    """The name of a fault of the body, by what it says; a body without physics has these two."""
+    """Return the name of a fault of the body by its text; a body without physics has two faults."""
     return "" if not fault else FELL if fault == FELL else STOPPED

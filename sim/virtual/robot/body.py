@@ -31,29 +31,29 @@ STAND_UP, LIE_DOWN = 0.85, 0.41
 RISE_WAY = 0.36
 """Distance that the robot rolls while it gets up, m: backward from the front, forward from the back (0.33 to 0.41)."""
 FALL_WAY = 0.15
-"""m forward that lying down takes."""
+"""Distance by which lying down takes the robot forward, m."""
 TOPPLES = 0.45
-"""N s of a push that it bears no more, with physics 0.40 to 0.50 (tests/sim/core/test_body_physics.py)."""
+"""Smallest push that throws a robot over, N s; with physics 0.40 to 0.50 (tests/sim/core/test_body_physics.py)."""
 RECOVERS_S = 0.3
-"""Seconds in which a robot rolls back what it bore: what pushes it meanwhile adds up, with weights that fall as
-exp(-t / RECOVERS_S). So two that drive into each other fall from 0.15 m/s each on; with physics they bear 0.1 and
-fall at 0.3."""
+"""Seconds in which a robot recovers from a push. Pushes meanwhile add up, with weights that fall as
+exp(-t / RECOVERS_S). So two robots that drive into each other fall from 0.15 m/s each on; with physics they bear 0.1
+and fall at 0.3."""
 TOPPLE_WAY = 0.5
-"""m from where it stood to where it lies then, with physics 0.52."""
+"""Distance from where a robot stood to where it lies after such a push, m; with physics 0.52."""
 LYING = math.radians(110)
 """Tilt of a robot that lies."""
 
 GYRO_BIAS = 2e-4
-"""rad/s: what is left of the gyro's zero after it was measured at rest (standard deviation, with physics)."""
+"""Error of the gyro's zero after it was measured at rest, rad/s (standard deviation, with physics)."""
 GYRO_WALK = math.radians(7e-3)
-"""rad / sqrt(s): the LSM6DS33's noise, 7 mdps / sqrt(Hz)."""
+"""Drift of the gyro, rad / sqrt(s): the LSM6DS33's noise, 7 mdps / sqrt(Hz)."""
 WAY_SCALE = 0.005
-"""Of the wheels' radius (standard deviation) [estimate]."""
+"""Share by which the wheels' radius errs (standard deviation) [estimate]."""
 
 BALANCING, IDLE, STANDING, FALLING, FAULT = "balancing", "idle", "standing_up", "lying_down", "fault"
 
 _AT_ONCE = 1e9
-"""m/s^2 and rad/s^2 of a body without inertia."""
+"""Acceleration of a body without inertia, m/s^2 and rad/s^2."""
 
 
 class VirtualBody:
@@ -86,7 +86,7 @@ class VirtualBody:
         self._until = 0
         """The tick at which the manoeuvre under way is over, or the command to drive."""
         self._roll = 0.0
-        """m/s, during a manoeuvre."""
+        """Speed during a manoeuvre, m/s."""
         self._gauss = gauss
         errors = model == DIFFERENTIAL
         self._bias = gauss(0.0, GYRO_BIAS) if errors else 0.0
@@ -96,16 +96,16 @@ class VirtualBody:
         self._own = (0.0, 0.0)
         self._sequence = 0
         self._borne, self._borne_at = 0.0, 0.0
-        """Of the last pushes, N s, and when that was."""
+        """Sum of the last pushes, N s, and the time of the last one, s."""
 
     @property
     def posture(self) -> str:
-        """upright, front or back, as the balancer has it by the tilt."""
+        """Return upright, front or back, as the balancer has it by the tilt."""
         return "upright" if abs(self.tilt) < math.radians(20) else "front" if self.tilt > 0.0 else "back"
 
     @property
     def demand(self) -> tuple[float, float]:
-        """Speed (m/s) and turn rate (rad/s) it moves with."""
+        """Return the speed (m/s) and the turn rate (rad/s) of the motion."""
         return (self._drive.speed, self._drive.turn_rate) if self.mode == BALANCING else (self._roll, 0.0)
 
     @property
@@ -122,7 +122,8 @@ class VirtualBody:
     # -- what is done to it ------------------------------------------------------------------------------------
 
     def command(self, mode: str, now: float) -> None:
-        """`stand`, `rest`, `lie` or `calibrate`, as the balancer obeys them; `LocalError` for what cannot be now."""
+        """Obey `stand`, `rest`, `lie` or `calibrate` as the balancer does. Raises `LocalError` for what is not
+        possible."""
         self._settle(now)
         match mode:
             case "stand" if self.mode not in (BALANCING, STANDING):
@@ -144,7 +145,7 @@ class VirtualBody:
                 raise LocalError(f"mode {mode!r}: expected one of stand, rest, lie, calibrate")
 
     def drive(self, speed: float, turn_rate: float, seconds: float, now: float) -> str:
-        """Drive for a time. Returns what was cut to the limits, or ""; `LocalError` where it cannot be done."""
+        """Drive for a time. Return what was cut to the limits, or "". Raises `LocalError` where it is not possible."""
         self._settle(now)
         check_command(speed, turn_rate, seconds)
         if self.mode != BALANCING:
@@ -154,20 +155,20 @@ class VirtualBody:
         return self._drive.command(speed, turn_rate, (self._until - 0.5) * PERIOD)
 
     def stop(self, reason: str, now: float) -> None:
-        """Motors off: a robot that stood falls on its front."""
+        """Switch the motors off: a robot that stood falls on its front."""
         self._settle(now)
         self._fall(FAULT)
         self.fault = reason
 
     def lay(self, side: str, now: float) -> None:
-        """Somebody lays it down, on its back or front."""
+        """Be laid down, on the back or the front."""
         self._settle(now)
         self._fall(IDLE if self.mode != FAULT else FAULT)
         self.tilt = -LYING if side == "back" else LYING
 
     def push(self, impulse: float, now: float) -> None:
-        """Somebody pushes it, N s forward. What it bears it has rolled back from a few seconds later; more than that
-        throws it over, and it slides on as it falls."""
+        """Be pushed forward, N s. From a small push the robot has rolled back a few seconds later; a larger one throws
+        it over, and it slides on as it falls."""
         self._settle(now)
         if self.mode not in (BALANCING, STANDING):
             return
@@ -184,7 +185,7 @@ class VirtualBody:
         self.fault = FELL
 
     def knock(self, impulse: float, dx: float, dy: float, now: float) -> None:
-        """Another robot hits it: it slides aside (m, the wheels do not turn), and is pushed forward, N s."""
+        """Be hit by another robot: slide aside (m, the wheels do not turn), and be pushed forward, N s."""
         self._settle(now)
         self.x += dx
         self.y += dy
@@ -213,7 +214,7 @@ class VirtualBody:
             self._rest(ticks)
 
     def odometry(self, now: float) -> Odometry:
-        """Return the sums of its sensors."""
+        """Return the sums of the body's sensors."""
         self.advance(now)
         self._sequence += 1
         half = 0.5 * self._track * self._turned
@@ -261,7 +262,7 @@ class VirtualBody:
         self.mode, self._until, self._roll = mode, self._tick + round(seconds / PERIOD), way / seconds
 
     def _arrive(self) -> None:
-        """The end of a manoeuvre."""
+        """End a manoeuvre."""
         self._roll = 0.0
         if self.mode == STANDING:
             self.mode, self.tilt = BALANCING, 0.0

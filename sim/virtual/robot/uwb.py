@@ -22,7 +22,7 @@ from swarm.config import Config, RobotConfig
 from swarm.messages.keys import key
 
 _SILENT = logging.getLogger("virtual.dwm")
-"""What a dwm service says of its modules is for its own log, which nobody would read here."""
+"""Logger of the dwm services, whose lines nobody would read here."""
 _SILENT.disabled = True
 
 
