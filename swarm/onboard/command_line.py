@@ -27,13 +27,14 @@ class Command(NamedTuple):
     """One command: a module, or a program."""
 
     module: str
-    """It has `HELP`, `add_arguments(parser)` and `run(args) -> int`, or `main()`, which reads `sys.argv`."""
+    """The module has `HELP`, `add_arguments(parser)` and `run(args) -> int`, or `main()`, which reads `sys.argv`."""
     first: tuple[str, ...] = ()
     """Arguments that come before those that the user gives."""
     help: str = ""
-    """One line; empty where the module has it as `HELP`."""
+    """One line of help; empty where the module has it as `HELP`."""
     far: str = ""
-    """Module that runs it on robots elsewhere, by `run(name, words)`, which returns None where it is meant here."""
+    """Module that runs the command on robots elsewhere, by `run(name, words)`, which returns None where it is meant
+    here."""
     alone: str = ""
     """The verb that is meant where none is named, as `show` of `swarm mesh topology`; empty: none is added."""
 

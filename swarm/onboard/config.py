@@ -16,7 +16,7 @@ HELP = "check a swarm.toml, or print a commented example"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """`--example`, or `check [FILE] [--json]`."""
+    """Declare `--example`, or `check [FILE] [--json]`."""
     parser.add_argument("--example", action="store_true", help="print a commented file to start from")
     verbs = parser.add_subparsers(dest="verb", metavar="check")
     check = add_verb(verbs, "check", "show what a swarm.toml contains, or its errors")
@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Raises `ConfigError` where the file is wrong."""
+    """Print the example, or check a file. Raises `ConfigError` where the file is wrong."""
     if args.example == (args.verb is not None):
         args.fail("expected either --example or check [FILE]")
     if args.example:
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _unaddressed(config: Config) -> list[str]:
-    """Return the robots whose Bluetooth addresses a swarm lacks: so a file begins, and `swarm pair` completes it."""
+    """Return the robots without a Bluetooth address: so a file begins, and `swarm pair` completes it."""
     everywhere = config.auto or config.mesh.links in (STAR, TREE)
     return [
         each.name

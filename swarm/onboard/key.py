@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Raises `LocalError` where a file is missing, is in the way, or is no key file."""
+    """Make, replace or show a key. Raises `LocalError` where a file is missing, is in the way, or is no key file."""
     path: Path = args.file
     ids = [_DO[args.verb](path)] if args.verb in _DO else read_keys(path)
     shown = [f"{key_id:08x}" for key_id in ids]

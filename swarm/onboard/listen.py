@@ -20,7 +20,7 @@ from swarm.process.paths import runtime_dir
 SECONDS = 6.0
 """The most seconds of listening. If all services of a robot publish, one second is enough."""
 LEAST_S = 1.2
-"""Longer than the period of what is sent once a second."""
+"""Least seconds of listening: longer than the period of messages that are sent once a second."""
 EXPECTED = ("mesh/status", "balancer/status", "dwm/status", "balancer/state", "mesh/links", "mesh/clock")
 """The keys that a robot without faults publishes."""
 
@@ -28,7 +28,8 @@ STATUS_FROM = ("bus", "mesh", "balancer", "dwm")
 
 
 def newest_messages(robots: Mapping[str, Path], seconds: float = SECONDS) -> dict[str, dict[str, Any]]:
-    """The newest messages by robot and topic (`balancer/state`), and `bus` whether there is one at all."""
+    """Return the newest messages by robot and topic (`balancer/state`); `bus` says whether the robot has a bus at
+    all."""
     found: dict[str, dict[str, Any]] = {robot: {} for robot in robots}
     heard = threading.Event()
     began = time.monotonic()

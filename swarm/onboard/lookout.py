@@ -44,7 +44,7 @@ the memory."""
 MAX_WAITING = 2 << 20
 """Bytes of messages that may wait to be written, for the same reason."""
 MAX_COMMAND = 4096
-"""bytes: one write to a pipe that is whole or nothing."""
+"""Largest command, bytes: one write to a pipe that is whole or nothing."""
 
 _MAX_ENTRIES = 16
 """Entries of an array that comes in; each of ours has three at most, one of a later release may have more."""
@@ -97,7 +97,7 @@ class Lookout:
                 self._waiting = waiting
 
     def passed(self, sender: str, count: int) -> None:
-        """So many messages of that robot's apps have come so far."""
+        """Set the number of messages received from a robot's apps."""
         with self._lock:
             if sender in self._passed or len(self._passed) < MAX_KEYS:
                 self._passed[sender] = count
@@ -109,7 +109,7 @@ class Lookout:
                 self._alive[name] = there
 
     def bus(self, there: bool) -> None:
-        """The bus has come or gone."""
+        """Note that the bus has come or gone."""
         with self._lock:
             self._bus = there
 
@@ -129,7 +129,7 @@ class Lookout:
 
 
 def watch(bus: Bus, robot: str, take: Callable[[str, bytes], None], alive: Callable[[str, bool], None]) -> None:
-    """Hear what is said on a robot's bus from now on, and what was said before and still holds."""
+    """Take the messages on a robot's bus from now on, and earlier ones that still hold."""
 
     def ask(connected: bool) -> None:
         for topic in TOLD_ONCE if connected else ():
@@ -163,7 +163,7 @@ def unpacked(parts: Iterable[bytes], longest: int) -> Iterator[object]:
 
 
 def publish(bus: Bus, command: object) -> None:
-    """Publish what the page wants said on the bus; anything that is no command is left out."""
+    """Publish a command of the page on the bus; anything that is no command is left out."""
     match command:
         case [str(name), bytes(payload)] if name == STOP or _is_key(name):
             with contextlib.suppress(LocalError):
@@ -229,7 +229,7 @@ def _input(ended: int) -> Iterator[bytes]:
 
 
 def _write(data: bytes) -> None:
-    """Write all of it, however long the reader makes us wait."""
+    """Write all data, however long the reader takes."""
     while data:
         data = data[os.write(sys.stdout.fileno(), data) :]
 

@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Code 1 where a robot does not answer, or refuses."""
+    """Show or set parameters; code 1 where a robot does not answer, or refuses."""
     wanted = settings_of(args)
     found = buses.directories_of(args)
     if unknown := {robot for robot in wanted if robot and robot not in found}:
@@ -69,7 +69,7 @@ def settings_of(args: argparse.Namespace) -> dict[str, dict[str, Value]]:
 def _change(
     there: Mapping[str, Bus], app: str, wanted: Mapping[str, Mapping[str, Value]]
 ) -> tuple[dict[str, str], dict[str, dict[str, Value]]]:
-    """Set values; returns why not, and what has been set and taken, both by robot."""
+    """Set values. Return reasons for refusals, and the values that are set and taken, both by robot."""
     values = {robot: {**wanted.get("", {}), **wanted.get(robot, {})} for robot in there}
     requests = {robot: SetAppParameters(new_ticket(), each) for robot, each in values.items() if each}
     answers = request(there, requests, AppParametersSet, f"app/{app}", "parameters", PATIENCE)

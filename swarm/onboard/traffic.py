@@ -16,7 +16,7 @@ FRAMES = ("swarm/*/app/*/sync/*", "swarm/*/app/*/sync/*/*", "swarm/*/app/*/lates
 key."""
 
 MANY = 10.0
-"""a second from each robot, above which nobody listens: the page does not show them either."""
+"""Messages a second from each robot above which nobody listens: the page does not show them either."""
 LISTEN_S = 0.5
 """Seconds after which one decides whether they are too many."""
 REST_S = 5.0
@@ -37,7 +37,7 @@ class Traffic:
         self._heard = 0
         """Messages heard since the last decision. Only their number is kept: a slow reader may hold up the next one."""
         self._senders: set[str] = set()
-        """The robots that sent them."""
+        """The robots that sent these messages."""
         self._calm = False
         """Whether they were few the last time; until that is known nothing is told."""
         self._since = self._until = -REST_S

@@ -175,7 +175,7 @@ class _Watch:
             sys.stdout.flush()
 
     def _with_layouts(self, sample: samples.BusSample) -> samples.BusSample:
-        """The same with what its app tells of its frames; the app is asked when its first one comes."""
+        """Return the sample with its app's layouts of frames. The app is asked when its first frame comes."""
         app = samples.frame_app(sample.key)
         watched = self._buses.get(sample.robot)
         if not app or watched is None:
@@ -231,7 +231,7 @@ class _Watched:
         return {}
 
     def tell_changes(self) -> None:
-        """Say so when a bus is not there, and when it is again."""
+        """Tell when a bus is gone, and when it is back."""
         connected = self._bus.connected
         if connected != self._told_connected and clock.now() - self._opened >= _PATIENCE:
             self._told_connected = connected

@@ -43,7 +43,7 @@ class _Telltale:
         self._fault: tuple[str, str] = ("", "")
         self._told: dict[str, float] = {}
         self.heard: float | None = None
-        """The time at which its state came last."""
+        """The time at which the balancer's state came last."""
 
     def take(self, name: str, payload: bytes) -> None:
         """Take a message; called by the bus's thread."""

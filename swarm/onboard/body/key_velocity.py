@@ -12,11 +12,11 @@ REPEAT_S = 0.2
 """Seconds that each repeat holds: keyboards repeat each 0.03 to 0.1 s. So long a robot drives on after a release."""
 
 SPEED = 0.2
-"""m/s at the gear that a drive begins with."""
+"""Speed at the gear with which a drive begins, m/s."""
 TURN_RATE = 1.5
 """Turn rate while a key is held, rad/s."""
 GEARS = (0.25, 0.5, 1.0, 1.5, 2.0)
-"""Factors of both, for the keys - and +."""
+"""Factors of speed and turn rate, for the keys - and +."""
 FIRST_GEAR = 2
 
 DIRECTIONS = {
@@ -57,7 +57,7 @@ class KeyVelocity:
 
     @property
     def fastest(self) -> tuple[float, float]:
-        """Speed and turn rate of the gear in use, m/s and rad/s."""
+        """Return speed and turn rate of the gear in use, m/s and rad/s."""
         return SPEED * GEARS[self._gear], TURN_RATE * GEARS[self._gear]
 
     def press(self, key: str, now: float) -> Velocity | None:

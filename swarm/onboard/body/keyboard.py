@@ -13,7 +13,7 @@ _CHUNK = 64
 _SEQUENCES = {b"\x1b[A": "up", b"\x1b[B": "down", b"\x1b[C": "right", b"\x1b[D": "left"}
 """The bytes that terminals send for arrow keys (ECMA-48, normal cursor keys)."""
 _SEQUENCES |= {sequence.replace(b"[", b"O"): key for sequence, key in _SEQUENCES.items()}
-"""The same with application cursor keys."""
+"""Bytes that terminals send for arrow keys with application cursor keys."""
 
 
 def split(data: bytes) -> list[str]:

@@ -14,7 +14,7 @@ STANDS_S = 1.5
 """Seconds of balancing after which a robot stands: a stop that holds is said again each second."""
 
 ZERO_TRIES = 5
-"""A robot at rest looks as if it moved for single ticks (its speed is noisy), and then refuses to look for its zero."""
+"""Tries to find the gyro's zero: a robot at rest seems to move for single ticks, and then refuses to look for it."""
 
 _WAY_OUT = {
     "stand": "swarm doctor tells what is wrong",
@@ -63,7 +63,7 @@ class ModeChange:
         return True
 
     def receive(self, message: object) -> None:
-        """Take a message of the robot's balancer; what is none of its concern does nothing."""
+        """Take a message of the robot's balancer. A message of another kind does nothing."""
         if self.outcome is not None:
             return
         match message:

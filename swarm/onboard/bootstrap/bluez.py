@@ -30,7 +30,7 @@ _AUTHENTICATED_S = 10.0
 
 
 class BluezError(Exception):
-    """bluetoothd, or the way to it, says no; `name` is D-Bus' for it."""
+    """A refusal by bluetoothd, or by the way to it; `name` is the error's name in D-Bus."""
 
     def __init__(self, name: str, text: str) -> None:
         super().__init__(text or name)
@@ -60,7 +60,7 @@ class Bluez:
         self.adapter = paths[0]
 
     def close(self) -> None:
-        """bluetoothd forgets our agent and our inquiry with the connection."""
+        """Close the connection, with which bluetoothd forgets our agent and our inquiry."""
         self._connection.close()
 
     # -- bluetoothd ------------------------------------------------------------------------------------------------
@@ -86,7 +86,7 @@ class Bluez:
         return [each[name] for path, each in self.objects().items() if name in each and path.startswith(self.adapter)]
 
     def path(self, address: str) -> str:
-        """The object path of a device."""
+        """Return the object path of a device."""
         return f"{self.adapter}/dev_{address.upper().replace(':', '_')}"
 
     def set_adapter(self, name: str, signature: str, value: Any) -> None:
@@ -109,7 +109,7 @@ class Bluez:
         self.call(self.adapter, _BLUEZ + ".Adapter1", "StartDiscovery")
 
     def stop_inquiry(self) -> None:
-        """End it; a page and an inquiry at once get into each other's way."""
+        """End the inquiry: a page and an inquiry at once get into each other's way."""
         self.call(self.adapter, _BLUEZ + ".Adapter1", "StopDiscovery")
 
     def pair(self, address: str, seconds: float) -> None:
@@ -167,7 +167,7 @@ class Bluez:
         raise BluezError("no-answer", f"bluetoothd has not answered {member} within {seconds:g} s")
 
     def _receive(self, seconds: float) -> Message | None:
-        """The next message; None where none comes within that time."""
+        """Return the next message; None where none comes within that time."""
         try:
             return self._connection.receive(timeout=max(0.0, seconds))
         except TimeoutError:
@@ -192,5 +192,5 @@ class Bluez:
 
 
 def _plain(properties: dict[str, Any]) -> dict[str, Any]:
-    """Values without their signatures."""
+    """Return properties without the signatures of their values."""
     return {name: value for name, (_, value) in properties.items()}

@@ -18,11 +18,12 @@ from swarm.onboard.bootstrap.commands import below, run
 
 
 class ChangeError(Exception):
-    """A command did not do it."""
+    """A command failed."""
 
 
 def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, Any]:
-    """Request: `steps`, pairs of a name and its changes. `problem` says why one failed (else empty), `step` which."""
+    """Carry out the `steps` of a request, pairs of a name and its changes. Return in `step` which one failed, and why
+    in `problem`; both are empty without a failure."""
     try:
         return _carry_out(request)
     finally:

@@ -10,7 +10,8 @@ NO_SUCH = 127
 
 
 def run(*words: str, seconds: float = 60.0) -> tuple[int, str, str]:
-    """Exit code, output and complaints of a command; 127 where there is no such command, 124 where it did not end."""
+    """Return exit code, output and complaints of a command. The code is 127 where there is no such command, and 124
+    where the command did not end."""
     environment = {**os.environ, "LC_ALL": "C", "DEBIAN_FRONTEND": "noninteractive"}
     try:
         done = subprocess.run(
@@ -24,13 +25,13 @@ def run(*words: str, seconds: float = 60.0) -> tuple[int, str, str]:
 
 
 def unit(name: str, properties: str) -> dict[str, str]:
-    """Properties of a unit of systemd; empty where there is no systemd."""
+    """Return properties of a unit of systemd; empty where there is no systemd."""
     _, out, _ = run("systemctl", "show", name, f"--property={properties}")
     return dict(row.split("=", 1) for row in out.splitlines() if "=" in row)
 
 
 def below(root: str, path: str) -> Path:
-    """`path` of the robot as a path here."""
+    """Return a robot's `path` as a path here."""
     return Path(root) / path.lstrip("/")
 
 

@@ -13,15 +13,15 @@ from swarm.onboard.bootstrap import facts, pairing
 from swarm.onboard.bootstrap.commands import below, line, run, text, unit
 
 I2C_SLAVE = 0x0703
-"""ioctl of linux/i2c-dev.h: whom the next reads and writes are for."""
+"""ioctl of linux/i2c-dev.h that sets the address for the next reads and writes."""
 
 _ASKED = "LoadState,ActiveState,SubState,NRestarts,Result,UnitFileState"
 UNITS = ("swarm-bus", "swarm-mesh", "swarm-balancer", "swarm-dwm")
 
 
 def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, Any]:
-    """The facts, and: memory, temperature, throttled, services, devices, key, config, robot, pairing. The request also
-    names the file of the key."""
+    """Return the facts, and: memory, temperature, throttled, services, devices, key, config, robot, pairing. The
+    request also names the file of the key."""
     root = request.get("root", "/")
     found = facts.main(request, tell)
     services = {name: unit(f"{name}.service", _ASKED) for name in UNITS}
@@ -43,7 +43,7 @@ def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, A
 
 
 def _memory(root: str) -> int | None:
-    """Bytes that programs can still have."""
+    """Return the bytes of memory that are available to programs."""
     for row in (text(below(root, "/proc/meminfo")) or "").splitlines():
         if row.startswith("MemAvailable:"):
             return int(row.split()[1]) * 1024
@@ -51,7 +51,7 @@ def _memory(root: str) -> int | None:
 
 
 def _throttled(root: str) -> int | None:
-    """The flags of Raspberry Pi's firmware (vcgencmd get_throttled), None where it tells none."""
+    """Return the flags of Raspberry Pi's firmware (vcgencmd get_throttled), None where it tells none."""
     said = line(below(root, "/sys/devices/platform/soc/soc:firmware/get_throttled"))
     if not said:
         code, out, _ = run("vcgencmd", "get_throttled")
@@ -86,7 +86,7 @@ def _devices(root: str) -> dict[str, Any] | None:
 
 
 def _read(bus: int, address: int, index: int, count: int) -> bytes | None:
-    """Bytes from an index on; None where nobody answers."""
+    """Return bytes from an index on; None where no device answers."""
     try:
         fcntl.ioctl(bus, I2C_SLAVE, address)
         os.write(bus, bytes([index]))

@@ -24,7 +24,7 @@ PLACES = {
 
 
 def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, Any]:
-    """The facts; the request names files, links, packages and units to look at."""
+    """Return the facts; the request names files, links, packages and units to look at."""
     root = request.get("root", "/")
     places = {name: below(root, path) for name, path in {**PLACES, **request.get("places", {})}.items()}
     release = (text(below(root, "/etc/os-release")) or "").splitlines()
@@ -72,7 +72,7 @@ def _owner(path: Path, number: int) -> str:
 
 
 def _free(root: str, path: str) -> int | None:
-    """Bytes that may still be written there."""
+    """Return the bytes that may still be written to a path."""
     try:
         disk = os.statvfs(below(root, path))
     except OSError:
@@ -95,7 +95,7 @@ def _link(root: str, path: str) -> str | None:
 
 
 def _packages(names: list[str]) -> dict[str, str]:
-    """Versions of those that are installed whole."""
+    """Return the versions of the packages that are installed whole."""
     found = {}
     for name in names:
         code, out, _ = run("dpkg-query", "--show", "--showformat=${db:Status-Abbrev}|${Version}", name)
@@ -106,12 +106,13 @@ def _packages(names: list[str]) -> dict[str, str]:
 
 
 def _broken() -> str:
-    """Packages that were left in the middle of their installation."""
+    """Return the packages that were left in the middle of their installation."""
     return " ".join(row.split()[0] for row in run("dpkg", "--audit")[1].splitlines() if row.startswith(" "))
 
 
 def _blocked(root: str) -> list[str]:
-    """Radios that are switched off: `bluetooth` or `wlan` (soft), the same with `!` where it is by a real switch."""
+    """Return the radios that are switched off: `bluetooth` or `wlan` (soft), the same with `!` where it is by a real
+    switch."""
     found = []
     for folder in sorted(below(root, "/sys/class/rfkill").glob("*")):
         if line(folder / "hard") == "1":

@@ -29,9 +29,10 @@ _REASONS = {
 
 
 def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, Any]:
-    """Request: do (look, forget, trust, listen, call), peer, adapter, inquiry (s). `problem`: empty where done.
+    """Carry out a request: do (look, forget, trust, listen, call), peer, adapter, inquiry (s). `problem` is empty if
+    all went well.
 
-    What was changed is on the disk then: a robot whose power goes after `swarm pair` still has its keys.
+    Changes are on the disk at the end: a robot whose power goes after `swarm pair` still has its keys.
     """
     try:
         bluez = Bluez(request.get("adapter"))

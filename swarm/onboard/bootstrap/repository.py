@@ -15,9 +15,9 @@ _ANEW = "each question to apt begins by writing these files"
 
 
 def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, Any]:
-    """Request: folder, index (text of Packages), apt (command line up to the names), packages.
+    """Ask apt. The request has folder, index (text of Packages), apt (command line up to the names) and packages.
 
-    The answer: `install` (name and version of each), `there` (SHA-256 of files that are there whole), `problem`.
+    The answer has `install` (name and version of each), `there` (SHA-256 of files that are there whole), `problem`.
     """
     folder = Path(request["folder"])
     debs = folder / "debs"

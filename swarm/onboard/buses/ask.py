@@ -174,5 +174,5 @@ def opened(directories: Mapping[str, Path]) -> Iterator[dict[str, Bus]]:
 
 
 def _rank(entry: GraphRobot) -> int:
-    """The lower, the better it is known."""
+    """Return a rank that is the lower the better a robot is known."""
     return {"self": 0, "here": 1}.get(entry.state, 2)

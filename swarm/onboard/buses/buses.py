@@ -18,7 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def directories_of(arguments: argparse.Namespace) -> dict[str, Path]:
-    """Return the runtime directory by robot: of a simulation's robots, or of the own. Raises `LocalError`."""
+    """Return the runtime directory by robot, of a simulation's robots or of this one. Raises `LocalError`."""
     wanted: Sequence[str] = arguments.robots or ()
     if os.environ.get("SWARM_RUNTIME") and arguments.run_dir is None:
         return {_checked(who_am_i(load()), wanted): runtime_dir()}

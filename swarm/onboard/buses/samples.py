@@ -26,7 +26,7 @@ _FRAME_KINDS = {STEP: "STEP", WANT: "WANT"}
 
 _LETTERS = "dfqQbBiIhH?"
 _ROLL = 32
-"""Bytes behind a latest state: who has been there, a bit a robot."""
+"""Bytes behind a latest state: a bit for each robot that has been there."""
 _ENTRY = re.compile(r"([0-9]{0,3})([a-zA-Z?])")
 
 Layouts = Mapping[str, str]
@@ -76,13 +76,13 @@ def rate_text(now: float, robot: str, key: str, rate: float, volume: float) -> s
 
 
 def rate_json(now: float, robot: str, key: str, rate: float, volume: float) -> str:
-    """The same as one JSON object."""
+    """Return a key's samples and bytes a second as one JSON object."""
     data = {"time": round(now, 6), "robot": robot, "key": key, "rate": rate, "bytes_per_s": volume}
     return json.dumps(data)
 
 
 def clock_text(seconds: float) -> str:
-    """Local time of day with milliseconds."""
+    """Return the local time of day with milliseconds."""
     return time.strftime("%H:%M:%S", time.localtime(seconds)) + f".{int(seconds % 1 * 1000):03d}"
 
 
@@ -100,7 +100,7 @@ def _payload_text(sample: BusSample) -> str:
 
 
 def frame_app(key: str) -> str:
-    """The app whose frames between robots come under this key; empty for other keys."""
+    """Return the app whose frames between robots come under this key; empty for other keys."""
     try:
         _, service, topic = parse(key)
     except PayloadError:
@@ -110,7 +110,7 @@ def frame_app(key: str) -> str:
 
 
 def _frame(sample: BusSample) -> tuple[str, str, int, dict[str, object] | None] | None:
-    """Kind, `k` or `sequence`, that number and the state of an app-to-app frame
+    """Return kind, `k` or `sequence`, that number and the state of an app-to-app frame
     (docs/reference/network/lockstep.md). None in place of the state where its layout is not known; None for other
     keys."""
     try:
@@ -133,8 +133,8 @@ def _frame(sample: BusSample) -> tuple[str, str, int, dict[str, object] | None] 
 
 
 def _state(layouts: Layouts, body: bytes, copies: int, *, spare: int) -> dict[str, object] | None:
-    """The first of so many equally long states in a frame's body, by the one layout that fits its length; at most
-    `spare` bytes may follow."""
+    """Return the first of so many equally long states in a frame's body, by the one layout that fits its length; at
+    most `spare` bytes may follow."""
     fitting = {text for text in layouts.values() if text and 0 <= len(body) - copies * _size(text) <= spare}
     if len(fitting) != 1:
         return None
@@ -149,7 +149,8 @@ def _state(layouts: Layouts, body: bytes, copies: int, *, spare: int) -> dict[st
 
 
 def _size(layout: str) -> int:
-    """Bytes of a state; more than any has where this is no layout: another robot's process has told it."""
+    """Return the bytes of a state. For a text that is no layout, as another robot may send one, they are more than any
+    state has."""
     size = 0
     for each in layout.split():
         match = _ENTRY.fullmatch(each.partition("=")[2])
@@ -160,7 +161,7 @@ def _size(layout: str) -> int:
 
 
 def _fault(sample: BusSample) -> str | None:
-    """Why the payload is not what its key demands; None where it is, or where the key is none of ours."""
+    """Return why the payload is not what its key demands; None where it is, or where the key is none of ours."""
     try:
         if type_of(sample.key) is not None:
             read(sample.key, sample.payload)
@@ -189,7 +190,7 @@ def value_text(value: object, depth: int = 0) -> str:
 
 
 def _word(text: str) -> str:
-    """Text as it is where it is simple, else quoted: it must not steer the terminal."""
+    """Return a text, quoted where it is not simple: it must not steer the terminal."""
     return text if _SIMPLE.fullmatch(text) else json.dumps(text).replace("\x7f", "\\u007f")
 
 

@@ -21,7 +21,7 @@ class Figures:
     lost: int
     """Messages that were not answered."""
     rtt_min: float | None
-    """s; all of these None where no answer came, or where throughput was measured."""
+    """Round trip, s, as the next figures; all are None where no answer came, or where throughput was measured."""
     rtt_median: float | None
     rtt_mean: float | None
     rtt_deviation: float | None
@@ -38,7 +38,7 @@ class Series:
     to: str
     """The robot, or the robots, that it reaches."""
     hops: int
-    """Links on the way; to the farthest robot for a flood."""
+    """Links on the way; of a flood to the farthest robot."""
     figures: tuple[Figures, ...]
 
     @property
@@ -79,8 +79,8 @@ def of_bursts(size: int, bursts: Sequence[Sequence[float]], count: int) -> Figur
 
 
 def _rate(size: int, times: Sequence[float]) -> float | None:
-    """bytes/s. Several messages may arrive in one go: what came with the first one does not count, or a short burst
-    would seem faster than it was."""
+    """Return bytes/s. Several messages may arrive in one go: those that came with the first one do not count, or a
+    short burst would seem faster than it was."""
     first_twentieth = times[0] + (times[-1] - times[0]) / 20
     first = sum(time <= first_twentieth for time in times)
     passed = times[-1] - times[first - 1]

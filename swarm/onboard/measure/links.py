@@ -167,8 +167,8 @@ def _known(bus: Bus, robot: str) -> Mapping[str, GraphRobot]:
 
 
 def path(known: Mapping[str, GraphRobot], robot: str, peer: str) -> list[str]:
-    """The robots from a neighbour of `robot` to `peer`: a shortest way, the one that unicast takes or one as long;
-    `LocalError` where there is none."""
+    """Return the robots from a neighbour of `robot` to `peer`: a shortest way, the one that unicast takes or one as
+    long; `LocalError` where there is none."""
     end = known.get(peer)
     if end is None:
         raise LocalError(f"there is no robot {peer}, there are {' '.join(name for name in known if name != robot)}")

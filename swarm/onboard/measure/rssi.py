@@ -75,7 +75,8 @@ def text(link: str, readings: list[int]) -> list[str]:
 
 
 def address(config: RobotConfig, link: str) -> str:
-    """The Bluetooth address of a robot; `LocalError`, with `link` in front, where it is reached another way."""
+    """Return the Bluetooth address of a robot. Raises `LocalError`, with `link` in front, where it is reached
+    otherwise."""
     if config.link is not None and not config.link.startswith("rfcomm:"):
         raise LocalError(f"{link}: this link has no radio: {config.name} is reached by {config.link}")
     found = (config.link or "").removeprefix("rfcomm:") or config.bluetooth

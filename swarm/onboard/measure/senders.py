@@ -20,7 +20,7 @@ PATIENCE = 5.0
 """Seconds to wait for an answer, beyond what the payload takes at `SLOWEST`."""
 
 SLOWEST = 5000.0
-"""bytes/s."""
+"""Slowest way of sending for which an answer is waited for, bytes/s."""
 
 BURST = 64 * 1024
 """Bytes of a burst that measures throughput, where a single message is not longer."""
@@ -29,7 +29,7 @@ AT_ONCE = 48
 """Messages of a burst at most: fewer than confirmed floods may be under way."""
 
 APP = "measure"
-"""Under whose name messages travel: nobody listens to them, so only the meshes are measured."""
+"""Name of an app under which messages travel: nobody listens to them, so only the meshes are measured."""
 
 
 Look = Callable[[int, int], None]
@@ -48,10 +48,10 @@ class Sender(ABC):
 
     @abstractmethod
     def many(self, size: int, count: int) -> list[float]:
-        """Messages that follow each other: when each was answered, s."""
+        """Send messages that follow each other. Return the times at which they were answered, s."""
 
     def rtt(self, sizes: Sequence[int], count: int, look: Look) -> tuple[Figures, ...]:
-        """`count` messages of each size, the sizes in turn, so that what changes meanwhile changes all alike."""
+        """Send `count` messages of each size, the sizes in turn, so that what changes meanwhile changes all alike."""
         found: dict[int, list[float]] = {size: [] for size in sizes}
         for turn in range(count):
             for place, size in enumerate(sizes):
@@ -61,7 +61,7 @@ class Sender(ABC):
         return tuple(of_times(size, times, count, both_ways=self.both_ways) for size, times in found.items())
 
     def throughput(self, sizes: Sequence[int], count: int, look: Look) -> tuple[Figures, ...]:
-        """`count` bursts of each size."""
+        """Send `count` bursts of each size."""
         found = []
         for place, size in enumerate(sizes):
             at_once = max(2, min(AT_ONCE, BURST // size))
@@ -74,7 +74,7 @@ class Sender(ABC):
 
 
 class Pings(Sender):
-    """Between the meshes of two neighbours (`mesh/set/echo`): what `neighbours` messages of a size meet."""
+    """Pings between the meshes of two neighbours (`mesh/set/echo`): they take the way of `neighbours` messages."""
 
     both_ways = True
 
@@ -94,7 +94,7 @@ class Pings(Sender):
         return answers[0].rtt if answers else None
 
     def many(self, size: int, count: int) -> list[float]:
-        """Pings at once, short answers."""
+        """Send pings at once, which have short answers."""
         return [echo.t for echo in self._ping(size, self._priority or "bulk", count=count, short=True)]
 
     def _ping(self, size: int, priority: str, *, count: int, short: bool) -> list[Echo]:
@@ -127,7 +127,7 @@ class _Messages(Sender):
         return None if answered is None else answered - began
 
     def many(self, size: int, count: int) -> list[float]:
-        """Messages at once, and their confirmations."""
+        """Send messages at once, and wait for their confirmations."""
         end = clock.now() + _patience(size * count)
         handles = [self._send(size, self._priority or "bulk") for _ in range(count)]
         answers = [self._answered(handle, end) for handle in handles]
@@ -139,7 +139,7 @@ class _Messages(Sender):
 
     @abstractmethod
     def _succeeded(self, answer: Any) -> bool:
-        """Whether it arrived; `LocalError` where it could not be sent."""
+        """Return whether a message arrived. Raises `LocalError` where it could not be sent."""
 
     def _answered(self, handle: Handle[Any], end: float) -> float | None:
         try:

@@ -22,7 +22,7 @@ class MeshView:
 
     @property
     def complete(self) -> bool:
-        """Whether nothing is missing."""
+        """Return whether no report is missing."""
         return None not in (self.links, self.clock, self.counters, self.topology)
 
 
@@ -33,7 +33,7 @@ class CollectedMesh:
     views: Mapping[str, MeshView]
     """The answers of the robots that were asked."""
     robots: Mapping[str, GraphRobot] = field(default_factory=dict)
-    """All, as they are known best."""
+    """All robots, each by the best report of it."""
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -41,7 +41,7 @@ class CollectedMesh:
         return tuple(sorted({*self.views, *self.robots, *(link.peer for _, link in self.links())}))
 
     def links(self) -> Iterator[tuple[str, LinkState]]:
-        """The own links of the robots that were asked, and whose they are."""
+        """Yield the links of the robots that were asked, each with its robot."""
         for name, view in self.views.items():
             if view.links is not None:
                 for link in view.links.links:
@@ -55,12 +55,12 @@ class CollectedMesh:
 
     @property
     def carried(self) -> tuple[tuple[str, str], ...]:
-        """The neighbours of the swarm where the links are not theirs."""
+        """Return the neighbours of the swarm where the links are not theirs."""
         return self.topology.edges if self.topology is not None and self.topology.links else ()
 
     @cached_property
     def hubs(self) -> dict[str, list[str]]:
-        """The robots that each hub calls; empty where links are those of the topology."""
+        """Return the robots that each hub calls; empty where links are those of the topology."""
         hubs: dict[str, list[str]] = {}
         for hub, robot in self.topology.links if self.topology is not None else ():
             hubs.setdefault(hub, []).append(robot)
@@ -76,8 +76,8 @@ class CollectedMesh:
 
     @cached_property
     def replaced(self) -> dict[tuple[str, str], tuple[str, tuple[str, ...]]]:
-        """The links of hubs that are not up, each with the reason that is known, and the robots with which the called
-        robot has other links instead."""
+        """Return the links of hubs that are not up, each with the reason that is known, and the robots with which the
+        called robot has other links instead."""
         planned = {_pair(hub, robot): (hub, robot) for hub, robots in self.hubs.items() for robot in robots}
         spare = [pair for pair in self.round_trips if pair not in planned]
         reasons = {(name, link.peer): link.reason for name, link in self.links() if link.state not in UP}
@@ -91,7 +91,7 @@ class CollectedMesh:
 
     @cached_property
     def clashes(self) -> dict[str, str]:
-        """Names that two robots have, by the robots that were asked, and how that was noticed."""
+        """Return the names that two robots have, as noticed by the robots that were asked, and how."""
         return {
             name: text
             for view in self.views.values()
@@ -101,8 +101,8 @@ class CollectedMesh:
 
     @cached_property
     def states(self) -> dict[tuple[str, str], bool]:
-        """Every link that is known, its ends sorted, and whether it is up: no end says that it is down, and where none
-        was asked, both tell of it."""
+        """Return every link that is known, its ends sorted, and whether it is up: no end says that it is down, and
+        where none was asked, both tell of it."""
         states: dict[tuple[str, str], bool] = {}
         for name, link in self.links():
             pair = _pair(name, link.peer)
@@ -118,8 +118,8 @@ class CollectedMesh:
 
     @cached_property
     def round_trips(self) -> dict[tuple[str, str], float | None]:
-        """The links that are up: median round-trip time where an end was asked, else twice the larger one-way time that
-        the ends tell, in steps of 20 %; s."""
+        """Return the links that are up: median round-trip time where an end was asked, else twice the larger one-way
+        time that the ends tell, in steps of 20 %; s."""
         medians: dict[tuple[str, str], float] = {}
         for name, link in self.links():
             if link.rtt_median is not None:
@@ -138,12 +138,12 @@ class CollectedMesh:
 
     @cached_property
     def graph(self) -> Graph:
-        """The links that are up."""
+        """Return the graph of the links that are up."""
         return Graph(self.names, list(self.round_trips))
 
     @property
     def whole(self) -> bool:
-        """Whether all robots are there, no two with one name, all meshes report, and all known links are up."""
+        """Return whether all robots are there, no two with one name, all meshes report, and all known links are up."""
         silent = any(view.links is None for view in self.views.values())
         down = any(link.state != "up" for _, link in self.links())
         return (

@@ -20,7 +20,7 @@ HELP = "show or change which robots an app's lockstep runs on"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """`show`, `drop ROBOT...`, `add ROBOT...` or `renew`, then options."""
+    """Declare `show`, `drop ROBOT...`, `add ROBOT...` or `renew`, then options."""
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="show|drop|add|renew")
     verb = partial(add_verb, verbs, epilog=parser.epilog)
     look = verb("show", "show the members of the run as each robot knows them; exit code 1 if members differ")
@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Code 1 where members tell different epochs, or the change has not come about in time."""
+    """Show or change an epoch; code 1 where members tell different epochs, or the change has not come about in time."""
     if not is_name(args.app):
         raise LocalError(f"--app {args.app}: expected the name of an app")
     with opened(buses.directories_of(args)) as found:
@@ -84,7 +84,7 @@ def table(answers: Answers[AppEpoch]) -> list[str]:
 
 
 def _order(answers: Answers[AppEpoch], args: argparse.Namespace) -> str:
-    """Give the order to one robot; what is wrong where its app has not followed in time."""
+    """Give the order to one robot. Return what is wrong where its app has not followed in time."""
     known, which = answers.newest, tuple(getattr(args, "which", ()))
 
     def asked() -> str | None:

@@ -30,7 +30,7 @@ class RadioReading:
 
 
 def read(directories: Mapping[str, Path]) -> list[RadioReading]:
-    """The connections of these robots' adapters; `LocalError` where a robot has no radio, or the adapter no answer."""
+    """Return the readings of these robots' adapters. Raises `LocalError` for a robot without a radio or an answer."""
     found = []
     for robot, directory in directories.items():
         config = config_for(directory)

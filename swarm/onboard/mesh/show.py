@@ -49,7 +49,8 @@ def shown(args: argparse.Namespace) -> CollectedMesh:
 
 
 def collect(directories: Mapping[str, Path]) -> CollectedMesh:
-    """The newest reports of these robots, waited for; `LocalError` where no mesh reports at all."""
+    """Wait for the newest reports of these robots, and return them. Raises `LocalError` where no mesh reports at
+    all."""
     views = {name: MeshView() for name in directories}
     graphs = Views()
 

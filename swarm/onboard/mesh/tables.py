@@ -112,7 +112,7 @@ def links(mesh: CollectedMesh) -> list[str]:
 
 
 def role(link: LinkState) -> str:
-    """This end's role in a Bluetooth connection, and which one is wanted in its place."""
+    """Return this end's role in a Bluetooth connection, and which one is wanted in its place."""
     return link.role if link.role == link.wanted_role else f"{link.role}, wanted {link.wanted_role}"
 
 
@@ -176,12 +176,12 @@ def _mean(seconds: float | None) -> str:
 
 
 def pairs(edges: Sequence[Sequence[str]]) -> str:
-    """Links as `swarm mesh topology set` takes them."""
+    """Return links as `swarm mesh topology set` takes them."""
     return " ".join(f"{a}-{b}" if "-" not in a + b else f"{a}:{b}" for a, b in edges)
 
 
 def ms(seconds: float | None) -> str:
-    """Milliseconds; nothing for None."""
+    """Return milliseconds as text; empty for None."""
     return "" if seconds is None else f"{seconds * 1e3:.1f}"
 
 

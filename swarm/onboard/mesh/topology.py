@@ -27,7 +27,7 @@ AUTO = "auto"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """`show` or `set WANTED...`, then options."""
+    """Declare `show` or `set WANTED...`, then options."""
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="show|set")
     verb = partial(add_verb, verbs, epilog=parser.epilog)
     look = verb("show", "show the topology in force on each robot; exit code 1 if a link is not up")
@@ -49,7 +49,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Code 1 where a robot is silent, has another version, or lacks a link; a refused wish is a `LocalError`."""
+    """Show or set the topology; code 1 where a robot is silent, has another version, or lacks a link. Raises
+    `LocalError` for a refused wish."""
     wish = _wish(args.wanted) if args.verb == "set" else None
     with opened(buses.directories_of(args)) as found:
         answers = Answers(found, Topology, "mesh", "topology")
@@ -114,7 +115,7 @@ def _wish(words: list[str]) -> tuple[str, tuple[tuple[str, str], ...]]:
 
 
 def _pair(word: str) -> tuple[str, str] | None:
-    """The two ends of a link."""
+    """Return the two ends of a link; None where the word names none."""
     if word in SHAPES or word.startswith("random:"):
         return None
     a, mark, b = word.partition(":" if ":" in word else "-")
@@ -122,7 +123,8 @@ def _pair(word: str) -> tuple[str, str] | None:
 
 
 def _set(found: Mapping[str, Bus], shape: str, edges: tuple[tuple[str, str], ...], after: int | None) -> int:
-    """Ask the first robot whose bus is there; the version that is then in force, `LocalError` where it is refused."""
+    """Ask the first robot whose bus is there. Return the version that is then in force. Raises `LocalError` where the
+    wish is refused."""
     name = next(name for name, bus in found.items() if bus.connected)
     wish = TopologyRequest(new_ticket(), shape, edges, after)
     answer = request(found, {name: wish}, TopologySet, "mesh", "topology", PATIENCE).get(name)

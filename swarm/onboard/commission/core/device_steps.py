@@ -5,7 +5,7 @@ from swarm.onboard.commission.core.procedure import Desk, Script, StepError
 
 READY_S = 20.0
 CALM_S = 1.5
-"""A stop that holds is said again each second."""
+"""Seconds without a fault after which none holds: a stop that holds is repeated each second."""
 SIZES = (4, 28)
 """Bytes of the transfers that are timed; their difference is pure time of bytes."""
 TRANSFERS = 30
@@ -20,7 +20,7 @@ LINKS_S = 3.0
 
 
 def ready(desk: Desk) -> Script:
-    """The balancer runs, its devices answer, it has found its gyro's zero, and no fault holds."""
+    """Check that the balancer runs, its devices answer, it has found its gyro's zero, and no fault holds."""
     yield from desk.confirm("lay-back", "Lay the robot on its back and leave it alone. A or Enter when it lies.")
     desk.send(SetMode("rest"))
     robot = desk.robot
@@ -38,7 +38,7 @@ def ready(desk: Desk) -> Script:
 
 
 def bus(desk: Desk) -> Script:
-    """The I2C bus is fast enough, and transfers succeed."""
+    """Check that the I2C bus is fast enough, and that transfers succeed."""
     robot, seconds = desk.robot, {}
     if robot.state is not None and robot.state.scl:  # where it is slow, a tick has no room for the longer transfers
         _judge_clock(desk, robot.state.scl)
@@ -72,7 +72,7 @@ def _judge_clock(desk: Desk, scl: float) -> None:
 
 
 def battery(desk: Desk) -> Script:
-    """The batteries are charged."""
+    """Check that the batteries are charged."""
     yield from desk.until(lambda: desk.robot.state is not None and desk.robot.state.battery is not None, 5.0)
     state = desk.robot.state
     volts = None if state is None else state.battery
@@ -109,7 +109,7 @@ def _presses(desk: Desk) -> tuple[int, int, int]:
 
 
 def display(desk: Desk) -> Script:
-    """The display shows what it is told; a robot without one passes."""
+    """Check that the display shows what it is told; a robot without one passes."""
     desk.robot.display = None
     desk.send(SetDisplay(f"{desk.subject.robot}\nA: I read this", 60.0))
     yield from desk.until(lambda: desk.robot.display is not None, DISPLAY_S)

@@ -11,13 +11,13 @@ GRAVITY = 9.81
 IMU_RATE = 50.0
 SAMPLE_S = 1.0
 ANGLE = math.radians(40)
-"""A hand is no gauge: so far may a posture or a turn be off."""
+"""Largest error of a posture or a turn by hand, rad: a hand is no gauge."""
 ZERO_TRIES = 5
 ZERO_S = 4.0
 LEAST_TURN = math.radians(30)
 LYING = math.radians(110)
 ROLLED_M = 0.12
-"""Half a turn of a wheel."""
+"""Way of a wheel in half a turn, m."""
 ROLL_S = 60.0
 DONE = "A or Enter when it is done."
 UP, AXLE, BACK = range(3)
@@ -27,7 +27,7 @@ MOUNTING = "the IMU is part of the Balboa's board: mount that board (or the IMU 
 
 
 def imu(desk: Desk) -> Script:
-    """The IMU's axes are those of the body, of its accelerometer and its gyro."""
+    """Check that the axes of the IMU's accelerometer and gyro are those of the body."""
     yield from desk.confirm("lay-back", "Lay the robot on its back and leave it alone. A or Enter when it lies.")
     yield from _find_zero(desk)
     back = yield from _mean(desk)

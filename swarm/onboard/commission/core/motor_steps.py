@@ -14,9 +14,9 @@ TURN_S = 1.0
 MOVED_M = 0.02
 """Least way of a wheel in a second at that duty, m: a tenth of the way of a free wheel."""
 WRONG_M = 0.015
-"""A wheel that has rolled so far the wrong way is stopped at once."""
+"""Way in the wrong direction after which a wheel is stopped at once, m."""
 STILL = 0.02
-"""m/s: below, a wheel stands."""
+"""Speed below which a wheel stands, m/s."""
 STOP_S = 0.5
 REASON = "swarm commission"
 """The reason of the stop that is tried."""
@@ -98,7 +98,7 @@ def _named(stops: Mapping[str, str]) -> str:
 
 
 def watchdog(desk: Desk) -> Script:
-    """The ATmega stops the motors by itself when their commands cease."""
+    """Check that the ATmega stops the motors by itself when their commands cease."""
     yield from desk.confirm("lift-upright", "Wheels free again: they turn, and must stop by themselves. A or Enter.")
     begin = desk.now
     yield from _turning(desk, "watchdog")
@@ -148,7 +148,7 @@ def _tipped(desk: Desk, sign: int) -> bool:
 
 
 def standing(desk: Desk) -> Script:
-    """It balances on the floor, first in the hand, then alone."""
+    """Check that the robot balances, first in the hand, then alone on the floor."""
     robot = desk.robot
     text = "Stand it upright on the floor, wheels on the ground, and hold it loosely. A or Enter: it balances."
     yield from desk.confirm("stand-on-floor", text)

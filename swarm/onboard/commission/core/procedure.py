@@ -24,11 +24,11 @@ class Subject:
 
     robot: str
     anchors: Mapping[str, tuple[float, float, float]]
-    """Those that it should hear: places by short address, m, heights over the robots' antennas."""
+    """The anchors that it should hear: places by short address, m, heights over the robots' antennas."""
     battery_warning: float
-    """V."""
+    """Voltage below which the balancer warns, V."""
     date: str
-    """When it was begun, as text; it also names the requests."""
+    """Time at which the procedure began, as text; it also names the requests."""
     release: str
 
 
@@ -74,13 +74,13 @@ class Desk:
         self.subject = subject
         self.robot = RobotView()
         self.now = 0.0
-        """s, of the shell's clock."""
+        """Time of the shell's clock, s."""
         self.figures: dict[str, Any] = {}
-        """Measured by the step that runs, with names that end in their unit."""
+        """Figures that the step that runs has measured, with names that end in their unit."""
         self.actions: list[Action] = []
         self.answer: bool | None = None
         self.asking = False
-        """Whether an answer is waited for."""
+        """Whether the step waits for an answer."""
 
     def say(self, text: str) -> None:
         """Tell the person something."""
@@ -115,7 +115,7 @@ class Desk:
             yield
 
     def until(self, condition: Condition, seconds: float) -> Generator[None, None, bool]:
-        """Wait until the condition holds, at most so long; whether it does."""
+        """Wait until the condition holds, at most so long. Return whether it does."""
         end = self.now + seconds
         while not condition():
             if self.now >= end:
@@ -134,7 +134,7 @@ class ProcedureStep(NamedTuple):
 
 @frozen
 class StepResult:
-    """The result of a step; of several tries the last one."""
+    """The result of a step, of several tries that of the last one."""
 
     name: str
     verdict: str
@@ -142,12 +142,12 @@ class StepResult:
     tries: int
     figures: dict[str, Any]
     text: str = ""
-    """What is wrong."""
+    """What is wrong, in words."""
     remedy: str = ""
 
 
 class Procedure:
-    """The whole of it; `done` at its end, and then there is a `report`."""
+    """The whole procedure. At its end it is `done`, and there is a `report`."""
 
     def __init__(self, subject: Subject, steps: Sequence[ProcedureStep]) -> None:
         self.desk = Desk(subject)

@@ -62,7 +62,7 @@ class ImuMean:
 
 
 class RobotView:
-    """Newest messages, and the last of those that are looked at over some time."""
+    """The newest messages, and the last ones of the types that are looked at over some time."""
 
     def __init__(self) -> None:
         self.state: BalancerState | None = None
@@ -73,7 +73,7 @@ class RobotView:
         self.links: Links | None = None
         self.stopped: Stopped | None = None
         self.rates: dict[str, I2CRates] = {}
-        """By ticket."""
+        """Measured rates, by ticket."""
         self.notices: deque[Notice] = deque(maxlen=20)
         self.states: deque[BalancerState] = deque(maxlen=KEPT_STATES)
         self.odometry: deque[Odometry] = deque(maxlen=KEPT_STATES)

@@ -54,7 +54,7 @@ def uwb(desk: Desk) -> Script:
 
 
 def offset(desk: Desk) -> Script:
-    """The mean error of its ranges at places that are known, under the calibration in use."""
+    """Measure the mean error of the robot's ranges at places that are known, under the calibration in use."""
     places = _places(list(desk.subject.anchors.values()))
     if not places:
         desk.say("the anchors of swarm.toml span no field: no offset is learned")
