@@ -10,7 +10,7 @@ from swarm.app.parameters import value_of
 from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError
 from swarm.messages import AppParameter, AppParameters, AppParametersSet, SetAppParameters
-from swarm.messages.codec import Value
+from swarm.messages.codec import Value, as_value
 from swarm.messages.keys import is_name
 from swarm.onboard.buses import buses
 from swarm.onboard.buses.ask import PATIENCE, Answers, new_ticket, opened, request
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     silent = [robot for robot in there if robot not in known]
     values = {robot: {name: p.value for name, p in its.items()} for robot, its in known.items()}
     data = {"app": args.app, "parameters": values, "later": later, "silent": silent, "problems": problems}
-    lines = [*table(known), *(f"{robot}: no answer" for robot in silent), *problems.values()]
+    lines = [*table(known), *(f"{robot}: no answer" for robot in silent if robot not in problems), *problems.values()]
     lines += [f"{robot}: taken, and holds from the app's next step on" for robot in later]
     show(args, data, lines)
     return 1 if silent or problems else 0
@@ -62,7 +62,10 @@ def settings_of(args: argparse.Namespace) -> dict[str, dict[str, Value]]:
         robot, _, parameter = name.rpartition(".")
         if not equals or not parameter.isidentifier():
             raise LocalError(f"{word[:60]!r} is no setting such as gain=0.5 or r2.gain=0.5")
-        found.setdefault(robot, {})[parameter] = value_of(text)
+        try:
+            found.setdefault(robot, {})[parameter] = as_value(value_of(text))
+        except LocalError as error:
+            raise LocalError(f"{name}: {error}") from None
     return found
 
 
@@ -74,6 +77,8 @@ def _change(
     requests = {robot: SetAppParameters(new_ticket(), each) for robot, each in values.items() if each}
     answers = request(there, requests, AppParametersSet, f"app/{app}", "parameters", PATIENCE)
     problems = {robot: answers[robot].problem for robot in sorted(answers) if answers[robot].problem}
+    for robot in sorted(requests.keys() - answers.keys()):
+        problems[robot] = f"{robot}: no answer to the change within {PATIENCE:g} s: look again whether it holds"
     return problems, {robot: values[robot] for robot, answer in answers.items() if not answer.problem}
 
 

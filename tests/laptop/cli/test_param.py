@@ -1,8 +1,13 @@
-"""`swarm app param --fleet`: the robots' own commands, over ssh."""
+"""`swarm app param`: what is no value, a change without an answer; `--fleet`: the robots' own commands, over ssh."""
+
+import argparse
 
 import pytest
 from fake_robots import FakeRobots, Run, outcomes
 from needs import needs_ssh
+
+from swarm.errors import LocalError
+from swarm.onboard import param
 
 pytest_plugins = ["fleet_fixtures"]
 
@@ -24,3 +29,24 @@ def test_each_robot_changes_what_is_meant_for_it(
     found = outcomes(capsys)
     assert (found["r0"]["ok"], found["r1"]["ok"]) == (True, False)
     assert "app consensus on r1: refused" in str(found["r1"]["text"])
+
+
+class Mute:
+    """A bus on which nobody answers."""
+
+    def subscribe(self, *_: object) -> None: ...
+
+    def publish(self, *_: object, urgent: bool) -> None: ...
+
+
+@pytest.mark.parametrize("text", ["nan", "1e999", "-inf", str(1 << 64), "[1,nan]"])
+def test_a_value_that_no_message_carries_is_refused(text: str) -> None:
+    with pytest.raises(LocalError, match=r"^r0\.gain: expected a finite number"):
+        param.settings_of(argparse.Namespace(app="hands", settings=[f"r0.gain={text}"]))
+
+
+def test_a_change_without_an_answer_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(param, "PATIENCE", 0.0)
+    problems, changed = param._change({"r0": Mute(), "r1": Mute()}, "hands", {"r0": {"gain": 0.5}})  # type: ignore[dict-item]
+    assert (list(problems), changed) == (["r0"], {})
+    assert "no answer to the change" in problems["r0"]
