@@ -66,6 +66,13 @@ class Row:
     confirmed: bool
 
 
+class _Words(argparse.Action):
+    """Takes the words of a reason as one text: whoever forgets the quotes in a hurry stops the robots, too."""
+
+    def __call__(self, _: object, namespace: argparse.Namespace, values: object, *__: object) -> None:
+        setattr(namespace, self.dest, " ".join(values) if isinstance(values, list) else values)
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> list[argparse.ArgumentParser]:
     """Declare `stop [REASON]` and `arm` with their options, and return the parsers of the two.
 
@@ -74,7 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> list[argparse.ArgumentPars
     acts = parser.add_subparsers(dest="act", required=True, prog=parser.prog)
     parsers = [acts.add_parser(name, prog=parser.prog, description=parser.description) for name in ("stop", "arm")]
     text = "why the robots stop; their logs and faults show it (swarm estop)"
-    parsers[0].add_argument("reason", nargs="?", metavar="REASON", default=DEFAULT_REASON, help=text)
+    parsers[0].add_argument("reason", nargs="*", metavar="REASON", default=DEFAULT_REASON, action=_Words, help=text)
     parsers[0].set_defaults(since=None)
     parsers[1].set_defaults(reason="")
     # The laptop tells when the command was given, in seconds of this robot's clock.

@@ -1,6 +1,7 @@
 """`swarm estop` and `swarm arm`: what counts as obeyed, and both between real meshes from one robot and from a run
 directory."""
 
+import argparse
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -44,6 +45,15 @@ def at(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     """As on a robot: one bus, and no other."""
     for name, value in (("ROBOT", robot.name), ("RUNTIME", str(robot.directory)), ("CONFIG", str(robot.config))):
         monkeypatch.setenv(f"SWARM_{name}", value)
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"), [((), halt.DEFAULT_REASON), (("smoke",), "smoke"), (("r1", "fell", "off"), "r1 fell off")]
+)
+def test_a_reason_without_quotes_stops_too(words: tuple[str, ...], reason: str) -> None:
+    parser = argparse.ArgumentParser("estop")
+    halt.add_arguments(parser)
+    assert parser.parse_args(["stop", *words, "--timeout", "2"]).reason == reason
 
 
 # -- what counts ---------------------------------------------------------------------------------------------
