@@ -131,7 +131,9 @@ class Builder:
         if self._lost:
             self._returns.append(k)
             self._lost = False
-        if self._rows.setdefault(k, row) != row:
+        known = self._rows.setdefault(k, row)
+        # A process that goes on from its snapshot records that state again. Its metrics are measured anew, elsewhere.
+        if known != row and _without_metrics(columns, known) != _without_metrics(columns, row):
             if self._strict:
                 raise RecordingError(f"{path}: iteration {k} stands there twice with different values")
             self.forks.add(k)
@@ -221,6 +223,12 @@ def beside(states: str) -> tuple[str, str]:
     """The topics of an app's changes of members and of its progress, by that of its states: see `Builder.heed`."""
     prefix = states.removesuffix("state")
     return prefix + "epoch", prefix + "progress"
+
+
+def _without_metrics(columns: tuple[str, ...], row: tuple[str, ...]) -> list[str]:
+    """Return what an app has computed: a row without the results of its methods `error` and `error_NAME`."""
+    own = "result.error"
+    return [text for name, text in zip(columns, row, strict=True) if name != own and not name.startswith(f"{own}_")]
 
 
 def _cells(prefix: str, values: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]]) -> Iterator[tuple[str, str]]:

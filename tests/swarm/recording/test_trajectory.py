@@ -50,6 +50,18 @@ def test_a_repeated_iteration_must_be_equal(tmp_path):
         trajectory.read(write(tmp_path, value(3, 10.0, 0.0), value(3, 11.0, -0.0)))
 
 
+def test_what_is_measured_of_a_repeated_iteration_may_differ(tmp_path):
+    """After a restart the world has gone on, or the truth is not known yet."""
+    first = {"value": 0.5, "error": 0.25, "error_heading": 0.125}
+    later = {"value": 0.5, "error": 0.375, "error_heading": None}
+    found = trajectory.read(write(tmp_path, (3, 10.0, {"value": 0.5}, first), (3, 11.0, {"value": 0.5}, later)))
+    assert (found.value(3, "result.error"), found.value(3, "result.error_heading")) == (0.25, 0.125)
+    for other in ({**later, "value": 0.75}, {**later, "errors": 1.0}):
+        rows = (3, 10.0, {}, {"errors": 0.0, **first}), (3, 11.0, {}, {"errors": 0.0, **other})
+        with pytest.raises(RecordingError, match=r"iteration 3 stands there twice"):
+            trajectory.read(write(tmp_path, *rows))
+
+
 def test_what_is_done_again_with_other_members_counts_from_then_on(tmp_path):
     writer = Writer("test", epoch_ns=0)
     for k, value_of_it in ((0, 0.0), (1, 1.0), (2, 2.0), (3, 3.0)):
