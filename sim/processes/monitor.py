@@ -2,7 +2,7 @@
 
 import contextlib
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -23,6 +23,7 @@ from swarm.messages import (
     read,
 )
 from swarm.messages.keys import key, parse
+from swarm.recording.file import UNRECORDED
 
 THROTTLED_TRUTH_S = 0.2
 """Seconds between two messages of the throttled copy of the truth."""
@@ -152,6 +153,14 @@ class Monitor:
     def close(self) -> None:
         for bus in self._buses.values():
             bus.close()
+
+
+def unrecorded(seen: Mapping[str, Seen]) -> list[str]:
+    """Return which apps could not record the end of the run, and why."""
+    told = ((name, status) for name, robot in seen.items() for status in robot.status.values())
+    return [
+        f"{name} {status.service}: {status.reason}" for name, status in told if status.reason.startswith(UNRECORDED)
+    ]
 
 
 def _update(seen: Seen, topic: str, payload: bytes) -> None:

@@ -29,7 +29,7 @@ from sim.disturbances import (
     never,
 )
 from sim.processes import footprint
-from sim.processes.monitor import START_LIMIT_S, Monitor, Seen, StartTimeout
+from sim.processes.monitor import START_LIMIT_S, Monitor, Seen, StartTimeout, unrecorded
 from sim.processes.processes import APP_FAULT, Processes
 from sim.processes.progress import ProgressDisplay, said
 from sim.processes.radio import LATENESS
@@ -41,6 +41,7 @@ from swarm import clock
 from swarm.config.dump import dump
 from swarm.errors import LocalError
 from swarm.recording import folder, trajectory
+from swarm.recording.file import check_room
 from swarm.recording.reader import SUFFIX
 
 SERVICE_MODULES = {
@@ -77,6 +78,7 @@ class ProcessRun:
         self._stop = False
         names = scenario.config.names
         folder.make_empty(self._records)
+        check_room(self._records)
         for name in (*names, *([RADIO] if options.slots is not None else [])):
             (run_dir / name).mkdir()
         (run_dir / "swarm.toml").write_text(dump(scenario.config))
@@ -299,6 +301,7 @@ class ProcessRun:
         seen = self._monitor.look()
         if self._options.seconds is not None:
             self._problems += _held_up(seen)
+        self._problems += unrecorded(seen)
         memory = {name: footprint.resident_mib(self._processes.of(name)) for name in names}
         found = self._world.look(lambda record, contacts: scene.seen(self._scenario, record, contacts, self._commanded))
         self._processes.stop()  # only then are the recordings complete

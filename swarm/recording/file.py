@@ -17,7 +17,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from swarm import __version__
-from swarm.errors import RecordingError
+from swarm.errors import LocalError, RecordingError
 from swarm.recording.budget import hold
 from swarm.recording.core import mcap
 from swarm.recording.core.writer import ExistingContent, Writer
@@ -37,7 +37,20 @@ MAX_WAITING = 1024 * 1024
 
 LIBRARY = f"balboa-swarm {__version__}"
 
+UNRECORDED = "nothing is recorded"
+"""How an app's status begins while that is so."""
+
 _log = logging.getLogger("record")
+
+
+def check_room(folder: Path) -> None:
+    """Raise `LocalError` where the disk of a folder has so little room that no file in it would be written."""
+    space = os.statvfs(folder)
+    if space.f_bavail * space.f_frsize < MIN_FREE:
+        raise LocalError(
+            f"{folder}: less than {MIN_FREE >> 20} MiB are free on its disk, so nothing could be recorded: make room, "
+            "or name a folder on another disk"
+        )
 
 
 def set_aside(path: Path, reason: Exception) -> None:

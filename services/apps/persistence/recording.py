@@ -14,7 +14,7 @@ from swarm.errors import RecordingError
 from swarm.process.service import Service
 from swarm.recording import folder
 from swarm.recording.budget import Budget
-from swarm.recording.file import RecordingFile, set_aside
+from swarm.recording.file import UNRECORDED, RecordingFile, set_aside
 from swarm.recording.reader import CLOCK, EPOCH, PLOTTED, RUN, SHAPES, SUFFIX, run_of
 from swarm.recording.recorded_topics import TopicRecorder
 
@@ -84,7 +84,7 @@ class AppRecording:
     def _tell(self, problem: str) -> None:
         """Say in the service's status that nothing is recorded, and later that it is. A fault of the app stays."""
         status = self._service.status()
-        told = f"nothing is recorded: {problem}; the run goes on"
+        told = f"{UNRECORDED}: {problem}; the run goes on"
         if problem and status.state == "ready":
             self._told = told
             self._service.degraded(told)
