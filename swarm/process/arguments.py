@@ -56,9 +56,13 @@ def picture_name(text: str) -> Path:
     return path
 
 
-def number(least: float, most: float = math.inf, unit: str = "", *, above: bool = False) -> Callable[[str], float]:
-    """Return the type of a finite number from `least` to `most`; with `above` it is more than `least`."""
+def number(
+    least: float = -math.inf, most: float = math.inf, unit: str = "", *, above: bool = False
+) -> Callable[[str], float]:
+    """Return the type of a finite number, from `least` to `most`; with `above` it is more than `least`."""
     wanted = f"{least:g} or more" if most == math.inf else f"{least:g} to {most:g}"
+    if least == -math.inf:
+        wanted = "a finite number"
     if above:
         wanted = f"a number above {least:g}"
 

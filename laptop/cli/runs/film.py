@@ -39,13 +39,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--from",
-        type=float,
+        type=number(),
         dest="begin",
         metavar="S",
         help="start of the film, in seconds of the recording (its start)",
     )
     parser.add_argument(
-        "--to", type=float, dest="end", metavar="S", help="end of the film, in seconds of the recording (its end)"
+        "--to", type=number(), dest="end", metavar="S", help="end of the film, in seconds of the recording (its end)"
     )
     parser.add_argument("--dark", action="store_true", help="use dark colours")
     add_json(parser)

@@ -5,6 +5,7 @@ import signal
 import time
 
 from laptop.view import live
+from swarm.process.arguments import whole
 
 HELP = "serve the running swarm to Foxglove"
 PORT = 8765
@@ -14,7 +15,7 @@ PORT = 8765
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     live.add_arguments(parser)
     parser.add_argument(
-        "--port", type=int, default=PORT, metavar="N", help=f"port on 127.0.0.1 ({PORT}); 0 = any free port"
+        "--port", type=whole(0, 65535), default=PORT, metavar="N", help=f"port on 127.0.0.1 ({PORT}); 0 = any free port"
     )
     parser.add_argument("--control", action="store_true", help="let Foxglove set parameters of apps")
 

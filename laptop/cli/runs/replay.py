@@ -37,7 +37,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--speed", type=number(0, above=True), default=1.0, metavar="F", help="how many times faster than the run (1)"
     )
-    parser.add_argument("--start", type=float, metavar="S", help="start at this second of the run (its first message)")
+    parser.add_argument(
+        "--start", type=number(), metavar="S", help="start at this second of the run (its first message)"
+    )
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
         "--json", action="store_true", help="print one JSON object a line, without waiting, in place of publishing"

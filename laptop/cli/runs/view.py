@@ -8,6 +8,7 @@ from pathlib import Path
 
 from laptop.view import live
 from swarm.errors import LocalError, MissingPackageError
+from swarm.process.arguments import number, whole
 
 HELP = "show the running swarm, or a recorded run, in the browser"
 
@@ -17,12 +18,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "recording", nargs="?", type=Path, metavar="RUN", help="show a recorded run in place of a running swarm"
     )
     live.add_arguments(parser)
-    parser.add_argument("--port", type=int, default=0, metavar="N", help="port on 127.0.0.1 (default: any free port)")
+    parser.add_argument(
+        "--port", type=whole(0, 65535), default=0, metavar="N", help="port on 127.0.0.1 (default: any free port)"
+    )
     parser.add_argument(
         "--control", action="store_true", help="allow commands from the page: stop, cut links, press buttons ..."
     )
     parser.add_argument("--screenshot", type=Path, metavar="FILE.png", help="write a picture of the page, and end")
-    parser.add_argument("--at", type=float, metavar="S", help="second of the recording for the picture (its end)")
+    parser.add_argument("--at", type=number(), metavar="S", help="second of the recording for the picture (its end)")
     parser.add_argument(
         "--chart",
         action="append",
@@ -56,6 +59,8 @@ def run(args: argparse.Namespace) -> int:
         raise LocalError("a recording has all of its robots: leave it out to look at a running swarm")
     if (args.at is not None or args.chart) and args.screenshot is None:
         raise LocalError("--at and --chart are for --screenshot")
+    if args.at is not None and args.recording is None:
+        raise LocalError("--at is for a recording: a running swarm is shown as it is now")
     if args.recording is not None:
         if args.control:
             raise LocalError("--control: there is nothing to control in a recording")

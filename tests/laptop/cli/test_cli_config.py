@@ -123,6 +123,27 @@ def test_help_of_a_group_lists_its_commands(group, capsys):
     assert all(f"\n  {name} " in text for name in COMMANDS[group].commands)
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("view", "--port", "99999"),
+        ("foxglove", "--port", "-1"),
+        ("view", "run", "--screenshot", "x.png", "--at", "nan"),
+        ("film", "run", "x.mp4", "--from", "nan"),
+        ("film", "run", "x.mp4", "--to", "inf"),
+        ("replay", "run", "--start", "nan"),
+    ],
+)
+def test_a_number_that_is_none_of_its_kind_is_named(words, capsys):
+    assert run(*words) == 2
+    assert f"argument {words[-2]}: '{words[-1]}': expected a " in capsys.readouterr().err
+
+
+def test_a_running_swarm_has_no_picture_of_the_past(tmp_path, capsys):
+    assert run("view", "--run-dir", str(tmp_path), "--screenshot", str(tmp_path / "x.png"), "--at", "3") == 2
+    assert capsys.readouterr().err == "swarm: --at is for a recording: a running swarm is shown as it is now\n"
+
+
 def test_swarm_stop_is_the_same_command_as_estop():
     assert COMMANDS["stop"].module == COMMANDS["estop"].module
     assert [name for name in names(COMMANDS) if name.split()[-1] == "stop"] == ["app stop", "services stop", "stop"]
