@@ -4,7 +4,7 @@ Any one member takes the order; the robots agree on it among themselves (docs/ex
 """
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from functools import partial
 
@@ -12,7 +12,7 @@ from swarm.errors import LocalError
 from swarm.messages import AppEpoch, SetAppEpoch
 from swarm.messages.keys import is_name, key
 from swarm.onboard.buses import buses
-from swarm.onboard.buses.ask import PATIENCE, Answers, new_ticket, opened
+from swarm.onboard.buses.ask import PATIENCE, Answers, Views, new_ticket, opened
 from swarm.onboard.command_line import add_verb
 from swarm.process.arguments import add_json, number, show
 
@@ -86,6 +86,7 @@ def table(answers: Answers[AppEpoch]) -> list[str]:
 def _order(answers: Answers[AppEpoch], args: argparse.Namespace) -> str:
     """Give the order to one robot. Return what is wrong where its app has not followed in time."""
     known, which = answers.newest, tuple(getattr(args, "which", ()))
+    _check(answers, which)
 
     def asked() -> str | None:
         so_far = dict(known)
@@ -112,6 +113,21 @@ def _order(answers: Answers[AppEpoch], args: argparse.Namespace) -> str:
         return f"{name} has not followed within {args.timeout:g} s: {most}"
     answers.wait(PATIENCE, lambda: _agree(known))
     return ""
+
+
+def _check(answers: Answers[AppEpoch], which: Iterable[str]) -> None:
+    """Raise `LocalError` for a name that no robot of the swarm has: an app would drop it, and nothing would change."""
+    known = {name for epoch in dict(answers.newest).values() for name in (*epoch.members, *epoch.away)}
+    if not (strange := [name for name in which if name not in known]):
+        return
+    views = Views()
+    for name, bus in answers.buses.items():
+        views.ask(name, bus, PATIENCE)
+    with views.changed:
+        views.changed.wait_for(lambda: bool(views.robots), PATIENCE)
+    there = sorted(known | views.best().keys())
+    if strange := [name for name in strange if name not in there]:
+        raise LocalError(f"no robot {strange[0]!r} in the swarm, there are {', '.join(there)}")
 
 
 def _agree(told: Mapping[str, AppEpoch]) -> bool:
