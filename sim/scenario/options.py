@@ -350,6 +350,10 @@ def parse(arguments: list[str], *, ends: bool = True) -> Options:
         raise ConfigError("--target-velocity and --clock-skew: each robot would have another time, leave out one")
     if options.clock_skew and not options.virtual:
         raise ConfigError("--clock-skew is for --virtual: processes of one machine have one clock")
+    if (options.mesh is not None or options.body != MODELS[0]) and not options.virtual:
+        raise ConfigError(
+            "--mesh and --body choose models of --virtual: here are the real mesh, and a body with physics"
+        )
     if options.slots is not None and (options.jitter or options.bandwidth or options.loss or options.mesh == DELAY):
         raise ConfigError("--radio slots has times of its own: leave out --jitter, --bandwidth, --loss, --mesh delay")
     if options.view and not options.virtual:

@@ -97,6 +97,8 @@ def test_any_text_is_a_value_or_refused(text):
         (["--virtual", "--robots", "2"], "--virtual needs an APP, or --seconds"),
         (["--virtual", "--seconds", "3", "--record", "x"], "--record under --virtual needs an APP"),
         (["consensus", "--config", "x.toml", "--robots", "3"], "leave out"),
+        (["consensus", "--mesh", "delay"], "choose models of --virtual"),
+        (["consensus", "--body", "point"], "choose models of --virtual"),
     ],
 )
 def test_options_that_contradict_each_other_are_refused(arguments, words):
