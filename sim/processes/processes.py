@@ -182,18 +182,23 @@ class Processes:
         return lost
 
     def stop(self, grace_s: float = 3.0) -> None:
-        """End all processes, apps before the services that they use. A process that does not end when asked is
-        killed."""
-        running = [child.process for child in reversed(self.children) if child.process is not None]
-        for process in running:
-            with contextlib.suppress(ProcessLookupError):
-                process.send_signal(signal.SIGTERM)
-                process.send_signal(signal.SIGCONT)  # a stopped process would never see the other signal
-        deadline = clock.now() + grace_s
-        for process in running:
-            try:
-                process.wait(max(0.0, deadline - clock.now()))
-            except subprocess.TimeoutExpired:
-                _log.warning("killed pid=%s: it did not stop within %g s", process.pid, grace_s)
-                process.kill()
-                process.wait()
+        """End all processes. A process that does not end when asked is killed. Apps end before the services that they
+        use are asked, or their recordings would end with links that go down because the run is over."""
+        running = [(child.service, child.process) for child in reversed(self.children) if child.process is not None]
+        _end([process for service, process in running if service.startswith("app/")], grace_s)
+        _end([process for service, process in running if not service.startswith("app/")], grace_s)
+
+
+def _end(running: list[subprocess.Popen[bytes]], grace_s: float) -> None:
+    for process in running:
+        with contextlib.suppress(ProcessLookupError):
+            process.send_signal(signal.SIGTERM)
+            process.send_signal(signal.SIGCONT)  # a stopped process would never see the other signal
+    deadline = clock.now() + grace_s
+    for process in running:
+        try:
+            process.wait(max(0.0, deadline - clock.now()))
+        except subprocess.TimeoutExpired:
+            _log.warning("killed pid=%s: it did not stop within %g s", process.pid, grace_s)
+            process.kill()
+            process.wait()
