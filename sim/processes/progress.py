@@ -1,6 +1,8 @@
 """The progress of a simulation for people: a block that is redrawn on a terminal, plain lines elsewhere."""
 
+import contextlib
 import math
+import os
 from collections.abc import Mapping, Sequence
 from typing import TextIO
 
@@ -33,6 +35,7 @@ class ProgressDisplay:
         if self._terminal:
             lines = [f"{elapsed:6.1f} s", *(f"  {name}  {text}" for name, text in robots)]
             self._erase()
+            lines = _fit(lines, self._stream)
             for line in lines:
                 _write(self._stream, line)
             self._drawn = len(lines)
@@ -71,6 +74,18 @@ def say(out: TextIO, robot: str, line: AppLog) -> None:
 def _write(out: TextIO, line: str) -> None:
     """Write one line, whatever others have put into it."""
     out.write(printable(line, None) + "\n")
+
+
+def _fit(lines: list[str], terminal: TextIO) -> list[str]:
+    """Return lines that take one line of the screen each, and fit on it together: what is longer is never erased whole.
+    A terminal that does not tell its size gets all."""
+    width, height = 0, 0
+    with contextlib.suppress(OSError, ValueError):
+        width, height = os.get_terminal_size(terminal.fileno())
+    if 1 < height <= len(lines):
+        kept = lines[: max(1, height - 2)]
+        lines = [*kept, f"  ... and {len(lines) - len(kept)} more robots"]
+    return [printable(line, max(3, width) if width else None) for line in lines]
 
 
 def _robot(scenario: Scenario, seen: Seen, missing: Sequence[str]) -> str:

@@ -1,16 +1,30 @@
 """Each line of a run's progress stays one line, whatever robots and apps say."""
 
 import io
+import os
 from pathlib import Path
 
+import pytest
+
 from sim.processes.monitor import Seen
-from sim.processes.progress import TERMINAL_PERIOD_S, ProgressDisplay, say
+from sim.processes.progress import TERMINAL_PERIOD_S, ProgressDisplay, _fit, say
 from sim.scenario.options import parse
 from sim.scenario.scenario import build
 from swarm.messages import AppLog, AppProgress, BalancerState
 
 FORGED = "stuck\n   9.9 s  r1  done\r\x1b[2J"
 SHOWN = r"stuck\n   9.9 s  r1  done\r\u001b[2J"
+
+
+class Screen(io.StringIO):
+    """A terminal with a file descriptor."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self._number = number
+
+    def fileno(self) -> int:
+        return self._number
 
 
 class Terminal(io.StringIO):
@@ -42,3 +56,16 @@ def test_a_line_of_an_app_and_a_sentence_that_stays_are_one_line_each() -> None:
     say(out, "r0", AppLog(1.0, "info", FORGED))
     ProgressDisplay(out, build(parse(["consensus"]), Path("run"))).say(FORGED)
     assert out.getvalue() == f"    1.000 s  r0  {SHOWN}\n{SHOWN}\n"
+
+
+def test_a_block_fits_on_the_screen_or_it_would_not_be_erased_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    lines = ["   1.0 s", *(f"  r{number}  balancing -0.3 deg, k=48 waits for r3" for number in range(30))]
+    sizes = {1: (40, 24), 2: (0, 0), 3: (200, 2)}
+    monkeypatch.setattr(os, "get_terminal_size", lambda number: os.terminal_size(sizes[number]))
+    small, unknown, low = (_fit(lines, Screen(number)) for number in sizes)
+    assert small[:2] == ["   1.0 s", "  r0  balancing -0.3 deg, k=48 waits ..."]
+    assert (len(small), small[-1]) == (23, "  ... and 9 more robots")
+    assert max(map(len, small)) == 40
+    assert unknown == lines
+    assert low == ["   1.0 s", "  ... and 30 more robots"]
+    assert _fit(lines, io.StringIO()) == lines
