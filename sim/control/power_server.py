@@ -57,6 +57,11 @@ class Power:
         """Return whether a robot is switched off."""
         return robot in self._off
 
+    @property
+    def off_now(self) -> Collection[str]:
+        """The robots that are switched off."""
+        return self._off.keys()
+
     def close(self) -> None:
         self._socket.close()
 

@@ -3,7 +3,7 @@
 import contextlib
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from typing import TextIO
 
 from sim.processes.monitor import Seen
@@ -26,12 +26,20 @@ class ProgressDisplay:
         self._drawn = 0
         self._next = 0.0
 
-    def show(self, now: float, elapsed: float, seen: Mapping[str, Seen], missing: Mapping[str, Sequence[str]]) -> None:
-        """Draw if it is time; `missing` names the services of each robot that are not ready."""
+    def show(
+        self,
+        now: float,
+        elapsed: float,
+        seen: Mapping[str, Seen],
+        missing: Mapping[str, Sequence[str]],
+        off: Container[str] = (),
+    ) -> None:
+        """Draw if it is time; `missing` names the services of each robot that are not ready, `off` the robots that are
+        switched off: what they have told last holds no more."""
         if now < self._next:
             return
         self._next = now + (TERMINAL_PERIOD_S if self._terminal else PLAIN_PERIOD_S)
-        robots = [(name, _robot(self._scenario, seen[name], missing[name])) for name in seen]
+        robots = [(name, "off" if name in off else _robot(self._scenario, seen[name], missing[name])) for name in seen]
         if self._terminal:
             lines = [f"{elapsed:6.1f} s", *(f"  {name}  {text}" for name, text in robots)]
             self._erase()

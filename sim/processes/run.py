@@ -160,7 +160,7 @@ class ProcessRun:
                 self._progress.say(said(robot, replace(line, t=line.t - self._commanded)))
             seen = self._monitor.look()
             missing = {name: robot.not_ready(self._services) for name, robot in seen.items()}
-            self._progress.show(now, now - self._commanded, seen, missing)
+            self._progress.show(now, now - self._commanded, seen, missing, self._power.off_now)
             if started is None:
                 if self._has_started(seen, missing):
                     started = now

@@ -51,6 +51,17 @@ def test_without_a_terminal_a_swarm_is_one_line_whatever_it_names() -> None:
     assert shown(io.StringIO()) == f"   1.0 s  r0 {SHOWN}; r1 k=3 waits for r0 ({SHOWN})\n" * 2
 
 
+def test_a_robot_that_is_off_does_nothing_of_what_it_told_before() -> None:
+    out = io.StringIO()
+    seen = {
+        "r0": Seen(progress=AppProgress(1.0, "running", 3, (), "")),
+        "r1": Seen(progress=AppProgress(1.0, "running", 3, (), "")),
+    }
+    display = ProgressDisplay(out, build(parse(["consensus", "--robots", "2"]), Path("run")))
+    display.show(1.0, 1.0, seen, {"r0": (), "r1": ()}, {"r1"})
+    assert out.getvalue() == "   1.0 s  r0 k=3; r1 off\n"
+
+
 def test_a_line_of_an_app_and_a_sentence_that_stays_are_one_line_each() -> None:
     out = io.StringIO()
     say(out, "r0", AppLog(1.0, "info", FORGED))
