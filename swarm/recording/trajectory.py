@@ -15,6 +15,8 @@ from swarm.recording.reader import RecordingReader, shapes_of
 WINDOW = 10
 """Iterations of a window. On bipartite graphs (a line, an even loop) lockstep has period 2: single intervals alternate
 for ever, so an iteration is measured over an even number of them, at least ten."""
+RESULT = "result."
+"""How the columns of results begin."""
 WARM_UP = 10
 """Iterations left out at the start."""
 
@@ -85,7 +87,7 @@ class Builder:
     """Takes recorded states one by one."""
 
     def __init__(self, *, strict: bool = True, whole: bool = True) -> None:
-        """`strict`: an iteration that stands there twice with different values is an error; else the later one counts,
+        """`strict`: an iteration that stands there twice with different states is an error; else the later one counts,
         as where an app without snapshot, or a whole robot, began anew within a run. `whole`: keep all there is; else
         of a long run the newest states and some of the times."""
         self._strict = strict
@@ -120,20 +122,22 @@ class Builder:
         state, result = message.get("state"), message.get("result")
         if not (isinstance(k, int) and isinstance(t, float) and isinstance(state, dict) and isinstance(result, dict)):
             raise RecordingError(f"{path}: a state without k, t, state and result")
-        cells = [*_cells("", state, self.shapes), *_cells("result.", result, self.shapes)]
-        columns = tuple(name for name, _ in cells)
+        named = [*_cells("", state, self.shapes), *_cells(RESULT, result, self.shapes)]
+        columns = tuple(name for name, _ in named)
         if not self._columns:
             self._columns = columns
         elif columns != self._columns:
             raise RecordingError(f"{path}: iteration {k} has other fields than the first: {', '.join(columns)}")
-        row = tuple(text for _, text in cells)
+        row = tuple(text for _, text in named)
         k += self._breaks[-1] if self._breaks else 0
         if self._lost:
             self._returns.append(k)
             self._lost = False
         known = self._rows.setdefault(k, row)
-        # A process that goes on from its snapshot records that state again. Its metrics are measured anew, elsewhere.
-        if known != row and _without_metrics(columns, known) != _without_metrics(columns, row):
+        # A process that goes on from its snapshot records that state again. Its result may say of the robot, of the
+        # truth or of a parameter what has changed meanwhile.
+        cells = zip(columns, known, row, strict=True)
+        if known != row and any(a != b for name, a, b in cells if not name.startswith(RESULT)):
             if self._strict:
                 raise RecordingError(f"{path}: iteration {k} stands there twice with different values")
             self.forks.add(k)
@@ -223,12 +227,6 @@ def beside(states: str) -> tuple[str, str]:
     """The topics of an app's changes of members and of its progress, by that of its states: see `Builder.heed`."""
     prefix = states.removesuffix("state")
     return prefix + "epoch", prefix + "progress"
-
-
-def _without_metrics(columns: tuple[str, ...], row: tuple[str, ...]) -> list[str]:
-    """Return what an app has computed: a row without the results of its methods `error` and `error_NAME`."""
-    own = "result.error"
-    return [text for name, text in zip(columns, row, strict=True) if name != own and not name.startswith(f"{own}_")]
 
 
 def _cells(prefix: str, values: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]]) -> Iterator[tuple[str, str]]:
