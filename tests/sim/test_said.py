@@ -70,6 +70,28 @@ def test_every_line_comes_with_its_robot_and_is_recorded(
     ]
 
 
+def test_of_a_run_the_last_lines_of_each_robot_and_of_the_apps_that_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, run = tmp_path / "talks.py", str(tmp_path / "run")
+    path.write_text(TALKS.format(kind="SyncApp"))
+    simulate(str(path), "consensus", "--robots", "2", "--iterations", "6", "--record", run)
+    parser = argparse.ArgumentParser()
+    logs.add_arguments(parser)
+
+    def printed(*words: str) -> list[str]:
+        assert logs.run(parser.parse_args([run, *words])) == 0
+        return [line.rpartition(" s  ")[2] for line in capsys.readouterr().out.splitlines()]
+
+    assert sorted(printed("-n", "1")) == ["r0  lines", "r1  lines"]
+    assert len(printed("talks")) == len(printed()) == 8
+    assert printed("consensus") == ["no app has printed or logged anything in this run"]
+    with pytest.raises(LocalError, match="no app nosuch is recorded; there are: consensus, talks"):
+        logs.run(parser.parse_args([run, "nosuch"]))
+    with pytest.raises(LocalError, match="nothing new comes"):
+        logs.run(parser.parse_args([run, "-f"]))
+
+
 def test_a_run_that_is_not_there_is_no_service_of_robots() -> None:
     parser = argparse.ArgumentParser()
     logs.add_arguments(parser)

@@ -7,6 +7,7 @@ simulation that runs here.
 import argparse
 import sys
 import time
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from swarm.recording.run import Run
 HELP = "show the logs of all robots, or of the apps in a recorded run"
 
 FOREVER_S = 1e9
+LINES = 20
 MOST_RUNS = 8
 """Runs that an error names."""
 
@@ -38,10 +40,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "services",
         nargs="*",
         metavar="SERVICE|RUN",
-        help="services or apps (default: all); or a run's folder or recording",
+        help="services or apps (default: all); or a run's folder or recording, then apps",
     )
     parser.add_argument("-f", "--follow", action="store_true", help="also show new lines, until Ctrl-C")
-    parser.add_argument("-n", "--lines", type=whole(0), default=20, help="number of lines of each robot (20)")
+    text = f"number of lines of each robot ({LINES}; of a recorded run all)"
+    parser.add_argument("-n", "--lines", type=whole(0), help=text)
     robot_command.add_simulation(parser)
     everyone.add_arguments(parser, timeout_s=30)
 
@@ -50,6 +53,7 @@ def run(args: argparse.Namespace) -> int:
     """Lines as they come, each with its robot's name."""
     if args.services and Path(args.services[0]).exists():
         return _of_run(args)
+    args.lines = LINES if args.lines is None else args.lines
     if args.services and "/" in args.services[0]:
         raise LocalError(f"{args.services[0]}: there is no such run{_runs(Path(args.services[0]).parent)}")
     if args.follow and args.json:
@@ -87,22 +91,40 @@ def _runs(place: Path) -> str:
 
 
 def _of_run(args: argparse.Namespace) -> int:
-    """Print what apps have printed and logged, in the order of time; with --robots of these robots alone."""
-    recorded = Run(Path(args.services[0]))
+    """Print what apps have printed and logged, in the order of time; of these apps and robots alone where some are
+    named."""
+    if args.follow:
+        raise LocalError(f"--follow: {args.services[0]} is recorded, nothing new comes")
+    recorded, apps = Run(Path(args.services[0])), set(args.services[1:])
+    there = {topic.split("/")[3] for topic in recorded.topics if "/app/" in topic}
+    if strange := apps - there:
+        raise LocalError(f"{recorded.path}: no app {min(strange)} is recorded; there are: {', '.join(sorted(there))}")
     wanted = set(args.robots or recorded.robots)
     if odd := wanted - set(recorded.robots):
         raise LocalError(f"{recorded.path}: no robot {min(odd)} is recorded; there are: {', '.join(recorded.robots)}")
     lines = []
     for sample in recorded.samples("swarm/*/app/*/log"):
-        robot = sample.topic.split("/")[1]
-        if robot in wanted:
+        _, robot, _, app, _ = sample.topic.split("/")
+        if robot in wanted and (not apps or app in apps):
             message = sample.message
             lines.append((robot, AppLog(sample.t, str(message.get("level", "")), str(message.get("text", "")))))
+    if args.lines is not None:
+        lines = _newest(lines, args.lines)
     rows = [{"robot": robot, "t": line.t, "level": line.level, "text": line.text} for robot, line in lines]
     text = [said(robot, line) for robot, line in lines] or ["no app has printed or logged anything in this run"]
     damage = list(recorded.damage)
     show(args, {"lines": rows, "damage": damage}, [*(f"note: {each}" for each in damage), *text])
     return 0
+
+
+def _newest(lines: list[tuple[str, AppLog]], count: int) -> list[tuple[str, AppLog]]:
+    """Return the last `count` lines of each robot."""
+    left, kept = Counter[str](), []
+    for robot, line in reversed(lines):
+        left[robot] += 1
+        if left[robot] <= count:
+            kept.append((robot, line))
+    return kept[::-1]
 
 
 def _simulated(args: argparse.Namespace, there: Mapping[str, Path]) -> int:
