@@ -75,7 +75,7 @@ def test_of_a_run_the_last_lines_of_each_robot_and_of_the_apps_that_are_named(
 ) -> None:
     path, run = tmp_path / "talks.py", str(tmp_path / "run")
     path.write_text(TALKS.format(kind="SyncApp"))
-    simulate(str(path), "consensus", "--robots", "2", "--iterations", "6", "--record", run)
+    run_virtually(str(path), "consensus", "--robots", "2", "--iterations", "6", "--record", run)
     parser = argparse.ArgumentParser()
     logs.add_arguments(parser)
 
