@@ -6,6 +6,7 @@ told never to ask (BatchMode): a question to eight robots at once has nobody to 
 
 import asyncio
 import contextlib
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -19,6 +20,10 @@ CONNECT_TIMEOUT_S = 10
 
 _ALIVE = ("-o", "ServerAliveInterval=5", "-o", "ServerAliveCountMax=3")
 """Options of ssh by which a robot that disappears during a command is noticed after 15 s."""
+
+_PLAIN = ("-T", "-o", "RemoteCommand=none", "-o", "LogLevel=INFO")
+"""Options of ssh against settings of the user's that suit a shell: a terminal or another program there would change
+what comes back, no messages would hide why a connection failed, and more of them what the robot said."""
 
 _CLIENT_FAILED = 255
 """Exit code of `ssh` itself, where no command has run or its end was not seen."""
@@ -79,7 +84,7 @@ class Ssh:
     def arguments(self, host: Host, command: str) -> list[str]:
         """The command line that runs `command` (for the robot's shell) on `host`."""
         own = () if self._config_file is None else ("-F", str(self._config_file))
-        options = ("-o", "BatchMode=yes", "-o", f"ConnectTimeout={CONNECT_TIMEOUT_S}", *_ALIVE)
+        options = ("-o", "BatchMode=yes", "-o", f"ConnectTimeout={CONNECT_TIMEOUT_S}", *_ALIVE, *_PLAIN)
         return ["ssh", *own, *options, host.address, "--", command]
 
     async def run(
@@ -212,9 +217,10 @@ async def _read(
 
 
 _REASONS = (
-    ("REMOTE HOST IDENTIFICATION HAS CHANGED", "its host key has changed; if set up anew: ssh-keygen -R {address}"),
+    ("REMOTE HOST IDENTIFICATION HAS CHANGED", "its host key has changed; if set up anew: {forget}"),
     ("Host key verification failed", "its host key is not known here: ssh {address} once, and compare the key"),
-    ("Permission denied", "it takes none of your ssh keys: ssh-copy-id {address}"),
+    ("Too many authentication failures", "your ssh agent has too many keys for it: name one in ~/.ssh/config "
+     "(IdentityFile, IdentitiesOnly yes)"),
     ("Could not resolve hostname", "no such host: name {address} in ~/.ssh/config, or give `host` in swarm.toml"),
     ("Connection refused", "it runs no ssh server (or another port)"),
     ("Connection timed out", "it does not answer: is it switched on, and in this network?"),
@@ -224,14 +230,24 @@ _REASONS = (
     ("closed by remote host", "it closed the connection in the middle of it"),
     ("Connection reset", "it closed the connection in the middle of it"),
     ("Broken pipe", "it went away in the middle of it"),
+    ("agent refused operation", "your ssh agent refuses to use your key: unlock the agent, or confirm there"),
+    ("UNPROTECTED PRIVATE KEY FILE", "ssh leaves out your key, which others may read: chmod 600 on its file"),
+    ("Permission denied", "it takes none of your ssh keys: ssh-copy-id {address}, or ssh-add for a key with a "
+     "passphrase"),
 )  # fmt: skip
+"""What a message of ssh means. Those about keys come last: another key may have been taken."""
+
+_FORGET = re.compile(r"^\s*(ssh-keygen -f .*)$", re.MULTILINE)
+"""The line in which ssh itself says how to forget a host key; not every system's does."""
 
 
 def explain(host: Host, err: str) -> str:
     """Why ssh itself failed, and what to do."""
+    own = _FORGET.search(err)
+    forget = printable(own[1].strip()) if own else f"ssh-keygen -R {host.address.rpartition('@')[2]}"
     for sign, reason in _REASONS:
         if sign in err:
-            return reason.format(address=host.address)
+            return reason.format(address=host.address, forget=forget)
     return last_words(err) or "ssh ended without a word"
 
 

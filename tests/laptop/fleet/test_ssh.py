@@ -5,9 +5,13 @@ import errno
 import os
 
 import pytest
+from fake_robots import FakeRobots, Run, outcomes
+from needs import needs_ssh
 
 from laptop.fleet.ssh.everyone import FAILURES
-from laptop.fleet.ssh.ssh import Host, HostError, Ssh
+from laptop.fleet.ssh.ssh import Host, HostError, Ssh, explain
+
+pytest_plugins = ["fleet_fixtures"]
 
 
 @pytest.mark.parametrize("number", [errno.EAGAIN, errno.EMFILE, errno.ENOMEM])
@@ -21,3 +25,55 @@ def test_a_computer_that_cannot_start_one_more_program_says_so(number: int, monk
     with pytest.raises(HostError, match=f"ssh cannot be started: {os.strerror(number)}"):
         asyncio.run(Ssh().check(Host("r0", "r0"), "true"))
     assert issubclass(HostError, FAILURES)
+
+
+DENIED = "me@r0: Permission denied (publickey).\n"
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        (f'signing failed for ED25519 "id" from agent: agent refused operation\n{DENIED}', "your ssh agent refuses"),
+        (f'WARNING: UNPROTECTED PRIVATE KEY FILE!\nLoad key "id": bad permissions\n{DENIED}', "chmod 600"),
+        ("Received disconnect from r0: Too many authentication failures\nDisconnected from r0\n", "IdentitiesOnly yes"),
+        (DENIED, "ssh-add for a key with a passphrase"),
+        ("agent refused operation\nTimeout, server r0 not responding.\n", "it went away"),
+    ],
+)
+def test_what_keeps_a_key_from_being_taken_is_told(said: str, told: str) -> None:
+    assert told in explain(Host("r0", "me@r0"), said)
+
+
+@pytest.mark.parametrize(
+    ("said", "command"),
+    [
+        ('  remove with:\n  ssh-keygen -f "/kh" -R "[r0]:2222"\n', 'ssh-keygen -f "/kh" -R "[r0]:2222"'),
+        ("", "ssh-keygen -R r0"),
+    ],
+)
+def test_the_command_that_forgets_a_host_key_is_one_that_works(said: str, command: str) -> None:
+    """ssh knows a host by its address and port, and never by its user."""
+    text = explain(Host("r0", "me@r0"), f"@ WARNING: REMOTE HOST IDENTIFICATION HAS CHANGED! @\n{said}")
+    assert text == f"its host key has changed; if set up anew: {command}"
+
+
+@needs_ssh
+@pytest.mark.parametrize("setting", ["RequestTTY force", "RemoteCommand sh", "LogLevel DEBUG"])
+def test_settings_of_a_users_own_shell_change_nothing(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], setting: str
+) -> None:
+    robots.add("r0")
+    robots.ssh_config.write_text(f"{setting}\n{robots.ssh_config.read_text()}")
+    assert run("command", "echo here; echo broken >&2; exit 3", "--json") == 1
+    outcome = outcomes(capsys)["r0"]
+    assert (outcome["lines"], outcome["text"]) == (["here"], "exit code 3: broken")
+
+
+@needs_ssh
+def test_why_ssh_fails_is_told_to_a_user_who_wants_no_messages_of_it(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robots.add("r0", up=False)
+    robots.ssh_config.write_text(f"LogLevel QUIET\n{robots.ssh_config.read_text()}")
+    assert run("command", "true", "--json") == 1
+    assert outcomes(capsys)["r0"]["text"] == "it runs no ssh server (or another port)"

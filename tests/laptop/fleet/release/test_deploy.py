@@ -97,7 +97,7 @@ def test_eight_robots_of_which_four_are_in_trouble(
     assert [name for name, (ok, _) in found.items() if ok] == well
     assert found["r1"][1] == "it runs no ssh server (or another port)"
     assert "is its disk full?" in found["r3"][1]
-    assert found["r4"][1] == "its host key has changed; if set up anew: ssh-keygen -R r4"
+    assert found["r4"][1].startswith("its host key has changed; if set up anew: ssh-keygen -")
     assert "in the middle of it" in found["r5"][1]
     assert [name for name, home in homes.items() if (home / "installed").exists()] == well
     for name in ("r3", "r5"):
@@ -199,4 +199,4 @@ def test_a_robot_that_does_not_let_us_in_is_named(
     robots.add("r0")
     (robots.folder / "id").rename(robots.folder / "lost")
     assert run("command", "true", "--json") == 1
-    assert outcomes(capsys)["r0"]["text"] == "it takes none of your ssh keys: ssh-copy-id r0"
+    assert str(outcomes(capsys)["r0"]["text"]).startswith("it takes none of your ssh keys: ssh-copy-id r0")
