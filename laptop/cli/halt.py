@@ -79,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
         raise LocalError(f"{unknown[0]} is no robot of {config.path} or of a simulation; there are {there}")
     real = [name for name in args.robots or config.names if name in config.names]
     found = {name: place for name, place in found.items() if not args.robots or name in args.robots}
-    far = hosts(config, real) if real else (), Ssh(args.ssh_config)
+    far = hosts(config, real) if real else (), Ssh(args.ssh_config, alone=True)
     stop: bool = args.act == "stop"
     answers, began = _Answers(), clock.now()
 

@@ -77,13 +77,16 @@ def hosts(config: Config, only: Sequence[str] | None = None) -> tuple[Host, ...]
 class Ssh:
     """Runs commands on robots."""
 
-    def __init__(self, config_file: Path | None = None) -> None:
-        """`config_file` in place of the user's ~/.ssh/config."""
+    def __init__(self, config_file: Path | None = None, *, alone: bool = False) -> None:
+        """`config_file` in place of the user's ~/.ssh/config. `alone`: over connections of their own, never over one
+        that ssh shares: that one may be dead, and nobody has noticed."""
         self._config_file = config_file
+        self._alone = alone
 
     def arguments(self, host: Host, command: str) -> list[str]:
         """The command line that runs `command` (for the robot's shell) on `host`."""
-        own = () if self._config_file is None else ("-F", str(self._config_file))
+        own = [] if self._config_file is None else ["-F", str(self._config_file)]
+        own += ["-o", "ControlPath=none"] * self._alone
         options = ("-o", "BatchMode=yes", "-o", f"ConnectTimeout={CONNECT_TIMEOUT_S}", *_ALIVE, *_PLAIN)
         return ["ssh", *own, *options, host.address, "--", command]
 

@@ -4,6 +4,7 @@ import argparse
 import json
 import os
 import signal
+import socket
 from pathlib import Path
 
 import pytest
@@ -236,6 +237,21 @@ def test_a_connection_that_breaks_is_made_once_more_for_a_stop(
     assert run("estop") == 0
     assert (home / "systemctl.log").read_text() == "stop swarm-balancer.service\n"
     assert "its balancer was stopped (ssh ended without a word)" in capsys.readouterr().out
+
+
+def test_a_stop_waits_for_no_connection_that_ssh_shares(
+    robots: FakeRobots, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the user's own session keeps one, and the laptop was in another network meanwhile."""
+    monkeypatch.setattr(halt_ssh, "_HANGS_S", 5.0)
+    monkeypatch.setattr(halt_ssh, "_SYSTEMD_S", 0.0)
+    add(robots, "r0", answer("r0"))
+    place = robots.folder / "dead"
+    with socket.socket(socket.AF_UNIX) as dead:
+        dead.bind(str(place))
+        dead.listen()
+        robots.ssh_config.write_text(f"ControlPath {place}\n{robots.ssh_config.read_text()}")
+        assert run("estop") == 0
 
 
 def test_robots_of_which_ssh_tells_nothing_are_not_confirmed(
