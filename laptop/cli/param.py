@@ -24,8 +24,9 @@ def run(args: argparse.Namespace) -> int:
     """Code 1 where a robot does not answer, or refuses."""
     if not (args.real or robot_command.is_meant(args)):
         return param.run(args)
-    param.settings_of(args)  # what is wrong is said here, not by each robot
+    wanted = param.settings_of(args)  # what is wrong is said here, not by each robot
     _, robots, ssh = everyone.chosen(args)
+    param.check_robots(wanted, [host.robot for host in robots])
 
     async def job(host: Host, tell: everyone.ReportProgress) -> str:
         mine = [word.removeprefix(f"{host.robot}.") for word in args.settings]

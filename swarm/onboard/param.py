@@ -4,7 +4,7 @@ Asked are the app's hosts on the buses that can be reached: those of a simulatio
 """
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 from swarm.app.parameters import value_of
 from swarm.bus.zenoh_bus import Bus
@@ -36,8 +36,7 @@ def run(args: argparse.Namespace) -> int:
     """Show or set parameters; code 1 where a robot does not answer, or refuses."""
     wanted = settings_of(args)
     found = buses.directories_of(args)
-    if unknown := {robot for robot in wanted if robot and robot not in found}:
-        raise LocalError(f"no robot {min(unknown)!r} here, there are {', '.join(found)}")
+    check_robots(wanted, list(found))
     with opened(found) as there:
         problems, changed = _change(there, args.app, wanted)
         known, later = _look(there, args.app, changed)
@@ -67,6 +66,12 @@ def settings_of(args: argparse.Namespace) -> dict[str, dict[str, Value]]:
         except LocalError as error:
             raise LocalError(f"{name}: {error}") from None
     return found
+
+
+def check_robots(wanted: Iterable[str], there: Sequence[str]) -> None:
+    """Raise `LocalError` where a value is wanted for a robot that is not asked; "" stands for all."""
+    if unknown := {robot for robot in wanted if robot and robot not in there}:
+        raise LocalError(f"no robot {min(unknown)!r} here, there are {', '.join(there)}")
 
 
 def _change(

@@ -50,3 +50,13 @@ def test_a_change_without_an_answer_is_a_problem(monkeypatch: pytest.MonkeyPatch
     problems, changed = param._change({"r0": Mute(), "r1": Mute()}, "hands", {"r0": {"gain": 0.5}})  # type: ignore[dict-item]
     assert (list(problems), changed) == (["r0"], {})
     assert "no answer to the change" in problems["r0"]
+
+
+@needs_ssh
+def test_a_value_for_a_robot_that_is_not_asked_is_refused(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In place of "nothing to change" on all others."""
+    robots.add("r0", up=False)
+    assert run("app", "param", "consensus", "r9.x=2", "--fleet") == 2
+    assert "no robot 'r9' here, there are r0" in capsys.readouterr().err
