@@ -29,8 +29,9 @@ def run(args: argparse.Namespace) -> int:
     param.check_robots(wanted, [host.robot for host in robots])
 
     async def job(host: Host, tell: everyone.ReportProgress) -> str:
-        mine = [word.removeprefix(f"{host.robot}.") for word in args.settings]
-        words = [word for word in mine if "." not in word.partition("=")[0]]
+        words = [word for word in args.settings if "." not in word.partition("=")[0]]
+        # Last, as the last one is taken: a robot's own value goes before that of all.
+        words += [word.partition(".")[2] for word in args.settings if word.startswith(f"{host.robot}.")]
         if args.settings and not words:
             return "nothing to change"
         await ssh.follow(host, f"{COMMAND} {shlex.join([args.app, *words])}", tell)

@@ -60,3 +60,12 @@ def test_a_value_for_a_robot_that_is_not_asked_is_refused(
     robots.add("r0", up=False)
     assert run("app", "param", "consensus", "r9.x=2", "--fleet") == 2
     assert "no robot 'r9' here, there are r0" in capsys.readouterr().err
+
+
+@needs_ssh
+def test_a_robots_own_value_goes_before_that_of_all_in_any_order(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robots.add("r1", hook='echo "$SSH_ORIGINAL_COMMAND"; exit')
+    assert run("app", "param", "consensus", "r1.gain=2", "gain=1", "--fleet") == 0
+    assert "param consensus gain=1 gain=2\n" in capsys.readouterr().out
