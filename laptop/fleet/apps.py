@@ -55,6 +55,14 @@ esac
 sudo -n systemctl {action} --no-block {unit}"""
 """For the robot's shell: starts a unit; prints the invocation before, where there will be another one."""
 
+_STRANGE = f"""for each in {{units}}; do
+    name=${{{{each#swarm-app@}}}}; name=${{{{name%.service}}}}
+    [ "$(systemctl show --property=ActiveState --value $each)" != inactive ] ||
+        sudo -n test -e {SETTINGS}/$name.env || echo $each
+done"""
+"""For the robot's shell: prints those units of apps that do not run and were never started there. systemd stops them
+without a word, whatever their names."""
+
 _FIRST = """i=0; state=; status=; while [ $i -lt {tries} ]; do
     state=$(systemctl show --property=ActiveState --value {unit})
     if [ "$(systemctl show --property=InvocationID --value {unit})" != "{before}" ]; then
@@ -150,10 +158,14 @@ async def systemctl(ssh: Ssh, host: Host, action: str, names: Iterable[str]) -> 
     measurement or the links of the others, which may take minutes.
     """
     units = list(names)
-    waited = [each for each in units if is_app(each)] if action in ("start", "restart") else []
+    apps = [each for each in units if is_app(each)]
+    waited = apps if action in ("start", "restart") else []
     said = []
     if others := " ".join(each for each in units if each not in waited):
-        await ssh.check(host, f"sudo -n systemctl {action} {others}")
+        look = _STRANGE.format(units=" ".join(apps)) + "; " if action == "stop" and apps else ""
+        strange = (await ssh.check(host, f"{look}sudo -n systemctl {action} {others}")).split()
+        if strange:
+            raise HostError(f"{' '.join(strange)} does not run, and was never started on it")
         said.append(f"{action} {others}")
     for each in waited:
         before = await ssh.check(host, _AGAIN.format(unit=each, action=action))

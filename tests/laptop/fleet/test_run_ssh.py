@@ -112,6 +112,21 @@ def test_an_app_that_waits_when_it_is_started_is_reported_at_once(
     assert [outcome["ok"] for outcome in found.values()] == [True, True, False]
 
 
+def test_a_stop_of_what_was_never_there_is_told(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """systemd stops an app of any name without a word, as one that is spelled wrong, or a service that is."""
+    home = add_robot(robots, "r0")
+    (home / "state").write_text("inactive\n")
+    (home / "etc/apps/consensus.env").touch()
+    assert run("services", "stop", "mesh", "balanser", "consensus", "--json") == 1
+    assert outcomes(capsys)["r0"]["text"] == "swarm-app@balanser.service does not run, and was never started on it"
+    assert (home / "systemctl.log").read_text().startswith("stop swarm-mesh.service")
+    assert run("app", "stop", "consensus") == 0
+    (home / "state").write_text("activating\n")
+    assert run("app", "stop", "balanser") == 0
+
+
 def test_a_start_that_breaks_changes_nothing(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     """The disk is full when the app comes; what ran before is still what would run again."""
     homes = [add_robot(robots, name) for name in ("r0", "r1")]
