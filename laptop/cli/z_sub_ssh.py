@@ -25,7 +25,7 @@ _PREFIX = "z_sub: "
 def watch(options: argparse.Namespace) -> int:
     """Print what the robots print until all end; 2 where one could not be reached or its z_sub failed."""
     ssh = Ssh(options.ssh_config)
-    chosen = hosts(load(options.config), options.robots)
+    chosen = hosts(load(options.config, addressed=False), options.robots)
     command = _command(options)
     failed = asyncio.run(_all(ssh, chosen, command, as_json=options.json))
     return 2 if failed else 0

@@ -33,7 +33,7 @@ def open_feed(args: argparse.Namespace) -> "tuple[SimulationFeed | Robots, Contr
     from laptop.view.feeds.robots import Robots
 
     if robot_command.is_meant(args):
-        config, ssh = load(args.config), Ssh(args.ssh_config)
+        config, ssh = load(args.config, addressed=False), Ssh(args.ssh_config)
         robots = Robots(config, hosts(config, args.robots), ssh)
         return robots, Control(robots, RemoteActions(robots, ssh) if args.control else None)
     simulation = SimulationFeed((args.run_dir or default_run_dir()).absolute(), args.robots or ())

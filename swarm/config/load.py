@@ -217,7 +217,7 @@ def _check_radio(
             raise Table(table.file, f"robots.{i}", {}, None).error(
                 "bluetooth",
                 f"{robot.name} has neighbours ({', '.join(near[:8])}) and no link, so Bluetooth reaches it: "
-                f'expected its address, like "B8:27:EB:12:34:56"',
+                f'expected its address, like "B8:27:EB:12:34:56" (swarm pair writes it)',
             )
         links = len(near) if robot.name in radio else sum(other in radio for other in near)
         if links > MAX_RFCOMM_LINKS and not hubs:
@@ -243,7 +243,7 @@ def _check_addresses(top: Table, robots: Sequence[RobotConfig], way: str) -> Non
             raise Table(top.file, f"robots.{i}", {}, None).error(
                 "bluetooth",
                 f"with {way} each robot can be called by any other: expected the address of "
-                f'{robot.name}, like "B8:27:EB:12:34:56", or its link',
+                f'{robot.name}, like "B8:27:EB:12:34:56" (swarm pair writes it), or its link',
             )
 
 

@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     """Print a line for each link. Return 0 where all are paired and trusted at both ends."""
     if args.check and args.again:
         raise LocalError("--check changes nothing and --again does: give only one of the two")
-    config, robots, ssh = everyone.chosen(args, addressed=False)
+    config, robots, ssh = everyone.chosen(args)
     began = time.monotonic()
     found, looks = everyone.gather(robots, lambda host: look(ssh, host), args.timeout)
     wrong = check(config, {name: answer["address"] for name, answer in looks.items()})

@@ -31,7 +31,7 @@ def far(args: argparse.Namespace) -> tuple[Host, Ssh]:
     """Return the one real robot that is meant, and the way to it; raises `LocalError`."""
     if args.name and args.robots:
         raise LocalError("name the robot by --robots or as an argument, not by both")
-    found = hosts(load(args.config), [args.name] if args.name else args.robots)
+    found = hosts(load(args.config, addressed=False), [args.name] if args.name else args.robots)
     if len(found) != 1:
         raise LocalError(f"which robot? there are {', '.join(host.robot for host in found)}")
     return found[0], Ssh(args.ssh_config)

@@ -1,5 +1,7 @@
 """Commands for all robots, over real ssh servers: every robot has its outcome, none waits for another."""
 
+import re
+
 import pytest
 from fake_robots import FakeRobots, Run, outcomes
 from needs import needs_ssh
@@ -45,6 +47,23 @@ def test_what_is_wrong_is_named_and_the_others_go_on(
     assert "in the middle of it" in found["r3"]
     assert run("command", "echo here", "--robots", "r4", "--timeout", "5", "--json") == 1
     assert outcomes(capsys)["r4"]["text"] == "not done within 5 s (--timeout)"
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [(("command", "true"), 0), (("services", "stop", "balancer"), 0), (("logs",), 0), (("deploy",), 2)],
+)
+def test_a_robot_without_a_bluetooth_address_is_reached_all_the_same(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], code: int
+) -> None:
+    """A new robot is written into the file before `swarm pair` finds its address; only robots need that."""
+    for name in ("r0", "r1"):
+        robots.add(name)
+        robots.script(name, "journalctl", "echo line")
+    text = robots.config.read_text()
+    robots.config.write_text(re.sub(r"^link = .*\n", "", text, flags=re.MULTILINE))
+    assert run(*words) == code
+    assert ("(swarm pair writes it)" in capsys.readouterr().err) == bool(code)
 
 
 def test_services_are_started_by_their_names(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
