@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _made(config: Config, robots: Sequence[Host], ssh: Ssh, timeout_s: float) -> list[Release]:
     """Make a release for each kind of robot that answers. A robot that does not answer is named when it gets none."""
-    _, found = everyone.gather(robots, lambda host: ask_kind(ssh, host), timeout_s)
+    _, found = everyone.gather(robots, lambda host: ask_kind(ssh, host), min(timeout_s, everyone.ASK_S))
     with tempfile.TemporaryDirectory() as folder:
         kinds = sorted({kind for kind in found.values() if kind is not None})
         return [read_release(build(Path(folder), *kind, config.packages)) for kind in kinds]

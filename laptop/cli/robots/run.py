@@ -51,7 +51,9 @@ def run(args: argparse.Namespace) -> int:
         apps.check_settings(settings[name], config, name)
     if not args.force:
         # Who is not there is told by the start.
-        _, versions = everyone.gather(robots, lambda host: apps.ask_versions(ssh, host), args.timeout)
+        _, versions = everyone.gather(
+            robots, lambda host: apps.ask_versions(ssh, host), min(args.timeout, everyone.ASK_S)
+        )
         if wrong := apps.differences(versions, config):
             raise LocalError(f"{wrong} (or --force)")
     _warn(args.app, config)

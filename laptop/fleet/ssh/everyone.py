@@ -39,6 +39,9 @@ Job = Callable[[Host, ReportProgress], Awaitable[str]]
 """Does the work on one robot and returns a line about it; raises `HostError`."""
 
 
+ASK_S = 30.0
+"""Seconds that a robot has for a question whose answer all others wait for, as what it is, or what runs on it."""
+
 FAILURES = (TimeoutError, *MISUNDERSTOOD)
 """Errors that end the job of one robot and not those of the others; `HostError` is one of them."""
 

@@ -1,10 +1,13 @@
 """Commands for all robots, over real ssh servers: every robot has its outcome, none waits for another."""
 
 import re
+from typing import Any
 
 import pytest
 from fake_robots import FakeRobots, Run, outcomes
 from needs import needs_ssh
+
+from laptop.fleet.ssh import everyone
 
 pytest_plugins = ["fleet_fixtures"]
 pytestmark = needs_ssh
@@ -64,6 +67,28 @@ def test_a_robot_without_a_bluetooth_address_is_reached_all_the_same(
     robots.config.write_text(re.sub(r"^link = .*\n", "", text, flags=re.MULTILINE))
     assert run(*words) == code
     assert ("(swarm pair writes it)" in capsys.readouterr().err) == bool(code)
+
+
+HANGS = """case "$SSH_ORIGINAL_COMMAND" in uname*|*release*) echo $$ >>hung; exec sleep 1000 ;; esac; exit 3"""
+"""Hangs at the question that comes first, and fails at what follows."""
+
+
+@pytest.mark.parametrize("words", [("deploy",), ("run", "consensus")])
+def test_a_robot_that_hangs_at_the_first_question_holds_up_the_others_for_a_while_only(
+    robots: FakeRobots, run: Run, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
+) -> None:
+    monkeypatch.setattr(everyone, "ASK_S", 0.3)
+    robots.add("r0", hook=HANGS)
+    ended: list[float] = []
+    each = everyone.each
+
+    async def timed(*arguments: Any) -> list[everyone.RobotOutcome]:
+        ended.append(arguments[2])
+        return [] if len(ended) > 1 else await each(*arguments)
+
+    monkeypatch.setattr(everyone, "each", timed)
+    run(*words, "--timeout", "5")
+    assert ended == [0.3, 5.0]
 
 
 def test_services_are_started_by_their_names(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
