@@ -123,17 +123,25 @@ async def bring(ssh: Ssh, host: Host, release: Release, tell: ReportProgress) ->
         arrived = f"cd {FOLDER} && tar --extract --no-same-owner --file=- && sha256sum --check --quiet SUMS"
         done = await ssh.run(host, arrived, feed=[data])
         if done.code != 0:
-            raise HostError(f"not all of it arrived: is its disk full? ({last_words(done.err)})")
+            raise HostError(
+                f"not all of it arrived: is its disk full? does another deploy run? ({last_words(done.err)})"
+            )
     return sent
 
 
 _WHAT = "uname -m; for v in 3.11 3.12 3.13 3.14; do command -v python$v >/dev/null && echo $v; done; true"
 
-_INSTALL = (
-    "umask 077; own=$(mktemp -d) || exit 1; trap 'rm -rf $own' EXIT; "
-    f"tar --extract --file=- --directory=$own && cd {FOLDER} && sudo -n ./install --name $robot "
-)
-"""A command for the robot. Configuration and key arrive as a tar archive, so no copy of them stays in a home folder."""
+_INSTALL = f"""umask 077; own=$(mktemp -d) || exit 1; copy=; trap 'rm -rf "$own" "$copy"' EXIT
+tar --extract --file=- --directory=$own || exit 1
+umask 022; find .cache -maxdepth 1 -name 'balboa-swarm.??????' -mmin +60 -exec rm -rf {{}} +
+copy=$(mktemp -d "$PWD/.cache/balboa-swarm.XXXXXX") && cd {FOLDER} &&
+    cut -c67- $own/SUMS | xargs cp --link --parents --target-directory="$copy" && cd "$copy" &&
+    sha256sum --check --quiet $own/SUMS >&2 ||
+    {{ echo 'what was sent has changed: another deploy runs on this robot; give the command again' >&2; exit 1; }}
+sudo -n ./install --name $robot """
+"""A command for the robot. Configuration and key arrive as a tar archive, so no copy of them stays in a home folder.
+What is installed is a folder of links to the files of this release, checked: another deploy may replace them meanwhile.
+"""
 
 
 def read_files(config: Config, key: Path | None) -> dict[str, bytes]:
@@ -174,7 +182,7 @@ async def install(
     release = fitting(releases, machine, pythons)
     sent = await bring(ssh, host, release, tell)
     tell("installing")
-    data = pack(files, {})
+    data = pack({**files, "SUMS": release.sums}, {})
     options = " ".join(f"--{name} $own/{name}" for name in files)
     said = await ssh.check(host, f"robot={shlex.quote(host.robot)}; {_INSTALL}{options}", feed=[data])
     return said.strip().splitlines()[-1].removeprefix("install: "), sent + len(data)

@@ -108,6 +108,27 @@ def test_eight_robots_of_which_four_are_in_trouble(
     assert [name for name, home in homes.items() if (home / "installed").exists()] == mended
 
 
+def test_another_deploy_changes_nothing_of_what_is_installed(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two laptops bring two releases to the folder of one robot. Its install takes a minute, and names what it has
+    unpacked by the release."""
+    other = "(cd ~/.cache/balboa-swarm && rm wheels/a.whl && echo other >wheels/a.whl && echo other >wheels/b.whl)"
+    home = robots.add("r0", hook=f"case $SSH_ORIGINAL_COMMAND in robot=*) [ ! -e early ] || {other} ;; esac")
+    add_python(home)
+    install = f"#!/bin/sh\n{other}\ncat wheels/* >$HOME/installed\necho done\n"
+    release = make_release(robots.folder / "a.tar.gz", "1-a", {"wheels/a.whl": b"ours"}, install)
+    assert run("deploy", str(release)) == 0
+    assert (home / "installed").read_text() == "ours"
+    (home / "early").touch()
+    (home / "installed").unlink()
+    capsys.readouterr()
+    assert run("deploy", str(release), "--json") == 1
+    assert "another deploy runs on this robot" in str(outcomes(capsys)["r0"]["text"])
+    assert not (home / "installed").exists()
+    assert [path.name for path in (home / ".cache").iterdir()] == ["balboa-swarm"]
+
+
 def test_a_robot_that_no_release_fits(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     robots.add("r0")
     (robots.folder / "r0/bin/uname").write_text("#!/bin/sh\necho riscv64\n")
