@@ -4,11 +4,13 @@ The robot keeps the unpacked release in ~/.cache/balboa-swarm. It compares check
 as one tar stream and compared again, so what breaks in mid-transfer costs the rest of it and nothing else.
 """
 
+import gzip
 import hashlib
 import io
 import re
 import shlex
 import tarfile
+import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -80,10 +82,11 @@ def pack(files: Mapping[str, bytes], modes: Mapping[str, int], time: int = 0) ->
 def read_release(path: Path) -> Release:
     """Read `balboa-swarm-ID.tar.gz`; raises `LocalError` where it is none."""
     try:
-        with tarfile.open(path) as archive:
+        # As a whole, which compares the checksum at its end: an archive is read up to its last file only.
+        with tarfile.open(fileobj=io.BytesIO(gzip.decompress(path.read_bytes()))) as archive:
             entries = {entry.name.partition("/")[2]: entry for entry in archive.getmembers() if entry.isfile()}
             files = {name: archive.extractfile(entry).read() for name, entry in entries.items()}  # type: ignore[union-attr]
-    except (OSError, tarfile.TarError, EOFError) as error:
+    except (OSError, tarfile.TarError, EOFError, zlib.error) as error:
         raise LocalError(f"{path}: no release can be read: {error}; swarm deploy without a release makes one") from None
     try:
         identity = files["ID"].decode().strip()

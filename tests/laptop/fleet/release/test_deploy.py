@@ -9,7 +9,9 @@ from fake_releases import add_python, make_release, sent
 from fake_robots import FakeRobots, Run, outcomes
 from needs import needs_ssh
 
+from laptop.fleet.release.install import read_release
 from swarm.config.keyfile import new_key_file
+from swarm.errors import LocalError
 
 pytest_plugins = ["fleet_fixtures"]
 pytestmark = needs_ssh
@@ -143,6 +145,15 @@ def test_what_is_no_release(robots: FakeRobots, run: Run, capsys: pytest.Capture
     (robots.folder / "x.tar.gz").write_bytes(b"no tar")
     assert run("deploy", str(robots.folder / "x.tar.gz")) == 2
     assert "no release can be read" in capsys.readouterr().err
+
+
+def test_a_release_with_a_wrong_byte_is_none(tmp_path: Path) -> None:
+    path = make_release(tmp_path / "a.tar.gz", "1-a", {"wheels/a.whl": os.urandom(100_000)})
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(LocalError, match="no release can be read"):
+        read_release(path)
 
 
 def test_an_install_that_fails_says_why(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
