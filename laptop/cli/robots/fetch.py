@@ -11,6 +11,7 @@ from laptop.fleet.files.fetch import RecordingFetch
 from laptop.fleet.ssh import everyone
 from laptop.fleet.ssh.ssh import Host, HostError
 from swarm.errors import LocalError
+from swarm.onboard.command_line import complain
 
 HELP = "copy the recordings and logs of all robots to this computer, over ssh"
 
@@ -33,9 +34,12 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         raise LocalError(f"{args.into}: {error.strerror}") from None
 
+    found: set[str] = set()
+
     async def job(host: Host, tell: everyone.ReportProgress) -> str:
         fetch = RecordingFetch(ssh, host, args.into, tell)
         got = await fetch.recordings(args.runs)
+        found.update(got.runs, (run.rpartition("-")[0] for run in got.runs))
         if got.strange:
             tell(f"left there, with a name that is none of ours: {', '.join(map(repr, got.strange[:5]))}")
         said = [f"{got.files} files of {len(got.runs)} runs, {got.received} bytes received"]
@@ -50,4 +54,7 @@ def run(args: argparse.Namespace) -> int:
                 raise HostError(f"{'; '.join(said)}: the others have changed meanwhile")
         return ", ".join(said)
 
-    return everyone.run(args, robots, job)
+    code = everyone.run(args, robots, job)
+    if nowhere := [name for name in args.runs if name not in found]:
+        complain("swarm", f"no robot has told of a run, or of runs of an app, called {', '.join(nowhere)}")
+    return 1 if nowhere else code

@@ -76,6 +76,17 @@ def test_runs_of_all_robots_become_one_folder(robots: FakeRobots, run: Run, caps
     assert contents(into / "goto-1") == found
 
 
+def test_a_run_that_no_robot_has_is_told(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    add(robots, "r0", {"goto-1/r0.goto.mcap": b"a"})
+    add(robots, "r1", {})
+    words = ["--into", str(robots.folder / "here"), "--no-logs"]
+    assert run("fetch", "goto-1", *words) == 0
+    assert run("fetch", "goto", *words) == 0
+    assert capsys.readouterr().err == ""
+    assert run("fetch", "goto-1", "goto-2", *words) == 1
+    assert "called goto-2\n" in capsys.readouterr().err
+
+
 def test_a_robot_that_dies_in_mid_transfer_goes_on_where_it_was(
     robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
 ) -> None:
