@@ -138,6 +138,7 @@ def _robots(top: Table) -> tuple[RobotConfig, ...]:
             ("bluetooth", robot.bluetooth),
             ("link", robot.link),
             ("uwb", robot.uwb),
+            ("host", (robot.host or robot.name).rpartition("@")[2].lower()),
         ):
             # The prefix keeps the kinds apart: a robot may be called as another's socket.
             if value is not None and taken.setdefault(f"{key} {value}", robot.name) is not robot.name:

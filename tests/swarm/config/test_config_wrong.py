@@ -38,6 +38,11 @@ from swarm.errors import ConfigError
         (swap('name = "r1"', ""), "[robots.1] name: missing; expected a name: a lower-case letter"),
         (swap('"r1"', '"R1"'), "[robots.1] name: expected a name: a lower-case letter"),
         (swap('"r1"', '"r0"'), "[robots.1] name: 'r0' is already that of robot r0"),
+        (
+            swap('"r1"', '"r1"\nhost = "me@10.0.0.9"').replace('"r0"', '"r0"\nhost = "10.0.0.9"', 1),
+            "[robots.1] host: '10.0.0.9' is already that of robot r0",
+        ),
+        (swap('"r0"', '"r0"\nhost = "pi@R1"'), "[robots.1] host: 'r1' is already that of robot r0"),
         (swap('"r1"', '"r1"\nboard = "pi5"'), "[robots.1] board: expected zero2w or pi4, got 'pi5'"),
         (swap('"r1"', '"r1"\nbaord = "pi4"'), "[robots.1] baord: unknown entry; did you mean board?"),
         (swap('"r1"', '"r1"\nbluetooth = "B8:27"'), "[robots.1] bluetooth: expected an address like B8:27:EB:12:34:56"),
