@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from laptop.fleet.release.versions import OWN_NAME
 from laptop.fleet.ssh import everyone, robot_command
 from laptop.fleet.ssh.ssh import Host, HostError, Ssh, hosts, last_words
 from swarm import clock
@@ -189,7 +190,10 @@ def command(robots: tuple[Host, ...], ssh: Ssh, *, stop: bool, reason: str, bega
         problem = error.removeprefix("swarm: ") or silent
         if not stop:
             raise HostError(problem)
-        await ssh.check(host, "sudo -n systemctl stop swarm-balancer.service")
+        stop_it = f"sudo -n systemctl stop swarm-balancer.service && {{ {OWN_NAME}; }}"
+        found = (await ssh.check(host, stop_it)).strip()
+        if found not in ("", host.robot):
+            raise HostError(f"its balancer was stopped, but it says that it is {found}: correct `host` in swarm.toml")
         return f"its balancer was stopped ({problem}): swarm services start balancer, when all is well"
 
     try:

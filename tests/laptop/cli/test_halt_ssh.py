@@ -74,6 +74,18 @@ def test_a_robot_that_does_not_confirm_has_its_balancer_stopped(
     assert (quiet / "systemctl.log").read_text().count("\n") == 1
 
 
+def test_another_robot_at_its_address_confirms_no_stop(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    home = add(robots, "r0", answer(silent=("r0",)), 1)
+    robots.script("r0", "sed", "echo r7")
+    assert run("estop") == 1
+    out = capsys.readouterr().out
+    assert "its balancer was stopped, but it says that it is r7: correct `host`" in out
+    assert out.splitlines()[-1] == "stopped: 0 of 1 robots; NOT CONFIRMED: r0"
+    assert (home / "systemctl.log").read_text() == "stop swarm-balancer.service\n"
+
+
 @pytest.mark.parametrize("mode", [None, "missing"])
 def test_a_robot_whose_balancer_is_not_heard_has_it_stopped(
     robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], mode: str | None
