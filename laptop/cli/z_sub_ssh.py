@@ -11,7 +11,7 @@ import json
 import shlex
 import sys
 
-from laptop.fleet.ssh.everyone import FAILURES, failure
+from laptop.fleet.ssh.everyone import FAILURES, failure, together
 from laptop.fleet.ssh.ssh import Host, HostError, Ssh, hosts, last_words
 from swarm.config import load
 from swarm.errors import PayloadError
@@ -53,7 +53,7 @@ async def _all(ssh: Ssh, robots: tuple[Host, ...], command: str, *, as_json: boo
             return True
         return False
 
-    return any(await asyncio.gather(*map(one, robots)))
+    return any(await together(map(one, robots)))
 
 
 async def _one(ssh: Ssh, host: Host, command: str, prefix: str, *, as_json: bool) -> None:

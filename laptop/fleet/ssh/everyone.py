@@ -4,10 +4,10 @@ import argparse
 import asyncio
 import sys
 import time
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from laptop.fleet.core.answers import MISUNDERSTOOD, misunderstood
 from laptop.fleet.ssh.ssh import Host, HostError, Ssh, hosts
@@ -109,7 +109,18 @@ async def each(
             problem = failure(error, timeout_s)
         return RobotOutcome(host.robot, not problem, problem or text, round(time.monotonic() - began, 3), tuple(lines))
 
-    return list(await asyncio.gather(*(one(host) for host in robots)))
+    return await together(one(host) for host in robots)
+
+
+async def together(jobs: Iterable[Coroutine[Any, Any, T]]) -> list[T]:
+    """Run all at once and return their results. If this is cancelled, or one fails, each of the others is cancelled
+    once and has time to end its connection: `asyncio.gather` would leave that to its loop, which cancels them again."""
+    try:
+        async with asyncio.TaskGroup() as group:
+            tasks = [group.create_task(job) for job in jobs]
+    except BaseExceptionGroup as errors:
+        raise errors.exceptions[0] from None
+    return [task.result() for task in tasks]
 
 
 def gather(

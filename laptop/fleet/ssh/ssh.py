@@ -6,7 +6,9 @@ told never to ask (BatchMode): a question to eight robots at once has nobody to 
 
 import asyncio
 import contextlib
+import os
 import re
+import signal
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -126,12 +128,13 @@ class Ssh:
                 await asyncio.gather(reading, complaining, writing, return_exceptions=True)
         finally:
             if process.returncode is None:
-                process.kill()
+                _kill(process)
                 # asyncio sees the end when what is still in the pipes was read; a connection that ssh shares may hold
                 # them open.
                 with contextlib.suppress(TimeoutError):
                     async with asyncio.timeout(_END_S):
                         await process.communicate()
+                        await _closed(process.stdin)
         if code == _CLIENT_FAILED:
             raise HostError(explain(host, err))
         return Done(code, out, err)
@@ -169,8 +172,10 @@ async def _spawn(arguments: Sequence[str]) -> asyncio.subprocess.Process:
         return await asyncio.shield(spawning)
     except asyncio.CancelledError:
         process = await spawning
-        process.kill()
+        assert process.stdin is not None
+        _kill(process)
         await process.communicate()
+        await _closed(process.stdin)
         raise
     except FileNotFoundError:
         raise LocalError("there is no ssh here: sudo apt-get install openssh-client") from None
@@ -178,9 +183,18 @@ async def _spawn(arguments: Sequence[str]) -> asyncio.subprocess.Process:
         raise HostError(f"ssh cannot be started: {error.strerror or error}") from None
 
 
+def _kill(process: asyncio.subprocess.Process) -> None:
+    """End a process whose end asyncio has not told of: `process.kill` may find its end first, and asyncio complains."""
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(process.pid, signal.SIGKILL)
+
+
+_BROKEN = (BrokenPipeError, ConnectionResetError)
+"""Errors of a pipe to a command that has ended; its exit code says more."""
+
+
 async def _write(stream: asyncio.StreamWriter, feed: Sequence[bytes], hold: asyncio.Event | None) -> None:
-    broken = contextlib.suppress(BrokenPipeError, ConnectionResetError)  # the exit code will say more
-    with broken:
+    with contextlib.suppress(*_BROKEN):
         for data in feed:
             for start in range(0, len(data), _CHUNK):
                 stream.write(data[start : start + _CHUNK])
@@ -188,7 +202,13 @@ async def _write(stream: asyncio.StreamWriter, feed: Sequence[bytes], hold: asyn
         if hold is not None:
             await hold.wait()
     stream.close()
-    with broken:  # asked for in any case, or asyncio logs it as an error that nobody has seen
+    await asyncio.shield(_closed(stream))  # asyncio stumbles over a wait for it that was cancelled
+
+
+async def _closed(stream: asyncio.StreamWriter) -> None:
+    """Wait until it is closed; what came of it is asked for in any case, or asyncio logs it as an error that nobody has
+    seen."""
+    with contextlib.suppress(*_BROKEN):
         await stream.wait_closed()
 
 

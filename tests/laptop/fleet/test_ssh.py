@@ -2,13 +2,14 @@
 
 import asyncio
 import errno
+import gc
 import os
 
 import pytest
 from fake_robots import FakeRobots, Run, outcomes
 from needs import needs_ssh
 
-from laptop.fleet.ssh.everyone import FAILURES
+from laptop.fleet.ssh import everyone
 from laptop.fleet.ssh.ssh import Host, HostError, Ssh, explain
 
 pytest_plugins = ["fleet_fixtures"]
@@ -24,7 +25,7 @@ def test_a_computer_that_cannot_start_one_more_program_says_so(number: int, monk
     monkeypatch.setattr(asyncio, "create_subprocess_exec", refuse)
     with pytest.raises(HostError, match=f"ssh cannot be started: {os.strerror(number)}"):
         asyncio.run(Ssh().check(Host("r0", "r0"), "true"))
-    assert issubclass(HostError, FAILURES)
+    assert issubclass(HostError, everyone.FAILURES)
 
 
 DENIED = "me@r0: Permission denied (publickey).\n"
@@ -77,3 +78,48 @@ def test_why_ssh_fails_is_told_to_a_user_who_wants_no_messages_of_it(
     robots.ssh_config.write_text(f"LogLevel QUIET\n{robots.ssh_config.read_text()}")
     assert run("command", "true", "--json") == 1
     assert outcomes(capsys)["r0"]["text"] == "it runs no ssh server (or another port)"
+
+
+@pytest.mark.parametrize("size", [0, 100_000, 1_000_000])
+def test_a_command_that_is_cancelled_ends_without_a_word(monkeypatch: pytest.MonkeyPatch, size: int) -> None:
+    """Also where its input is more than a pipe holds, and where it was not begun to be sent."""
+    monkeypatch.setattr(Ssh, "arguments", lambda *_: ["sh", "-c", "echo $$; exec sleep 600"])
+    complaints: list[object] = []
+
+    async def main() -> None:
+        asyncio.get_running_loop().set_exception_handler(lambda _, context: complaints.append(context))
+        runs = asyncio.Event()
+        running = asyncio.create_task(Ssh().run(Host("r0", "r0"), "", feed=[bytes(size)], on_line=lambda _: runs.set()))
+        await runs.wait()
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+
+    asyncio.run(main())
+    gc.collect()
+    assert complaints == []
+
+
+def test_jobs_that_are_cancelled_have_time_to_end() -> None:
+    """asyncio's loop would cancel the second one again in the middle of its end, after the first one has ended."""
+    ended: list[str] = []
+
+    async def job(host: Host, _: everyone.ReportProgress) -> str:
+        try:
+            await asyncio.Event().wait()
+        finally:
+            for _ in range(1 if host.robot == "r0" else 10):
+                await asyncio.sleep(0)
+            ended.append(host.robot)
+        return ""
+
+    async def main() -> None:
+        hosts = [Host("r0", "r0"), Host("r1", "r1")]
+        running = asyncio.create_task(everyone.each(hosts, job, 60.0))
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        running.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await running
+        assert ended == ["r0", "r1"]
+
+    asyncio.run(main())
