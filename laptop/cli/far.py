@@ -6,9 +6,11 @@
 import argparse
 from collections.abc import Awaitable, Sequence
 
+from laptop.fleet.core.answers import misunderstood
 from laptop.fleet.ssh import everyone, robot_command
 from laptop.fleet.ssh.ssh import Done, Host, Ssh, hosts, last_words
 from swarm.config import load
+from swarm.errors import PayloadError
 from swarm.messages.json_input import read_json
 from swarm.process.arguments import add_json, add_robots, add_run_dir, show
 
@@ -61,15 +63,20 @@ def run(name: str, words: Sequence[str]) -> int | None:
 def _show(args: argparse.Namespace, outcomes: Sequence[everyone.RobotOutcome], said: dict[str, Done]) -> int:
     lines: list[str] = []
     data: dict[str, object] = {}
+    codes = [0]
     for outcome in outcomes:
         done = said.get(outcome.robot)
         problem = outcome.text if done is None else "" if done.out.strip() else last_words(done.err)
+        if args.json and done is not None and not problem:
+            try:
+                data[outcome.robot] = read_json(done.out)
+            except PayloadError as error:  # as from a ~/.bashrc that prints
+                done, problem = None, misunderstood(error)
+        codes.append(1 if done is None else done.code)
         if done is None or problem:
             lines.append(f"{outcome.robot}: {problem.removeprefix('swarm: ') or 'it has said nothing'}")
             data[outcome.robot] = {"problem": problem}
             continue
-        if args.json:
-            data[outcome.robot] = read_json(done.out)
         lines += [line if len(outcomes) == 1 else f"[{outcome.robot}] {line}" for line in done.out.splitlines()]
     show(args, {"robots": data}, lines)
-    return max((1 if outcome.robot not in said else said[outcome.robot].code for outcome in outcomes), default=0)
+    return max(codes)

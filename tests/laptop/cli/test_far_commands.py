@@ -95,6 +95,19 @@ def test_answers_of_real_robots_are_told_apart_and_an_absent_one_is_named(
 
 
 @needs_ssh
+def test_an_answer_that_is_no_json_costs_no_other_robots_answer(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("r0", "r1"):
+        robots.add(name)
+        robots.script(name, "sudo", f"[ {name} = r0 ] || echo Welcome; echo '{{\"links\": 3}}'")
+    assert run("mesh", "show", "--json") == 1
+    found = json.loads(capsys.readouterr().out)["robots"]
+    assert found["r0"] == {"links": 3}
+    assert found["r1"]["problem"].startswith("its answer cannot be understood")
+
+
+@needs_ssh
 def test_an_app_of_real_robots_is_started_and_stopped_as_one_of_a_simulation(robots: FakeRobots, run: Run) -> None:
     home = robots.add("r0")
     assert run("app", "start", "consensus") == 0
