@@ -80,7 +80,12 @@ def _chosen(args: argparse.Namespace) -> tuple[Config, tuple[Host, ...], Ssh]:
     args.which = list(addresses)
     everyone.named(args)
     config, robots, ssh = everyone.chosen(args)
-    return config, tuple(replace(host, address=addresses.get(host.robot) or host.address) for host in robots), ssh
+    whole = tuple(replace(host, address=addresses.get(host.robot) or host.address) for host in robots)
+    there: dict[str, str] = {}
+    for host in whole:
+        if (other := there.setdefault(host.address.rpartition("@")[2].lower(), host.robot)) != host.robot:
+            raise LocalError(f"{other} and {host.robot} would be the same computer, {host.address}")
+    return config, whole, ssh
 
 
 def _unaddressed(config: Config) -> str | None:

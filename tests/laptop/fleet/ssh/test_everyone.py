@@ -34,6 +34,14 @@ def test_only_the_robots_that_are_named(robots: FakeRobots, run: Run, capsys: py
     assert "r9 is no robot of" in capsys.readouterr().err
 
 
+def test_one_computer_is_not_made_two_robots(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("r0", "r1"):
+        robots.add(name, up=False)
+    assert run("provision", "r0=pi@10.0.0.9", "r1=10.0.0.9", "--check") == 2
+    assert "r0 and r1 would be the same computer, 10.0.0.9" in capsys.readouterr().err
+    assert run("provision", "r0=r1", "r1=R1", "--check") == 2
+
+
 def test_what_is_wrong_is_named_and_the_others_go_on(
     robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
 ) -> None:
