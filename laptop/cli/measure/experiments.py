@@ -91,12 +91,15 @@ class Laboratory:
 
     def _give_back(self) -> None:
         """Deploy the robots' own configuration. A failure of it is told and not raised, since the reason why a run has
-        failed matters more."""
+        failed matters more; also where Ctrl-C was pressed again."""
+        path = self._config.path
         try:
-            self._swarm("deploy", self._config.path)
-        except LocalError as error:
-            complain("swarm", str(error))
-            complain("swarm", "robots still have the configuration of an experiment")
+            self._swarm("deploy", path)
+        except (LocalError, KeyboardInterrupt) as error:
+            complain("swarm", str(error) or "interrupted")
+            complain("swarm", f"robots still have the configuration of an experiment: swarm deploy --config {path}")
+            if isinstance(error, KeyboardInterrupt):
+                raise
 
     def _one(self, experiment: Experiment) -> Path:
         path = self._folder / f"{experiment.name}.toml"

@@ -127,6 +127,20 @@ def test_a_run_that_fails_is_named_and_robots_get_their_configuration_back(
         laboratory(tmp_path, monkeypatch, Commands("running")).go()
 
 
+def test_a_second_interrupt_says_how_robots_get_their_configuration_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    there = laboratory(tmp_path, monkeypatch, Commands())
+    monkeypatch.setattr(experiments.subprocess, "run", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        there.go()
+    said = "robots still have the configuration of an experiment: swarm deploy --config"
+    assert f"{said} {tmp_path / 'swarm.toml'}\n" in capsys.readouterr().err
+
+
 RESTART = """case "$1 $*" in restart*swarm-app@consensus*)
     run=$(sed -n 's/.*--run \\([0-9a-f]*\\).*/\\1/p' $HOME/etc/apps/consensus.env)
     edges=$(grep -c '^ *"r[0-9]",$' $HOME/config)
