@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     _known(args)
     _, robots, ssh = everyone.chosen(args)
     which = " ".join(f"--unit={name}" for name in map(unit, args.services)) or "--unit='swarm*'"
-    command = f"journalctl --no-pager --output=short-iso --lines={args.lines} {which}"
+    command = f"sudo -n journalctl --no-pager --output=short-iso --lines={args.lines} {which}"
     if args.follow:
         command, args.timeout = command + " --follow", FOREVER_S
 

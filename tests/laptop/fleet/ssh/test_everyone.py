@@ -34,6 +34,15 @@ def test_only_the_robots_that_are_named(robots: FakeRobots, run: Run, capsys: py
     assert "r9 is no robot of" in capsys.readouterr().err
 
 
+def test_logs_are_those_that_root_may_read(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    """A user of no group for it would see no entry, and no error."""
+    robots.add("r0")
+    robots.script("r0", "sudo", 'shift; ROOT=1 exec "$@"')
+    robots.script("r0", "journalctl", 'echo "${ROOT:+an entry}"')
+    assert run("logs", "mesh") == 0
+    assert "r0: an entry\n" in capsys.readouterr().out
+
+
 def test_one_computer_is_not_made_two_robots(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("r0", "r1"):
         robots.add(name, up=False)
