@@ -70,8 +70,14 @@ def _measure(ssh: Ssh, host: Host, options: argparse.Namespace, config: Config) 
             ssh.arguments(host, robot_command.words(host, words)), stdout=subprocess.PIPE, stderr=subprocess.STDOUT
         ) as process:
             assert process.stdout is not None
-            copy_text(process.stdout, sys.stdout)
-        code = process.returncode
+            ended = ""
+            try:
+                copy_text(process.stdout, sys.stdout)
+            except KeyboardInterrupt:  # what was measured until now took a person's time
+                process.terminate()
+                ended = "was interrupted"
+        if process.returncode != 0:
+            ended = ended or f"ended with code {process.returncode}"
     except FileNotFoundError:
         raise LocalError("there is no ssh here: sudo apt-get install openssh-client") from None
     try:
@@ -79,6 +85,6 @@ def _measure(ssh: Ssh, host: Host, options: argparse.Namespace, config: Config) 
     except HostError as error:
         raise LocalError(f"{host.robot}: nothing was measured ({error})") from None
     atomic_write(path, data.encode())
-    if code != 0:
-        raise LocalError(f"{host.robot}: the session ended with code {code}; what was measured is in {path}")
+    if ended:
+        raise LocalError(f"{host.robot}: the session {ended}; what was measured is in {path}")
     return path

@@ -1,5 +1,6 @@
 """Calibrations go to robots with the config and come back, and a session on a robot is fitted and drawn here."""
 
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -110,4 +111,33 @@ def test_a_session_on_a_robot_is_led_from_here_and_fitted_here(robots: FakeRobot
     assert made.distance[0].gain == pytest.approx(1 / 1.05)
     assert (here / "r0.png").read_bytes().startswith(b"\x89PNG")
     assert len(list(robots.folder.glob("calibration-r0-*.csv"))) == 1
+    assert not (robots.folder / "r0/s.csv").exists()
+
+
+def test_what_was_measured_before_ctrl_c_is_brought_here(robots: FakeRobots, here: Path) -> None:
+    measured = "echo samples >$HOME/s.csv; echo measuring; read line"
+    robots.script(
+        "r0", "sudo", f"shift; case $1 in env) {measured} ;; cat) cat $HOME/s.csv ;; rm) rm $HOME/s.csv ;; esac"
+    )
+    robots.ready()
+    way = ["--config", str(robots.config), "--ssh-config", str(robots.ssh_config), "--robots", "r0"]
+    command = [
+        sys.executable,
+        "-m",
+        "laptop.cli",
+        "calibrate",
+        "distance",
+        "--places",
+        "0.2,0.5",
+        "--samples",
+        "my.csv",
+    ]
+    pipe = subprocess.PIPE
+    with subprocess.Popen([*command, *way], stdin=pipe, stdout=pipe, stderr=pipe, text=True, cwd=robots.folder) as led:
+        assert led.stdout is not None
+        assert led.stdout.readline() == "measuring\n"
+        led.send_signal(signal.SIGINT)
+        _, errors = led.communicate(timeout=60)
+    assert errors == "swarm: r0: the session was interrupted; what was measured is in my.csv\n"
+    assert (robots.folder / "my.csv").read_text() == "samples\n"
     assert not (robots.folder / "r0/s.csv").exists()
