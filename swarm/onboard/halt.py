@@ -10,9 +10,12 @@ import argparse
 import contextlib
 import os
 import subprocess
+import sys
 from collections.abc import Container, Mapping
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
+from typing import NoReturn
 
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus
@@ -91,7 +94,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> list[argparse.ArgumentPars
         each.add_argument("--timeout", type=number(0.1, 600, "s"), default=5.0, metavar="S", help=text)
         add_json(each)
         buses.add_arguments(each)
+    for each in (parser, *parsers):
+        each.error = partial(_refuse, each)  # type: ignore[method-assign]
     return parsers
+
+
+def _refuse(parser: argparse.ArgumentParser, message: str) -> NoReturn:
+    """End with a message that says what did not happen: whoever mistypes in an emergency must see it at once."""
+    parser.print_usage(sys.stderr)
+    parser.exit(2, f"swarm: {message}; NO ROBOT WAS STOPPED OR ARMED: swarm estop, without more, stops all\n")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -100,7 +100,8 @@ def ends(args: argparse.Namespace) -> tuple[str, str, Path]:
         args.robots = named[:1]
     directories = buses.directories_of(args)
     if len(directories) != 1 or len(named) > 2:
-        raise LocalError(f"from which robot to which? write for example {next(iter(directories))} {peer}")
+        other = next((each for each in directories if each != peer), "r1")
+        raise LocalError(f"from which robot to which? write for example {other} {peer}")
     ((robot, directory),) = directories.items()
     if not is_name(peer) or peer == robot:
         raise LocalError(f"{' '.join(named)}: expected two robots like r0 r1")

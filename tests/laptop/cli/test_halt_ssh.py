@@ -303,3 +303,11 @@ def test_without_any_path_it_says_so(
     robots.config.write_text("network = 3")
     assert run("estop") == 2
     assert "swarm.toml" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [["--timeut", "2"], ["fell", "--timeout", "2", "off"], ["--timeout", "soon"]])
+def test_a_mistyped_stop_says_that_no_robot_was_stopped(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["estop", *words])
+    assert ended.value.code == 2
+    assert "NO ROBOT WAS STOPPED OR ARMED: swarm estop, without more, stops all" in capsys.readouterr().err
