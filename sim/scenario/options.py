@@ -1,8 +1,6 @@
 """Arguments of `swarm sim`, checked before anything starts."""
 
 import argparse
-import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
@@ -26,6 +24,7 @@ from sim.scenario.quantities import (
     AppSetting,
     duration,
     loss,
+    negative_joined,
     rate,
     setting,
     skew,
@@ -56,6 +55,9 @@ LATENCY = 0.03
 LED_APP, LED_APP_SKEW = "led_sync", 20e-6
 """App for which clocks differ by default under virtual time, and their largest rate error, which is that of
 crystals."""
+
+MOST_ROBOTS, MOST_VIRTUAL = 100, 100_000
+"""Robots of a simulation at most: with real processes, of which each robot has five, and under virtual time."""
 
 PRESS_S = 0.3
 """Seconds for which a button is held down."""
@@ -143,7 +145,9 @@ def parser(kind: type[argparse.ArgumentParser] = argparse.ArgumentParser) -> arg
         "apps; the first one ends the run",
     )
     swarm = p.add_argument_group("the swarm")
-    swarm.add_argument("--robots", type=whole(1), metavar="N", help="number of robots (3, or as in the replay)")
+    swarm.add_argument(
+        "--robots", type=whole(1, MOST_VIRTUAL), metavar="N", help="number of robots (3, or as in the replay)"
+    )
     swarm.add_argument(
         "--topology", metavar="NAME|FILE", help="line, loop, full, thesis-d, random:SEED, auto, or a matrix file"
     )
@@ -323,7 +327,7 @@ def parse(arguments: list[str], *, ends: bool = True) -> Options:
     """Read the command line; where it is wrong, argparse ends the process with code 2 and a message, or with `ends`
     false `ConfigError` is raised."""
     reader = parser(argparse.ArgumentParser if ends else _Refusing)
-    read = _tuples(reader.parse_intermixed_args(_negative_joined(arguments)))
+    read = _tuples(reader.parse_intermixed_args(negative_joined(arguments)))
     read.like = None if read.like is None else commission_report.read(read.like)
     if read.latency is None:
         measured = None if read.like is None else read.like.latency
@@ -350,6 +354,10 @@ def parse(arguments: list[str], *, ends: bool = True) -> Options:
         raise ConfigError("--target-velocity and --clock-skew: each robot would have another time, leave out one")
     if options.clock_skew and not options.virtual:
         raise ConfigError("--clock-skew is for --virtual: processes of one machine have one clock")
+    if options.robots is not None and options.robots > MOST_ROBOTS and not options.virtual:
+        raise ConfigError(
+            f"--robots {options.robots}: more than {MOST_ROBOTS} are for --virtual, which has no processes"
+        )
     if (options.mesh is not None or options.body != MODELS[0]) and not options.virtual:
         raise ConfigError(
             "--mesh and --body choose models of --virtual: here are the real mesh, and a body with physics"
@@ -380,17 +388,6 @@ def parse(arguments: list[str], *, ends: bool = True) -> Options:
         if options.run_options.arguments:
             raise ConfigError("--until, --for and --absent need an APP, e.g. swarm sim consensus")
     return options
-
-
-def _negative_joined(arguments: Sequence[str]) -> list[str]:
-    """Write `--latency -5ms` as `--latency=-5ms`: argparse would take what begins with - for another option."""
-    words: list[str] = []
-    for word in arguments:
-        if words and re.match(r"-[0-9.]", word) and re.fullmatch("--[a-z-]+", words[-1]):
-            words[-1] += f"={word}"
-        else:
-            words.append(word)
-    return words
 
 
 def _tuples(namespace: argparse.Namespace) -> argparse.Namespace:

@@ -6,6 +6,7 @@ Each reader raises `argparse.ArgumentTypeError`, which says what was expected.
 import argparse
 import math
 import re
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from services.mesh.links.radio_model import MAX_LOSS
@@ -117,3 +118,14 @@ def skew(text: str) -> float:
     if not value <= MAX_SKEW:
         raise argparse.ArgumentTypeError(f"{text!r}: expected at most {1e6 * MAX_SKEW:g}ppm")
     return value
+
+
+def negative_joined(arguments: Sequence[str]) -> list[str]:
+    """Write `--latency -5ms` as `--latency=-5ms`: argparse would take what begins with - for another option."""
+    words: list[str] = []
+    for word in arguments:
+        if words and re.match(r"-[0-9.]", word) and re.fullmatch("--[a-z-]+", words[-1]):
+            words[-1] += f"={word}"
+        else:
+            words.append(word)
+    return words

@@ -98,6 +98,7 @@ def test_any_text_is_a_value_or_refused(text):
         (["--virtual", "--seconds", "3", "--record", "x"], "--record under --virtual needs an APP"),
         (["consensus", "--config", "x.toml", "--robots", "3"], "leave out"),
         (["consensus", "--mesh", "delay"], "choose models of --virtual"),
+        (["consensus", "--robots", "101"], "more than 100 are for --virtual"),
         (["consensus", "--body", "point"], "choose models of --virtual"),
     ],
 )
