@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from laptop.fleet.core.collect import RUNS
-from laptop.fleet.ssh import everyone, robot_command
+from laptop.fleet.ssh import everyone, robot_command, sections
 from laptop.fleet.ssh.ssh import Host, Ssh
 from laptop.fleet.units import SERVICES
 from swarm.config import load
@@ -32,7 +32,6 @@ WATCH_EVERY_S = 2.0
 LISTEN_S = 1.3
 """Seconds of listening to each robot's bus: long enough for messages that are sent once a second."""
 
-_MARK = "== "
 _BYTES = re.compile(r"[0-9]{1,18}")
 
 
@@ -108,8 +107,7 @@ def _simulated(there: Mapping[str, Path]) -> dict[str, StatusRow]:
             for topic, value in said.items()
             if isinstance(value, dict)
         )
-        text = f"{_MARK}release\nsimulated\n{_MARK}units\n{units}{_MARK}bus\n" + "\n".join(samples)
-        rows[name] = parse(name, text)
+        rows[name] = _row(name, {"release": "simulated", "units": units, "bus": "\n".join(samples)})
     return rows
 
 
@@ -120,17 +118,22 @@ async def _look(ssh: Ssh, host: Host) -> StatusRow:
 def question(robot: str) -> str:
     """Return the command for the robot's shell; `parse` reads its answer."""
     units = " ".join(f"swarm-{name}.service" for name in SERVICES)  # a pattern here, so with its ending
-    return (
-        f"echo '{_MARK}release'; readlink /opt/swarm/current; echo '{_MARK}units'; "
-        f"systemctl list-units --all --plain --no-legend {units} 'swarm-app@*'; echo '{_MARK}runs'; "
-        f"sudo -n du -s -B1 {RUNS} 2>/dev/null; echo '{_MARK}bus'; "
-        f"sudo -n /opt/swarm/current/bin/z_sub 'swarm/{robot}/**' --seconds {LISTEN_S} --json; true"
+    return sections.ask(
+        {
+            "release": "readlink /opt/swarm/current",
+            "units": f"systemctl list-units --all --plain --no-legend {units} 'swarm-app@*'",
+            "runs": f"sudo -n du -s -B1 {RUNS} 2>/dev/null",
+            "bus": f"sudo -n /opt/swarm/current/bin/z_sub 'swarm/{robot}/**' --seconds {LISTEN_S} --json",
+        }
     )
 
 
 def parse(robot: str, text: str) -> StatusRow:
     """The answer of a robot. What it does not say, or its release says in another way than this one, stays empty."""
-    parts = {part.partition("\n")[0]: part.partition("\n")[2] for part in text.split(_MARK)[1:]}
+    return _row(robot, sections.read(text))
+
+
+def _row(robot: str, parts: Mapping[str, str]) -> StatusRow:
     newest: dict[str, Any] = {}
     wrong: set[str] = set()
     for line in parts.get("bus", "").splitlines():
@@ -168,7 +171,7 @@ def parse(robot: str, text: str) -> StatusRow:
     }
     # What is there has the types of its message; fields may be missing.
     return StatusRow(
-        release=parts.get("release", "").strip().rpartition("/")[2],
+        release=parts.get("release", "").rpartition("/")[2],
         firmware=f"{atmega['layout']}.{atmega['revision']}" if atmega.keys() >= {"layout", "revision"} else None,
         failed=sorted(failed),
         battery_v=body.get("battery"),

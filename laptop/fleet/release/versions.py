@@ -3,6 +3,7 @@
 import re
 from collections.abc import Mapping
 
+from laptop.fleet.ssh import sections
 from swarm.errors import PayloadError, RemoteError
 from swarm.frozen import frozen
 from swarm.messages.json_input import read_json
@@ -11,7 +12,6 @@ ROBOT_ENV = "/etc/swarm/robot.env"
 OWN_NAME = f"sed -n s/^SWARM_ROBOT=//p {ROBOT_ENV} 2>/dev/null; true"
 """A command for the robot's shell that prints the name under which the robot was installed."""
 
-_MARK = "== "
 _SUM = re.compile(r"[0-9a-f]{64}")
 
 
@@ -30,18 +30,20 @@ class Versions:
 
 def question(robot: str) -> str:
     """Return the command for the robot's shell; `parse` reads its answer."""
-    firmware = f"swarm/{robot}/balancer/firmware"
-    return (
-        f"echo '{_MARK}release'; readlink /opt/swarm/current; "
-        f"echo '{_MARK}name'; {OWN_NAME}; "
-        f"echo '{_MARK}config'; sha256sum /etc/swarm/swarm.toml; "
-        f"echo '{_MARK}firmware'; sudo -n /opt/swarm/current/bin/z_sub {firmware} --count 1 --seconds 2.5 --json; true"
+    key = f"swarm/{robot}/balancer/firmware"
+    return sections.ask(
+        {
+            "release": "readlink /opt/swarm/current",
+            "name": OWN_NAME,
+            "config": "sha256sum /etc/swarm/swarm.toml",
+            "firmware": f"sudo -n /opt/swarm/current/bin/z_sub {key} --count 1 --seconds 2.5 --json",
+        }
     )
 
 
 def parse(text: str) -> Versions:
     """The answer of a robot; raises `RemoteError` where it has no release at all."""
-    parts = {part.partition("\n")[0]: part.partition("\n")[2].strip() for part in text.split(_MARK)[1:]}
+    parts = sections.read(text)
     release = parts.get("release", "").rpartition("/")[2]
     if not release:
         raise RemoteError("Balboa Swarm is not installed on it: swarm deploy")
