@@ -14,7 +14,7 @@ from pathlib import Path
 
 from laptop.fleet.ssh import robot_command
 from laptop.fleet.ssh.remote_text import copy_text
-from laptop.fleet.ssh.ssh import Host, HostError, Ssh, hosts
+from laptop.fleet.ssh.ssh import NO_SSH, Host, HostError, Ssh, hosts
 from services.dwm.calibrate import __main__ as calibrate
 from swarm.config import Config, load
 from swarm.errors import LocalError
@@ -79,7 +79,7 @@ def _measure(ssh: Ssh, host: Host, options: argparse.Namespace, config: Config) 
         if process.returncode != 0:
             ended = ended or f"ended with code {process.returncode}"
     except FileNotFoundError:
-        raise LocalError("there is no ssh here: sudo apt-get install openssh-client") from None
+        raise LocalError(NO_SSH) from None
     try:
         data = asyncio.run(ssh.check(host, f"sudo -n cat {there} && sudo -n rm {there}"))
     except HostError as error:

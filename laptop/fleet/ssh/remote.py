@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import swarm
-from laptop.fleet.ssh.ssh import Host, HostError, Ssh, last_words
+from laptop.fleet.ssh.ssh import Host, HostError, Ssh, explained
 from swarm.errors import LocalError, PayloadError
 from swarm.messages.json_input import read_json
 
@@ -120,12 +120,6 @@ async def call(
 
     done = await ssh.run(host, command(root=root), feed=[program(main, request)], on_line=line, hold=until)
     if done.code != 0 or not results:
-        raise HostError(_explain(done.err or "\n".join(other), done.code))
+        problem = explained(done.err or "\n".join(other), _REASONS)
+        raise HostError(problem or f"the program ended without a result (exit code {done.code})")
     return results[0]
-
-
-def _explain(err: str, code: int) -> str:
-    for sign, reason in _REASONS:
-        if sign in err:
-            return reason
-    return last_words(err) or f"the program ended without a result (exit code {code})"

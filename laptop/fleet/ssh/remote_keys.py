@@ -9,11 +9,9 @@ import threading
 from collections.abc import Callable
 
 from laptop.fleet.ssh.remote_text import copy_text
-from laptop.fleet.ssh.ssh import Host, Ssh
+from laptop.fleet.ssh.ssh import CLIENT_FAILED, NO_SSH, Host, Ssh
 from swarm.errors import LocalError
 from swarm.onboard.body.keyboard import Keyboard
-
-_CLIENT_FAILED = 255
 
 
 def run(ssh: Ssh, host: Host, command: str, on_line: Callable[[str], None]) -> int:
@@ -26,7 +24,7 @@ def run(ssh: Ssh, host: Host, command: str, on_line: Callable[[str], None]) -> i
             ssh.arguments(host, command), stdin=None, stdout=subprocess.PIPE, stderr=subprocess.PIPE
         )
     except FileNotFoundError:
-        raise LocalError("there is no ssh here: sudo apt-get install openssh-client") from None
+        raise LocalError(NO_SSH) from None
     assert process.stdout is not None
     assert process.stderr is not None
     errors = threading.Thread(target=copy_text, args=(process.stderr, sys.stderr), daemon=True)
@@ -42,6 +40,6 @@ def run(ssh: Ssh, host: Host, command: str, on_line: Callable[[str], None]) -> i
         process.stdout.close()
         errors.join()
         process.stderr.close()
-    if code == _CLIENT_FAILED:
+    if code == CLIENT_FAILED:
         raise LocalError(f"{host.robot}: the connection is lost, or there was none; the robot stops by itself")
     return code

@@ -9,7 +9,7 @@ import contextlib
 import os
 import re
 import signal
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from swarm.config import Config
@@ -27,8 +27,11 @@ _PLAIN = ("-T", "-o", "RemoteCommand=none", "-o", "LogLevel=INFO")
 """Options of ssh against settings of the user's that suit a shell: a terminal or another program there would change
 what comes back, no messages would hide why a connection failed, and more of them what the robot said."""
 
-_CLIENT_FAILED = 255
+CLIENT_FAILED = 255
 """Exit code of `ssh` itself, where no command has run or its end was not seen."""
+
+NO_SSH = "there is no ssh here: sudo apt-get install openssh-client"
+"""The message where this computer has no client."""
 
 _END_S = 2.0
 """Seconds that a cancelled command may take to end."""
@@ -135,7 +138,7 @@ class Ssh:
                     async with asyncio.timeout(_END_S):
                         await process.communicate()
                         await _closed(process.stdin)
-        if code == _CLIENT_FAILED:
+        if code == CLIENT_FAILED:
             raise HostError(explain(host, err))
         return Done(code, out, err)
 
@@ -178,7 +181,7 @@ async def _spawn(arguments: Sequence[str]) -> asyncio.subprocess.Process:
         await _closed(process.stdin)
         raise
     except FileNotFoundError:
-        raise LocalError("there is no ssh here: sudo apt-get install openssh-client") from None
+        raise LocalError(NO_SSH) from None
     except OSError as error:  # no memory, or no process or file more for this user: others may be reached all the same
         raise HostError(f"ssh cannot be started: {error.strerror or error}") from None
 
@@ -265,13 +268,16 @@ _FORGET = re.compile(r"^\s*(ssh-keygen -f .*)$", re.MULTILINE)
 
 
 def explain(host: Host, err: str) -> str:
-    """Why ssh itself failed, and what to do."""
+    """Return why ssh itself failed, and what to do."""
     own = _FORGET.search(err)
     forget = printable(own[1].strip()) if own else f"ssh-keygen -R {host.address.rpartition('@')[2]}"
-    for sign, reason in _REASONS:
-        if sign in err:
-            return reason.format(address=host.address, forget=forget)
-    return last_words(err) or "ssh ended without a word"
+    reasons = ((sign, reason.format(address=host.address, forget=forget)) for sign, reason in _REASONS)
+    return explained(err, reasons) or "ssh ended without a word"
+
+
+def explained(err: str, reasons: Iterable[tuple[str, str]]) -> str:
+    """Return the reason of the first sign in `reasons` that is part of `err`, else the last words of `err`."""
+    return next((reason for sign, reason in reasons if sign in err), last_words(err))
 
 
 def last_words(text: str) -> str:

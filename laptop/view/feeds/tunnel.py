@@ -15,7 +15,7 @@ from typing import IO
 
 import msgpack
 
-from laptop.fleet.ssh.ssh import Host, Ssh, explain, last_words
+from laptop.fleet.ssh.ssh import CLIENT_FAILED, NO_SSH, Host, Ssh, explain, last_words
 from swarm import clock
 from swarm.errors import LocalError, PayloadError
 from swarm.messages import Arm
@@ -26,7 +26,6 @@ PROGRAM = "sudo -n /opt/swarm/current/bin/python -P -m swarm.onboard.lookout"
 RETRY_S = (1.0, 2.0, 5.0)
 """Seconds before the first, the second and all later tries to connect again."""
 
-_CLIENT_FAILED = 255
 _OLD_RELEASE = "No module named swarm.onboard.lookout"
 _LONGEST_ERROR = 4000
 _END_S = 2.0
@@ -115,7 +114,7 @@ class Tunnel:
                     start_new_session=True,
                 )
             except FileNotFoundError:
-                self._tell(False, "there is no ssh here: sudo apt-get install openssh-client")
+                self._tell(False, NO_SSH)
                 return False
             assert process.stdin is not None
             assert process.stdout is not None
@@ -169,7 +168,7 @@ class Tunnel:
             self._changed()
 
     def _explain(self, code: int, err: str) -> str:
-        if code == _CLIENT_FAILED:
+        if code == CLIENT_FAILED:
             return explain(self.host, err)
         if _OLD_RELEASE in err:
             return "its release is older than this program: swarm deploy"
