@@ -4,12 +4,12 @@ import argparse
 import shlex
 
 from laptop.fleet.ssh import everyone, robot_command
-from laptop.fleet.ssh.ssh import Host
+from laptop.fleet.ssh.ssh import CURRENT, Host
 from swarm.onboard import param
 
 HELP = "show or change parameters of a running app"
 
-COMMAND = "sudo -n /opt/swarm/current/bin/swarm app param"
+COMMAND = f"sudo -n {CURRENT}/bin/swarm app param"
 """The command `swarm` on a robot."""
 
 

@@ -12,13 +12,12 @@ import shlex
 import sys
 
 from laptop.fleet.ssh.everyone import FAILURES, failure, together
-from laptop.fleet.ssh.ssh import Host, HostError, Ssh, hosts, last_words
+from laptop.fleet.ssh.ssh import CURRENT, Host, HostError, Ssh, hosts, last_words
 from swarm.config import load
 from swarm.errors import PayloadError
 from swarm.messages.json_input import read_json
 from swarm.onboard.command_line import complain
 
-PROGRAM = "/opt/swarm/current/bin/z_sub"
 _PREFIX = "z_sub: "
 
 
@@ -32,7 +31,7 @@ def watch(options: argparse.Namespace) -> int:
 
 
 def _command(options: argparse.Namespace) -> str:
-    words = ["sudo", "-n", PROGRAM, "--while-input", *options.keys]
+    words = ["sudo", "-n", f"{CURRENT}/bin/z_sub", "--while-input", *options.keys]
     for name in options.key:
         words += ["--key", name]
     words += ["--rate"] * options.rate + ["--json"] * options.json

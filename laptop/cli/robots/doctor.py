@@ -15,7 +15,7 @@ from laptop.fleet.core.checkup import ExaminedRobot, Finding
 from laptop.fleet.core.wish import FIRMWARE_PACKAGE, KERNEL_PACKAGE, PACKAGES
 from laptop.fleet.provision import Rig
 from laptop.fleet.ssh import everyone, remote, robot_command
-from laptop.fleet.ssh.ssh import Host, HostError, Ssh
+from laptop.fleet.ssh.ssh import CURRENT, Host, HostError, Ssh
 from swarm.config import Config, load
 from swarm.errors import PayloadError
 from swarm.messages.json_input import read_json
@@ -25,8 +25,6 @@ from swarm.process.arguments import show
 from swarm.process.simulations import CONFIG
 
 HELP = "test everything on robots (or simulated ones); name faults and what to do"
-
-ROBOT_PYTHON = "/opt/swarm/current/bin/python"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -129,7 +127,7 @@ async def _ask(ssh: Ssh, host: Host, robot: ExaminedRobot, rig: Rig) -> Examined
     system = await remote.call(ssh, host, "examine", request)
     bus = None
     if system["current"]:
-        python = rig.root.rstrip("/") + ROBOT_PYTHON
+        python = f"{rig.root.rstrip('/')}{CURRENT}/bin/python"
         with contextlib.suppress(HostError, PayloadError):  # an old release, or none that runs: `services` says so
             said = await ssh.check(host, f"sudo -n {python} -P -m swarm.onboard.listen {shlex.quote(robot.name)}")
             bus = read_json(said)

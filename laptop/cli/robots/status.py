@@ -13,7 +13,7 @@ from typing import Any
 
 from laptop.fleet.core.collect import RUNS
 from laptop.fleet.ssh import everyone, robot_command, sections
-from laptop.fleet.ssh.ssh import Host, Ssh
+from laptop.fleet.ssh.ssh import CURRENT, Host, Ssh
 from laptop.fleet.units import SERVICES
 from swarm.config import load
 from swarm.errors import PayloadError
@@ -120,10 +120,10 @@ def question(robot: str) -> str:
     units = " ".join(f"swarm-{name}.service" for name in SERVICES)  # a pattern here, so with its ending
     return sections.ask(
         {
-            "release": "readlink /opt/swarm/current",
+            "release": f"readlink {CURRENT}",
             "units": f"systemctl list-units --all --plain --no-legend {units} 'swarm-app@*'",
             "runs": f"sudo -n du -s -B1 {RUNS} 2>/dev/null",
-            "bus": f"sudo -n /opt/swarm/current/bin/z_sub 'swarm/{robot}/**' --seconds {LISTEN_S} --json",
+            "bus": f"sudo -n {CURRENT}/bin/z_sub 'swarm/{robot}/**' --seconds {LISTEN_S} --json",
         }
     )
 

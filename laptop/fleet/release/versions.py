@@ -4,6 +4,7 @@ import re
 from collections.abc import Mapping
 
 from laptop.fleet.ssh import sections
+from laptop.fleet.ssh.ssh import CURRENT
 from swarm.errors import PayloadError, RemoteError
 from swarm.frozen import frozen
 from swarm.messages.json_input import read_json
@@ -33,10 +34,10 @@ def question(robot: str) -> str:
     key = f"swarm/{robot}/balancer/firmware"
     return sections.ask(
         {
-            "release": "readlink /opt/swarm/current",
+            "release": f"readlink {CURRENT}",
             "name": OWN_NAME,
             "config": "sha256sum /etc/swarm/swarm.toml",
-            "firmware": f"sudo -n /opt/swarm/current/bin/z_sub {key} --count 1 --seconds 2.5 --json",
+            "firmware": f"sudo -n {CURRENT}/bin/z_sub {key} --count 1 --seconds 2.5 --json",
         }
     )
 

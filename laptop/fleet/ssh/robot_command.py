@@ -11,15 +11,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from laptop.fleet.ssh import everyone
-from laptop.fleet.ssh.ssh import Host
+from laptop.fleet.ssh.ssh import CURRENT, Host
 from swarm.config import find
 from swarm.errors import LocalError
 from swarm.onboard.buses import buses
 from swarm.process.arguments import add_run_dir
 from swarm.process.paths import DEFAULT_RUNTIME
 from swarm.process.simulations import default_run_dir, is_live, robots
-
-PROGRAM = "/opt/swarm/current/bin/swarm"
 
 
 def add_real(parser: argparse.ArgumentParser, *also: str) -> None:
@@ -70,5 +68,5 @@ def simulated(args: argparse.Namespace) -> dict[str, Path] | None:
 
 def words(host: Host, arguments: Sequence[str]) -> str:
     """Return the line for the robot's shell that runs `swarm ARGUMENTS` there, on its own bus."""
-    there = ["sudo", "-n", "env", f"SWARM_ROBOT={host.robot}", f"SWARM_RUNTIME={DEFAULT_RUNTIME}", PROGRAM]
-    return shlex.join([*there, *arguments])
+    variables = [f"SWARM_ROBOT={host.robot}", f"SWARM_RUNTIME={DEFAULT_RUNTIME}"]
+    return shlex.join(["sudo", "-n", "env", *variables, f"{CURRENT}/bin/swarm", *arguments])

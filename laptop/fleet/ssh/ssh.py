@@ -17,6 +17,9 @@ from swarm.errors import LocalError, RemoteError
 from swarm.frozen import frozen
 from swarm.process.text import printable
 
+CURRENT = "/opt/swarm/current"
+"""The folder of the release that a robot runs. Its programs are in `bin`."""
+
 CONNECT_TIMEOUT_S = 10
 """Seconds after which a robot that does not answer is given up."""
 

@@ -15,14 +15,14 @@ from typing import IO
 
 import msgpack
 
-from laptop.fleet.ssh.ssh import CLIENT_FAILED, NO_SSH, Host, Ssh, explain, last_words
+from laptop.fleet.ssh.ssh import CLIENT_FAILED, CURRENT, NO_SSH, Host, Ssh, explain, last_words
 from swarm import clock
 from swarm.errors import LocalError, PayloadError
 from swarm.messages import Arm
 from swarm.messages.codec import MAX_PAYLOAD, encode
 from swarm.onboard.lookout import MAX_COMMAND, unpacked
 
-PROGRAM = "sudo -n /opt/swarm/current/bin/python -P -m swarm.onboard.lookout"
+PROGRAM = f"sudo -n {CURRENT}/bin/python -P -m swarm.onboard.lookout"
 RETRY_S = (1.0, 2.0, 5.0)
 """Seconds before the first, the second and all later tries to connect again."""
 

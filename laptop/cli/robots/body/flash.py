@@ -7,7 +7,7 @@ import argparse
 
 from laptop.fleet.release.release import FIRMWARE
 from laptop.fleet.ssh import everyone
-from laptop.fleet.ssh.ssh import Host, HostError
+from laptop.fleet.ssh.ssh import CURRENT, Host, HostError
 from services.balancer.flash import flash
 
 HELP = "write new firmware to the Balboas, over their USB cables"
@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
     _, robots, ssh = everyone.chosen(args)
 
     async def job(host: Host, tell: everyone.ReportProgress) -> str:
-        command = f"sudo -n env SWARM_ROBOT={host.robot} /opt/swarm/current/bin/swarm flash - --here"
+        command = f"sudo -n env SWARM_ROBOT={host.robot} {CURRENT}/bin/swarm flash - --here"
         try:
             await ssh.follow(host, command + " --force" * args.force, tell, feed=[data])
         except HostError as error:
