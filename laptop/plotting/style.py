@@ -141,42 +141,26 @@ def add_plot(parser: argparse.ArgumentParser) -> None:
 
 
 @contextlib.contextmanager
-def figure(path: Path, *, settings: Any = None, **options: Any) -> Iterator[Any]:
-    """Yield a matplotlib figure that is written to `path` at the end; the ending of `path` gives the format.
-    `settings` are matplotlib's own. Raises `LocalError` where that is impossible."""
+def figure(
+    path: str | Path | None, *, settings: Any = None, in_notebook: bool = False, **options: Any
+) -> Iterator["Figure"]:
+    """Yield a matplotlib figure that is written to `path` at the end, where there is one; the ending of `path` gives
+    the format. `settings` are matplotlib's own. `in_notebook`: a notebook shows the figure where its cell ends with it.
+    Raises `LocalError` where the figure cannot be made or written."""
     try:
         import matplotlib as mpl
     except ImportError:
-        raise MissingPackageError("--plot", "matplotlib", "lab") from None
-    mpl.use("Agg")  # no display is needed
+        raise MissingPackageError("plot" if in_notebook else "--plot", "matplotlib", "lab") from None
+    if not in_notebook:
+        mpl.use("Agg")  # no display is needed
     from matplotlib import pyplot as plt
 
     with plt.rc_context(settings or {}):
         made = plt.figure(**options)
+        plt.close(made)  # an open figure stays in memory, and a notebook shows it twice
         try:
             yield made
-            made.savefig(path, dpi=130)
-        except (OSError, ValueError) as error:
-            raise LocalError(f"{path}: {error}") from None
-        finally:
-            plt.close(made)
-
-
-@contextlib.contextmanager
-def shown_figure(path: Path | None) -> Iterator["Figure"]:
-    """Yield a matplotlib figure in our style. A notebook shows it where its cell ends with it; it is written to
-    `path`, where there is one. Raises `LocalError` as `figure` does."""
-    try:
-        from matplotlib import pyplot as plt
-    except ImportError:
-        raise MissingPackageError("plot", "matplotlib", "lab") from None
-    settings: Any = RC
-    with plt.rc_context(settings):
-        made = plt.figure(layout="constrained")
-        plt.close(made)  # or a notebook shows it twice
-        yield made
-        try:
             if path is not None:
                 made.savefig(path, dpi=130)
         except (OSError, ValueError) as error:
-            raise LocalError(f"{path}: {error}") from None
+            raise LocalError(f"{path or 'picture'}: {error}") from None

@@ -157,10 +157,10 @@ class RunData:
         picture of this kind (by default what suits the app). Returns the figure, which a notebook shows; with `path` it
         is a file, too."""
         from laptop.cli.runs.plot import draw_on
-        from laptop.plotting.style import shown_figure
+        from laptop.plotting import style
 
         wanted = [part for name in columns for part in self._parts(name)]
-        with shown_figure(None if path is None else Path(path)) as figure:
+        with style.figure(path, settings=style.RC, in_notebook=True, layout="constrained") as figure:
             draw_on(figure, self.recording, kind, wanted)
         return figure
 

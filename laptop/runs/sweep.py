@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from laptop.cli.runs import sweep_results
-from laptop.plotting.style import shown_figure
+from laptop.plotting import style
 from laptop.runs.progress import progress as shown_progress
 from laptop.runs.results import table_of
 from laptop.runs.simulation import App, app_of, arguments_of, flags_of_options, settings_for
@@ -60,7 +60,7 @@ class SweepTable:
     def plot(self, path: str | Path | None = None) -> "Figure":
         """Draw iterations to settle, and the error, over the first list of numbers, as `swarm sweep --plot` does.
         Returns the figure, which a notebook shows; with `path` it is a file, too."""
-        with shown_figure(None if path is None else Path(path)) as figure:
+        with style.figure(path, settings=style.RC, in_notebook=True, layout="constrained") as figure:
             sweep_results.draw_on(figure, self._app, self._points, self._found)
         return figure
 
