@@ -4,16 +4,14 @@ import math
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from operator import itemgetter
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from laptop.plotting import style
 from services.apps.core import formation
 from sim.core.contacts import TOUCH_M
-from swarm import config
 from swarm.config import Config
-from swarm.errors import ConfigError, LocalError
-from swarm.recording.folder import CONFIG_FILE
+from swarm.errors import LocalError
+from swarm.recording.folder import config_in
 from swarm.recording.run import Run
 
 Place = tuple[float, float]
@@ -45,7 +43,7 @@ def scene(figure: Any, run: Run, references: Mapping[str, Sequence[Place]] | Non
     deviations. Of simulated robots the true paths are there too. Where the target's place is known, the estimates'
     errors over iterations stand beside the map, dotted those of the `references` (by robot, from iteration 0 on); of
     apps that drive, how near robots came, and how far they were from their formation."""
-    swarm = _config(run.path)
+    swarm = config_in(run.path)
     way, estimates = _target(run, swarm), _estimates(run)
     robots = list(run.robots)
     truths = paths(run, ("swarm/*/sim/truth",))
@@ -115,14 +113,6 @@ def scene(figure: Any, run: Run, references: Mapping[str, Sequence[Place]] | Non
     style.name_points(axes, names, [place for name, _, _ in names for place, _ in tracks[name][::3]])
     for handle in legend.legend_handles:
         handle.set_color("black" if handle.get_label().startswith(("target", "true")) else style.GREY)
-
-
-def _config(path: Path) -> Config | None:
-    file = path / CONFIG_FILE
-    try:
-        return config.parse(file.read_text(), file) if file.is_file() else None
-    except ConfigError:
-        return None  # of another version: the picture does without anchors
 
 
 def _once(marks: set[str], label: str) -> dict[str, str]:

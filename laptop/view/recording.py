@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from laptop.view import series
-from laptop.view.feeds.feed import config_of
 from laptop.view.feeds.picture import MAX_EVENTS, TRAIL_S, Event, Picture, places
 from laptop.view.series import dig
 from swarm.errors import RecordingError, SwarmError
 from swarm.messages.json_values import json_value
 from swarm.messages.keys import parse as parse_key
 from swarm.recording.core import foxglove, json_text
+from swarm.recording.folder import config_in
 from swarm.recording.run import Run
 
 LEVELS = ("error", "warning", "info")
@@ -52,7 +52,7 @@ class ViewedRecording:
             self._events += teller.events
             teller.events.clear()
         self.damage = list(run.damage)
-        self.config = config_of(path)
+        self.config = config_in(path)
         """The run's configuration; None if it was not kept or is of another version."""
         self.robots = run.robots
 

@@ -13,8 +13,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from swarm import __version__
+from swarm.config import Config, parse
 from swarm.config.toml_input import read_toml
-from swarm.errors import LocalError, PayloadError, RecordingError
+from swarm.errors import LocalError, PayloadError, RecordingError, SwarmError
 from swarm.files import atomic_write, make_folder
 from swarm.process.locks import folder_lock
 from swarm.process.paths import state_dir
@@ -68,3 +69,12 @@ def read_run(folder: Path) -> dict[str, str]:
         return {}
     except (OSError, ValueError, PayloadError) as error:
         raise RecordingError(f"{folder / RUN_FILE}: {error}") from None
+
+
+def config_in(folder: Path) -> Config | None:
+    """Return the configuration of a run; None where there is none that can be read, as one of another version."""
+    path = folder / CONFIG_FILE
+    try:
+        return parse(path.read_text(encoding="utf-8"), path)
+    except (OSError, SwarmError):
+        return None

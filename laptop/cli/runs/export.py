@@ -8,7 +8,6 @@ from typing import NoReturn
 from laptop.cli.runs.import_csv import FILES
 from laptop.foxglove.recorded import RecordedScenes
 from laptop.runs import tables
-from laptop.view.feeds.feed import config_of
 from swarm.app.parameters import number_or_text
 from swarm.errors import LocalError, RecordingError
 from swarm.process.arguments import add_json, show
@@ -16,6 +15,7 @@ from swarm.recording import thesis_csv
 from swarm.recording.core.mcap import McapSchema
 from swarm.recording.core.writer import Writer
 from swarm.recording.file import LIBRARY
+from swarm.recording.folder import config_in
 from swarm.recording.reader import EPOCH, RUN, RecordingReader
 from swarm.recording.run import Run
 from swarm.recording.trajectory import Trajectory
@@ -164,7 +164,7 @@ def _merge(recorded: Run, path: Path) -> None:
     writer = Writer(LIBRARY, epoch_ns=epoch_ns)
     writer.metadata(RUN, {**recorded.info, EPOCH: str(epoch_ns)})
     with path.open("x+b") as file:
-        config = config_of(recorded.path)
+        config = config_in(recorded.path)
         scenes = None if config is None else RecordedScenes(config, epoch_ns)
         for sample in recorded.samples():
             writer.write_text(sample.topic, sample.t, sample.data, recorded.schemas[sample.topic])

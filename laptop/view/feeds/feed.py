@@ -9,15 +9,15 @@ from typing import Protocol
 from laptop.view.feeds.picture import Picture
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus
-from swarm.config import parse
 from swarm.config.types import Config
-from swarm.errors import LocalError, PayloadError, SwarmError
+from swarm.errors import LocalError, PayloadError
 from swarm.messages.keys import whose_token
 from swarm.onboard.buses import buses
 from swarm.onboard.lookout import watch
 from swarm.onboard.traffic import Traffic
 from swarm.process.paths import bus_endpoint
 from swarm.process.simulations import CONFIG, is_live, robots
+from swarm.recording.folder import config_in
 
 _log = logging.getLogger("view")
 
@@ -161,7 +161,7 @@ class SimulationFeed(RealTime):
             written = (self.directory / CONFIG).stat().st_mtime_ns
         except OSError:
             return  # between two runs
-        if written == self._config_time or (config := config_of(self.directory)) is None:
+        if written == self._config_time or (config := config_in(self.directory)) is None:
             return
         self._config_time, self.config = written, config
         gone = {name: bus for name, bus in self.buses.items() if name not in config.names}
@@ -200,12 +200,3 @@ class SimulationFeed(RealTime):
             return
         with self.lock:
             self.picture.alive(robot, service, there, self.now())
-
-
-def config_of(directory: Path) -> Config | None:
-    """The configuration that a run has left in its folder; None where there is none that can be read."""
-    path = directory / CONFIG
-    try:
-        return parse(path.read_text(encoding="utf-8"), path)
-    except (OSError, SwarmError):
-        return None
