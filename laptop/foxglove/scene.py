@@ -10,6 +10,7 @@ from typing import Any
 from laptop.foxglove.messages import FoxgloveMessage, number, rotation, timestamp
 from laptop.view.feeds.picture import Picture
 from swarm.config.types import Config
+from swarm.core.graph import Edge, pair_of
 from swarm.recording.core import foxglove
 
 SCENE = "/scene"
@@ -93,12 +94,12 @@ def _links(
     picture: Picture, config: Config, where: Mapping[str, Place]
 ) -> Iterator[tuple[Sequence[float], Sequence[float], Color]]:
     """Yield each link once: up where one of its ends reports so."""
-    states: dict[tuple[str, ...], bool] = {}
+    states: dict[Edge, bool] = {}
     for robot in config.names:
         value = picture.newest(robot, "mesh/links")
         links = value.get("links") if isinstance(value, dict) else None
         for link in links or ():
-            pair = tuple(sorted((robot, str(link.get("peer")))))
+            pair = pair_of(robot, str(link.get("peer")))
             states[pair] = states.get(pair, False) or link.get("state") == "up"
     for (one, other), up in states.items():
         if one in where and other in where:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from laptop.plotting import style
 from laptop.plotting.places import Place, frame, paths
+from swarm.core.graph import Edge, pair_of
 from swarm.errors import LocalError
 from swarm.recording.run import Run, natural
 
@@ -22,8 +23,6 @@ ALONG = (0.5, 0.4, 0.6, 0.3, 0.7, 0.22, 0.78)
 CLEAR = 0.13
 """Least distance of a label from other labels, robots and crossings, as a share of the picture."""
 
-Pair = tuple[str, str]
-
 
 class DrawnLink(NamedTuple):
     """A link as it is drawn."""
@@ -38,18 +37,18 @@ class DrawnLink(NamedTuple):
 def mesh(figure: Any, run: Run) -> None:
     """The links between the robots as they were at the end: colour and words tell the mean round-trip time, dashed =
     down; messages that a link has dropped while it was recorded are counted."""
-    seen: dict[Pair, dict[str, list[dict[str, Any]]]] = {}
+    seen: dict[Edge, dict[str, list[dict[str, Any]]]] = {}
     newest: dict[str, list[str]] = {}
     """The peers of each robot by its newest message: a link that the swarm does not want any more is not in it."""
     for sample in run.samples("swarm/*/mesh/links"):
         robot = sample.topic.split("/")[1]
         newest[robot] = [link["peer"] for link in sample.message["links"]]
         for link in sample.message["links"]:
-            seen.setdefault(_pair(robot, link["peer"]), {}).setdefault(robot, []).append(link)
-    ends: dict[Pair, list[list[dict[str, Any]]]] = {}
+            seen.setdefault(pair_of(robot, link["peer"]), {}).setdefault(robot, []).append(link)
+    ends: dict[Edge, list[list[dict[str, Any]]]] = {}
     for robot, peers in newest.items():
         for peer in peers:
-            ends.setdefault(_pair(robot, peer), []).append(seen[_pair(robot, peer)][robot])
+            ends.setdefault(pair_of(robot, peer), []).append(seen[pair_of(robot, peer)][robot])
     if not newest:
         raise LocalError(f"{run.path}: no state of the mesh's links is recorded{style.DEVICES}")
     if not ends:
@@ -65,17 +64,13 @@ def mesh(figure: Any, run: Run) -> None:
     network(figure, places, links)
 
 
-def _pair(one: str, other: str) -> Pair:
-    return min(one, other), max(one, other)
-
-
 def _increase(counts: Sequence[int]) -> int:
     """Return by how much a counter has grown. It begins anew with each mesh process."""
     return sum(new - old if new >= old else new for old, new in pairwise(counts))
 
 
 def network(
-    figure: Any, places: Mapping[str, Place], links: Mapping[Pair, DrawnLink], faces: Mapping[str, str] | None = None
+    figure: Any, places: Mapping[str, Place], links: Mapping[Edge, DrawnLink], faces: Mapping[str, str] | None = None
 ) -> None:
     """Draw robots at their places, in the colours of `faces` (white), and the links between them."""
     axes = figure.add_subplot()
@@ -115,7 +110,7 @@ def network(
     axes.axis("off")
 
 
-def layout(names: list[str], links: list[Pair], real: Mapping[str, Place]) -> dict[str, Place]:
+def layout(names: list[str], links: list[Edge], real: Mapping[str, Place]) -> dict[str, Place]:
     """Robots where they are, if all are known, apart, and none seems to be on a link of others; else on a circle."""
     places = {name: real[name] for name in names if name in real}
     if len(places) == len(names):
@@ -128,11 +123,11 @@ def layout(names: list[str], links: list[Pair], real: Mapping[str, Place]) -> di
     return {name: (math.sin(index * turn), math.cos(index * turn)) for index, name in enumerate(names)}
 
 
-def spots(places: Mapping[str, Place], links: list[Pair]) -> dict[Pair, Place]:
+def spots(places: Mapping[str, Place], links: list[Edge]) -> dict[Edge, Place]:
     """Return the place of the words of each link: on it, clear of robots, other links and other words, as far as
     possible."""
     size = _size(places)
-    found: dict[Pair, Place] = {}
+    found: dict[Edge, Place] = {}
     for a, b in links:
         (xa, ya), (xb, yb) = places[a], places[b]
         near = [places[name] for name in places]

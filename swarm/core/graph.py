@@ -24,6 +24,11 @@ _THESIS_D = ((0, 1), (0, 3), (0, 4), (0, 5), (1, 2), (2, 3), (2, 5), (3, 4), (4,
 _MASK = (1 << 64) - 1
 
 
+def pair_of(a: str, b: str) -> Edge:
+    """Return two robots in the order of their names: a link has the same pair in both directions."""
+    return (a, b) if a < b else (b, a)
+
+
 def hops_from(neighbours: Mapping[str, Collection[str]], start: str) -> dict[str, int]:
     """Hops from `start` to every node that it can reach, itself included, nearest first."""
     hops, todo = {start: 0}, deque((start,))

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from swarm.core.graph import Graph
+from swarm.core.graph import Graph, pair_of
 from swarm.messages import Clock, GraphRobot, Links, LinkState, MeasuredHub, Topology
 from swarm.onboard.buses.ask import AWAY
 
@@ -78,7 +78,7 @@ class CollectedMesh:
     def replaced(self) -> dict[tuple[str, str], tuple[str, tuple[str, ...]]]:
         """Return the links of hubs that are not up, each with the reason that is known, and the robots with which the
         called robot has other links instead."""
-        planned = {_pair(hub, robot): (hub, robot) for hub, robots in self.hubs.items() for robot in robots}
+        planned = {pair_of(hub, robot): (hub, robot) for hub, robots in self.hubs.items() for robot in robots}
         spare = [pair for pair in self.round_trips if pair not in planned]
         reasons = {(name, link.peer): link.reason for name, link in self.links() if link.state not in UP}
         found = {}
@@ -105,7 +105,7 @@ class CollectedMesh:
         where none was asked, both tell of it."""
         states: dict[tuple[str, str], bool] = {}
         for name, link in self.links():
-            pair = _pair(name, link.peer)
+            pair = pair_of(name, link.peer)
             states[pair] = states.get(pair, True) and link.state in UP
         for name, robot in self.robots.items():
             if robot.state in AWAY:
@@ -113,7 +113,7 @@ class CollectedMesh:
             for peer in robot.links:
                 other = self.robots.get(peer)
                 if other is not None and other.state not in AWAY and name in other.links:
-                    states.setdefault(_pair(name, peer), True)
+                    states.setdefault(pair_of(name, peer), True)
         return states
 
     @cached_property
@@ -123,7 +123,7 @@ class CollectedMesh:
         medians: dict[tuple[str, str], float] = {}
         for name, link in self.links():
             if link.rtt_median is not None:
-                pair = _pair(name, link.peer)
+                pair = pair_of(name, link.peer)
                 medians[pair] = max(medians.get(pair, 0.0), link.rtt_median)
         found: dict[tuple[str, str], float | None] = {}
         for pair, up in self.states.items():
@@ -152,7 +152,3 @@ class CollectedMesh:
             and not self.clashes
             and not any(robot.state in AWAY for robot in self.robots.values())
         )
-
-
-def _pair(a: str, b: str) -> tuple[str, str]:
-    return (a, b) if a < b else (b, a)
