@@ -10,9 +10,10 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
-from laptop.view.feeds.picture import Event, is_number
+from laptop.view.feeds.picture import Event
 from swarm.errors import LocalError, PayloadError
 from swarm.messages import Pose, type_of
+from swarm.messages.json_values import is_number
 from swarm.recording.core import foxglove, json_text
 
 POSE_TOPIC = "dwm/pose"

@@ -10,6 +10,7 @@ from laptop.view.layouts import Layouts
 from laptop.view.recording import ViewedRecording
 from laptop.view.scene import scene
 from swarm.errors import LocalError, RecordingError, SwarmError
+from swarm.messages.json_values import is_number
 from swarm.recording import folder
 from swarm.recording.reader import SUFFIX
 
@@ -122,6 +123,6 @@ def runs_in(directory: Path) -> list[dict[str, Any]]:
 
 def number(value: object) -> float:
     """Return a number that a page has sent. Raises `TypeError` for other values."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    if not is_number(value):
         raise TypeError("no number")
     return float(value)

@@ -5,12 +5,16 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from swarm.errors import LocalError
+from swarm.messages.json_values import is_number
 
 MOST = 600
 """The most points of one robot in a chart."""
 
 MOST_IN_ALL = 24_000
 """The most points of all robots together. A chart of hundreds of robots has bands, not lines."""
+
+LARGEST = 1e300
+"""Numbers beyond are left out: the page computes with differences of numbers, which must be finite."""
 
 MAX_FIELDS = 8
 MAX_DEPTH = 6
@@ -69,6 +73,4 @@ def _at(items: Sequence[object], name: str) -> object:
 
 def _number(value: object) -> float | int | None:
     """Return a number that a chart can draw, else None."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not -1e300 < value < 1e300:
-        return None
-    return value
+    return value if is_number(value) and abs(value) < LARGEST else None

@@ -1,9 +1,20 @@
 """Values as any reader of JSON takes them."""
 
 import math
+import sys
+from typing import TypeGuard
 
 DEPTH = 12
 """Levels of nesting; msgpack allows a thousand, which would end in a RecursionError."""
+
+
+def is_number(value: object) -> TypeGuard[float]:
+    """Return whether a value is a number that a float can hold: neither NaN nor infinite, and no truth value."""
+    return (
+        isinstance(value, int | float)
+        and not isinstance(value, bool)
+        and -sys.float_info.max <= value <= sys.float_info.max
+    )
 
 
 def json_value(value: object, longest: int | None = None, depth: int = 0) -> object:

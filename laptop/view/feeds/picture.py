@@ -9,12 +9,11 @@ the events. So pages find numbers, texts and lists where they look for them, or 
 
 import contextlib
 import math
-import sys
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager
 from functools import lru_cache
-from typing import NamedTuple, TypeGuard
+from typing import NamedTuple
 
 from laptop.view.feeds.history import History
 from laptop.view.feeds.news import REACH, news
@@ -22,7 +21,7 @@ from swarm.errors import PayloadError
 from swarm.messages import type_of
 from swarm.messages.codec import unpack
 from swarm.messages.fields import check_fields
-from swarm.messages.json_values import json_value
+from swarm.messages.json_values import is_number, json_value
 from swarm.messages.keys import parse
 from swarm.process.text import printable
 
@@ -357,8 +356,3 @@ def places(history: Iterable[tuple[float, object]], since: float) -> Iterator[tu
             x, y = value.get("x"), value.get("y")
             if is_number(x) and is_number(y):
                 yield float(x), float(y)
-
-
-def is_number(value: object) -> TypeGuard[float]:
-    """Whether it is a number that a float can be, which a number of a recording need not be."""
-    return isinstance(value, int | float) and -sys.float_info.max <= value <= sys.float_info.max
