@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from laptop.foxglove.messages import FoxgloveMessage, number, rotation, timestamp
-from laptop.view.feeds.picture import Picture
+from laptop.view.feeds.picture import Picture, pose_topic
 from swarm.config.types import Config
 from swarm.core.graph import Edge, pair_of
 from swarm.recording.core import foxglove
@@ -38,12 +38,11 @@ def places(picture: Picture, config: Config) -> dict[str, Place]:
     """Return the places of robots: the true ones where they are known (a simulation), else their estimates."""
     found = {}
     for robot in config.names:
-        for topic in ("sim/truth", "dwm/pose"):
-            value = picture.newest(robot, topic)
-            place = _xy(value)
-            if place is not None and isinstance(value, dict) and (topic == "sim/truth" or value.get("quality")):
-                found[robot] = (*place, number(value.get("heading")) or 0.0)
-                break
+        topic = pose_topic(picture.topics(robot))
+        value = picture.newest(robot, topic)
+        place = _xy(value)
+        if place is not None and isinstance(value, dict) and (topic == "sim/truth" or value.get("quality")):
+            found[robot] = (*place, number(value.get("heading")) or 0.0)
     return found
 
 

@@ -10,7 +10,7 @@ the events. So pages find numbers, texts and lists where they look for them, or 
 import contextlib
 import math
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator
 from contextlib import AbstractContextManager
 from functools import lru_cache
 from typing import NamedTuple
@@ -249,7 +249,7 @@ class Picture:
         """Topics and samples of a robot, for `values`: those of what moves (`AT_ONCE`) newer than the version `moved`,
         all others newer than `rest` (None: none of them)."""
         topics = self._topics.get(robot, {})
-        at_once = AT_ONCE if "sim/truth" in topics else AT_ONCE | {"dwm/pose"}
+        at_once = AT_ONCE | {pose_topic(topics)}
         entries = topics if rest is not None else {topic: topics[topic] for topic in at_once if topic in topics}
         return [
             (topic, sample)
@@ -293,7 +293,7 @@ class Picture:
 
     def trail(self, robot: str, seconds: float, now: float) -> Iterator[tuple[float, float]]:
         """Return the way that a robot has come until `now`, m: the true one where there is one."""
-        topic = "sim/truth" if "sim/truth" in self.topics(robot) else "dwm/pose"
+        topic = pose_topic(self.topics(robot))
         return places(self.history(robot, topic, since=now - seconds, until=now), now - seconds)
 
     def note(self, now: float, robot: str, level: str, text: str) -> None:
@@ -347,6 +347,11 @@ def _parts(value: object) -> int:
 def _size(value: object) -> int:
     """Bytes that a robot has sent for it."""
     return len(value.payload) if isinstance(value, _Packed) else 0
+
+
+def pose_topic(topics: Container[str]) -> str:
+    """Return which of a robot's topics tells its pose: the true one where it is known, as in a simulation."""
+    return "sim/truth" if "sim/truth" in topics else "dwm/pose"
 
 
 def places(history: Iterable[tuple[float, object]], since: float) -> Iterator[tuple[float, float]]:
