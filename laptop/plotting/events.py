@@ -56,9 +56,9 @@ def leds(figure: Any, run: Run) -> None:
             label=name,
         )
     style.rows_of_robots(top, robots)
-    top.set(xlabel="time / s", xlim=(begin, end + period / 2), title="LED on, the last flashes")
+    top.set(xlabel=style.TIME, xlim=(begin, end + period / 2), title="LED on, the last flashes")
     bottom.set(
-        xlabel="time / s",
+        xlabel=style.TIME,
         ylabel=f"flash after that of {first} / ms",
     )
     if farthest > FAR_MS:  # before they are together; afterwards milliseconds are to be seen
@@ -107,7 +107,7 @@ def standup(figure: Any, run: Run) -> None:
                 f"{up:.1f} s", (up, index), textcoords="offset points", xytext=(3, 5), fontsize=7.5, color=colour
             )
     style.rows_of_robots(axes, robots)
-    axes.set(xlabel="time / s", title="line: tilt (a row is ±110°), filled: it stands")
+    axes.set(xlabel=style.TIME, title="line: tilt (a row is ±110°), filled: it stands")
 
 
 def _with_silence(tilts: list[tuple[float, float, bool]]) -> list[tuple[float, float, bool]]:

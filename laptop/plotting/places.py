@@ -235,7 +235,7 @@ def distances(axes: Any, run: Run, tracks: Mapping[str, list[tuple[Place, dict[s
         apart -= apart.mean(axis=0)
         misfit = np.sqrt((apart**2).sum(axis=1).mean(axis=0))
         axes.plot(grid, misfit, color=style.COLOURS[1], label="from the formation")
-    axes.set(xlabel="time / s", ylabel="distance / m", ylim=(0, None))
+    axes.set(xlabel=style.TIME, ylabel="distance / m", ylim=(0, None))
     style.legend(axes, 3)
 
 

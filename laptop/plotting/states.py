@@ -74,7 +74,7 @@ def states(
         for index, path in enumerate(paths.values()):
             _mark_gaps(left, right, path, column, style.colour(index, len(paths)))
         left.set(xlabel="iteration", ylabel=title)
-        right.set(xlabel="time / s")
+        right.set(xlabel=style.TIME)
         style.whole(left.xaxis)
         if between is not None:
             begin, end = between
@@ -164,7 +164,7 @@ def iterations(figure: Any, run: Run) -> None:
             times = [path.times[k] for k in ks]
             drawn = [math.nan if again else k for k, again in zip(ks, _again(ks), strict=True)]
             axes.plot(times, drawn, label=f"{name}: {_pace(path)}", **look)
-        axes.set(xlabel="time / s", ylabel=f"iteration of {channel}" if channel else "iteration")
+        axes.set(xlabel=style.TIME, ylabel=f"iteration of {channel}" if channel else "iteration")
         style.whole(axes.yaxis)
         style.legend(axes, len(paths), loc="center left", bbox_to_anchor=(1.0, 0.5), ncols=1, title="mean period")
 
@@ -280,7 +280,7 @@ def _truth(axes: Any, label: str, column: str, paths: Mapping[str, Trajectory]) 
             times, [index + 0.32 - 0.64 * value for value in values], drawstyle="steps-post", color=colour, linewidth=1
         )
     style.rows_of_robots(axes, list(paths))
-    axes.set(xlabel="time / s", title=f"{label}: filled = true")
+    axes.set(xlabel=style.TIME, title=f"{label}: filled = true")
 
 
 def _look(index: int, robots: int, points: int) -> dict[str, Any]:

@@ -24,6 +24,8 @@ DEVICES = " (swarm sim --record and simulate(..., devices=True) record it)"
 """What a message adds where a picture needs what devices say."""
 
 GREY = "0.45"
+TIME = "time / s"
+"""The label of an axis that shows time."""
 NOTE_PT = 8.0
 """Size of notes below a picture. A letter of usual text is less than 0.58 of that wide."""
 FEW = len(COLOURS)

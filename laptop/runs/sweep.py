@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from laptop.cli.runs import sweep_results
+from laptop.cli.runs.sweep import WITHIN
 from laptop.plotting import style
 from laptop.runs.progress import progress as shown_progress
 from laptop.runs.results import table_of
@@ -21,9 +22,6 @@ from swarm.errors import ConfigError
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
-
-WITHIN = 0.01
-"""Distance from its last value within which a result counts as settled, in its unit."""
 
 OF_EACH_RUN = ("robots", "topology", "algorithm")
 """Arguments that differ from run to run if `over` lists values of them."""

@@ -2,7 +2,7 @@
 
 import argparse
 
-from laptop.plotting.style import add_plot, figure
+from laptop.plotting.style import TIME, add_plot, figure
 from swarm.onboard.measure import rssi
 
 HELP = "measure the signal strength of a Bluetooth link"
@@ -20,5 +20,5 @@ def run(args: argparse.Namespace) -> int:
         with figure(args.plot, figsize=(6, 4), layout="constrained") as picture:
             axes = picture.add_subplot()
             axes.plot([rssi.PERIOD * number for number in range(len(readings))], readings, "o-")
-            axes.set(xlabel="time / s", ylabel="RSSI / dB", title=link)
+            axes.set(xlabel=TIME, ylabel="RSSI / dB", title=link)
     return 0

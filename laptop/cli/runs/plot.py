@@ -24,9 +24,6 @@ KINDS: dict[str, Callable[[Any, Run], None]] = {
     "standup": events.standup,
 }
 
-TIME = "time / s"
-"""The label of an axis that shows the run's time."""
-
 OF_APP = {
     "localization": "map",
     "formation": "map",
@@ -126,7 +123,7 @@ def _check(kind: str, columns: Collection[str]) -> None:
 
 def _cut(made: Any, begin: float, end: float) -> None:
     """Show only the part of a figure from `begin` to `end`, s. Raises `LocalError` where nothing is drawn there."""
-    over_time = [axes for axes in made.axes if axes.get_xlabel() == TIME]
+    over_time = [axes for axes in made.axes if axes.get_xlabel() == style.TIME]
     if not over_time:
         raise LocalError("--between: nothing in this picture is drawn over time")
     first, last = (choose(axes.dataLim.intervalx[i] for axes in over_time) for i, choose in enumerate((min, max)))

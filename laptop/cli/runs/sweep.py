@@ -21,6 +21,7 @@ from swarm.process.arguments import number, picture, whole
 from swarm.process.terminal import bar, steer
 
 WITHIN = 0.01
+"""Distance from its last value within which a result counts as settled, in its unit."""
 
 
 def parser() -> argparse.ArgumentParser:

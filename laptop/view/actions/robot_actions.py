@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, Protocol
 
+from laptop.cli.hand import MAX_CUT_S
 from swarm.app.settings import Setting
 from swarm.errors import LocalError
 from swarm.messages.codec import Value
@@ -11,8 +12,6 @@ from swarm.messages.codec import Value
 PageAction = Callable[[Mapping[str, Any]], str]
 """Carries out `{act: NAME, ...}`, or begins to; says what, in words. Raises `LocalError`, and `KeyError`, `TypeError`,
 `ValueError` or `OSError` where something is missing or wrong."""
-
-MAX_CUT_S = 600.0
 
 
 class RobotActions(Protocol):
