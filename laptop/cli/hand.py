@@ -9,7 +9,7 @@ from pathlib import Path
 from laptop.fleet.units import SERVICES
 from sim.control import datagrams, link_cuts, power_switch
 from sim.core import actions
-from sim.core.actions import Carry, Lay, Lift, Miswire, Press, Push, Roll, Unplug
+from sim.core.actions import Carry, Lay, Lift, Miswire, Press, Push, Roll, SimulationAction, Unplug
 from swarm.errors import LocalError
 from swarm.messages.keys import is_name
 from swarm.process.arguments import add_json, add_run_dir, number, show
@@ -89,39 +89,42 @@ def run(args: argparse.Namespace) -> int:
 def do(runtime: Path, args: argparse.Namespace) -> str:
     """Do it to the robot with this runtime directory; what was done, in words."""
     match args.act:
-        case "press":
-            datagrams.send_action(runtime, Press(args.button, args.hold))
-            return f"button {args.button} held for {args.hold:g} s"
-        case "push":
-            datagrams.send_action(runtime, Push(args.impulse))
-            return f"pushed with {args.impulse:g} N s"
-        case "lay":
-            datagrams.send_action(runtime, Lay(args.side))
-            return f"laid on its {args.side}"
-        case "place":
-            datagrams.send_action(runtime, Carry(args.x, args.y, args.heading))
-            return f"lies on its back at ({args.x:g}, {args.y:g}) m"
-        case "lift":
-            datagrams.send_action(runtime, Lift(math.radians(args.tilt), math.radians(args.turn), down=args.down))
-            return "stands upright, held by a hand" if args.down else f"in the hand, {args.tilt:g} degrees from upright"
-        case "roll":
-            datagrams.send_action(runtime, Roll(args.wheel, math.radians(args.degrees)))
-            return f"{args.wheel} wheel turned by {args.degrees:g} degrees"
-        case "miswire":
-            datagrams.send_action(runtime, Miswire(args.part, back=args.back))
-            return f"{args.part} is mounted the {'right' if args.back else 'wrong'} way"
-        case "unplug":
-            datagrams.send_action(runtime, Unplug(args.device, back=args.back))
-            return f"{args.device} is {'back on' if args.back else 'off'} its bus"
         case "kill":
             service, pid = end_service(runtime, args.service, args.signal)
             return f"{service} (pid {pid}): SIG{args.signal}"
         case "cut":
             link_cuts.cut_link(runtime.parent, args.robot, args.peer, args.seconds)
             return f"link to {args.peer} " + (f"cut for {args.seconds:g} s" if args.seconds else "mended")
-        case _:
+        case "reboot":
             power_switch.reboot(runtime.parent, args.robot, args.off)
             return f"off, and on again in {args.off:g} s"
+    action, done = _action(args)
+    datagrams.send_action(runtime, action)
+    return done
+
+
+def _action(args: argparse.Namespace) -> tuple[SimulationAction, str]:
+    """Return the action on a robot's body or devices, and in words what it does."""
+    match args.act:
+        case "press":
+            return Press(args.button, args.hold), f"button {args.button} held for {args.hold:g} s"
+        case "push":
+            return Push(args.impulse), f"pushed with {args.impulse:g} N s"
+        case "lay":
+            return Lay(args.side), f"laid on its {args.side}"
+        case "place":
+            return Carry(args.x, args.y, args.heading), f"lies on its back at ({args.x:g}, {args.y:g}) m"
+        case "lift":
+            text = "stands upright, held by a hand" if args.down else f"in the hand, {args.tilt:g} degrees from upright"
+            return Lift(math.radians(args.tilt), math.radians(args.turn), down=args.down), text
+        case "roll":
+            text = f"{args.wheel} wheel turned by {args.degrees:g} degrees"
+            return Roll(args.wheel, math.radians(args.degrees)), text
+        case "miswire":
+            text = f"{args.part} is mounted the {'right' if args.back else 'wrong'} way"
+            return Miswire(args.part, back=args.back), text
+        case _:
+            return Unplug(args.device, back=args.back), f"{args.device} is {'back on' if args.back else 'off'} its bus"
 
 
 SIGNALS = ("KILL", "TERM", "STOP", "CONT")
