@@ -77,10 +77,7 @@ class Provisioning:
     async def check(self) -> str:
         """Say what would be done, and do nothing; raises `HostError` where something cannot be helped."""
         facts = await self.look()
-        repository = self._repository(facts)
-        if repository is not None:
-            names = tuple(sorted({package.name for package in repository.packages.values()}))
-            self._wish = replace(self._wish, bundle=Packages(names=names))
+        self._offer(facts)
         verdicts = {step.name: step.judge(facts, self._wish) for step in (*steps.FIRST, *steps.THEN)}
         for step, verdict in verdicts.items():
             self._tell(f"{step}: {'would change' if verdict.state == 'change' else verdict.state}: {verdict.text}")
@@ -108,22 +105,24 @@ class Provisioning:
 
     # -- packages --------------------------------------------------------------------------------------------------
 
-    def _repository(self, facts: Mapping[str, Any]) -> Repository | None:
-        return self._bundle.get((facts["os"].get("VERSION_CODENAME", ""), self._wish.architecture))
+    def _offer(self, facts: Mapping[str, Any]) -> Repository | None:
+        """Return the packages that the bundle has for this robot, and wish for a robot with their names."""
+        repository = self._bundle.get((facts["os"].get("VERSION_CODENAME", ""), self._wish.architecture))
+        if repository is not None:
+            self._wish = replace(self._wish, bundle=Packages(names=repository.names))
+        return repository
 
     async def _packages(self, facts: dict[str, Any]) -> tuple[dict[str, Any], bool]:
         """The steps that come first; before them, what apt would take of the bundle."""
-        repository = self._repository(facts)
+        repository = self._offer(facts)
         files: list[Package] = []
         if repository is not None:
-            names = tuple(sorted({package.name for package in repository.packages.values()}))
-            self._wish = replace(self._wish, bundle=Packages(names=names))
             gates = [step.judge(facts, self._wish) for step in steps.FIRST if step.name != "packages"]
             missing = packages.wanted_packages(facts, self._wish)
             if missing and all(verdict.state != "failed" for verdict in gates):
                 files, problem = await self._resolve(repository, missing)
                 sizes = {package.file: package.size for package in files}
-                self._wish = replace(self._wish, bundle=Packages(sizes, problem, names))
+                self._wish = replace(self._wish, bundle=Packages(sizes, problem, repository.names))
         return await self._stage(facts, steps.FIRST, repository, files)
 
     async def _resolve(self, repository: Repository, names: Sequence[str]) -> tuple[list[Package], str]:

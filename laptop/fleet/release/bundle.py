@@ -17,7 +17,7 @@ import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from laptop.fleet.core.wish import FIRMWARE_PACKAGE, KERNEL_PACKAGE, PACKAGES
+from laptop.fleet.core.wish import FIRMWARE_PACKAGE, KERNEL_PACKAGE
 from swarm.errors import LocalError
 from swarm.frozen import frozen
 
@@ -41,6 +41,11 @@ class Repository:
     index: str
     packages: Mapping[tuple[str, str], Package]
     """The packages by name and version."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of all packages in order."""
+        return tuple(sorted({package.name for package in self.packages.values()}))
 
     def data(self, package: Package) -> bytes:
         """Return the file of a package after checking it. Raises `LocalError`."""
@@ -149,9 +154,7 @@ def archives(suite: str, mirror: str, pi_keys: Path | None) -> tuple[Archive, ..
     return tuple(found)
 
 
-def download(
-    folder: Path, sources: Sequence[Archive], architecture: str, packages: Sequence[str] = PACKAGES
-) -> tuple[int, int]:
+def download(folder: Path, sources: Sequence[Archive], architecture: str, packages: Sequence[str]) -> tuple[int, int]:
     """Fill `folder` with these packages, all they depend on, and an index; how many, and their bytes.
 
     The folder is as it was, or whole. Raises `LocalError` where apt cannot do it.

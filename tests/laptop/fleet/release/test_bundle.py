@@ -21,7 +21,7 @@ def test_a_folder_without_a_bundle(tmp_path: Path) -> None:
 def test_a_bundle_needs_a_computer_with_apt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(LocalError, match="there is no apt-get here: make the bundle on Debian"):
-        bundle.download(tmp_path / "bundle", [], "arm64")
+        bundle.download(tmp_path / "bundle", [], "arm64", ["a"])
     assert not (tmp_path / "bundle").exists()
 
 
