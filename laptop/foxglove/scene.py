@@ -120,10 +120,8 @@ def _ranges(
 
 
 def _target(picture: Picture, config: Config) -> tuple[float, float] | None:
-    for robot in config.names:
-        if (place := _xy(picture.newest(robot, "sim/target"))) is not None:
-            return place
-    return None
+    places = (_xy(picture.newest(robot, "sim/target")) for robot in config.names)
+    return next((place for place in places if place is not None), None)
 
 
 def _cube(anchor: Any) -> dict[str, Any]:

@@ -26,7 +26,7 @@ EXPECTED = (
 class Playing:
     """One page's way through recordings."""
 
-    def __init__(self, recording: ViewedRecording, layouts: Layouts, wanted: str | None = None) -> None:
+    def __init__(self, recording: ViewedRecording, layouts: Layouts, wanted: str | None) -> None:
         """`wanted`: the name of another recording of its folder, which the page begins with where it is there."""
         self._recording = recording
         self._folder = recording.path.resolve().parent
@@ -84,19 +84,17 @@ class Playing:
         return step
 
     def _put_beside(self, name: object) -> dict[str, Any] | None:
-        self._beside = None if name is None else self._load(name)
-        run = self._beside
-        return (
-            None
-            if run is None
-            else {
-                "name": run.path.name,
-                "first": run.first,
-                "last": run.last,
-                "robots": list(run.robots),
-                "parameters": run.parameters(),
-            }
-        )
+        if name is None:
+            self._beside = None
+            return None
+        self._beside = run = self._load(name)
+        return {
+            "name": run.path.name,
+            "first": run.first,
+            "last": run.last,
+            "robots": list(run.robots),
+            "parameters": run.parameters(),
+        }
 
     def _load(self, name: object) -> ViewedRecording:
         """Load one of the recordings that are listed, and no other file of this machine."""

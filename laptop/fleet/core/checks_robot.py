@@ -126,6 +126,11 @@ def adapter(robot: ExaminedRobot) -> Finding:
     return ok(said)
 
 
+def _is_bonded(device: dict[str, object] | None) -> bool:
+    """Return whether bluetoothd is paired with a device and trusts it. None is a device that it does not know."""
+    return device is not None and bool(device.get("paired") and device.get("trusted"))
+
+
 def pairing(robot: ExaminedRobot) -> Finding:
     """Check that all robots that may have a link with it are paired and trusted."""
     its = robot.facts["pairing"]
@@ -134,11 +139,7 @@ def pairing(robot: ExaminedRobot) -> Finding:
     known = its.get("devices") or {}
     pairs = [edge for edge in edges(robot.config, robot.config.names) if robot.name in edge]
     near = [b if a == robot.name else a for a, b in pairs]
-    missing = []
-    for name in near:
-        device = known.get(robot.addresses.get(name)) or {}
-        if not (device.get("paired") and device.get("trusted")):
-            missing.append(name)
+    missing = [name for name in near if not _is_bonded(known.get(robot.addresses.get(name)))]
     if not missing:
         return ok(f"{' '.join(near) or 'no neighbours'}")
     text = f"not paired with {' '.join(missing)}"

@@ -157,13 +157,12 @@ def read_files(config: Config, key: Path | None) -> dict[str, bytes]:
                 f"for {config.mesh.key_file}: remove that line, or copy the key to that place and leave --key out"
             )
         read_keys(key)
-    files = {}
-    for name, path in {"config": config.path, "key": key}.items():
-        if path is not None:
-            try:
-                files[name] = path.read_bytes()
-            except OSError as error:
-                raise LocalError(f"{path} cannot be read: {error.strerror}") from None
+    try:
+        files = {"config": config.path.read_bytes()}
+        if key is not None:
+            files["key"] = key.read_bytes()
+    except OSError as error:
+        raise LocalError(f"{error.filename} cannot be read: {error.strerror}") from None
     return files
 
 
