@@ -175,7 +175,7 @@ def command(robots: tuple[Host, ...], ssh: Ssh, *, stop: bool, reason: str, bega
             raise HostError("its release is older than this program: swarm deploy, or swarm arm on the robot")
         return done.out, last_words(done.err)
 
-    async def job(host: Host, tell: everyone.ReportProgress) -> str:
+    async def job(host: Host, _: everyone.ReportProgress) -> str:
         out, error = await ask(host)
         rows = _rows(out)
         for name, row in rows.items():

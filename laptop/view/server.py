@@ -77,12 +77,11 @@ BUILDERS = 4
 _log = logging.getLogger("view")
 
 
-def application(feed: Feed, control: Control | None, token: str, layouts: Path | None = None) -> web.Application:
-    """The server; run it with `serve`. There is nothing to control in a recording. `layouts`: the file where pages'
-    layouts are kept."""
+def application(feed: Feed, control: Control | None, token: str) -> web.Application:
+    """The server; run it with `serve`. There is nothing to control in a recording."""
     app = web.Application(middlewares=[_guard])
     app[_FEED], app[_CONTROL], app[_TOKEN] = feed, control, token
-    app[_LAYOUTS] = Layouts(layouts or default_path())
+    app[_LAYOUTS] = Layouts(default_path())
     app[_HALTS] = halts = concurrent.futures.ThreadPoolExecutor(1, "stops")
     app[_BUILDERS] = builders = concurrent.futures.ThreadPoolExecutor(BUILDERS, "steps")
     for pool in (halts, builders):

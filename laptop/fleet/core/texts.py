@@ -22,7 +22,7 @@ def with_block(text: str, lines: Sequence[str]) -> str:
     return "".join([rest, *(line + "\n" for line in (BEGIN, *lines, END))])
 
 
-def with_words(text: str, add: Sequence[str], remove: Collection[str] = ()) -> str:
+def with_words(text: str, add: Sequence[str], remove: Collection[str]) -> str:
     """The kernel's command line (`cmdline.txt`: one line) with these words, and without those that match `remove`."""
     words = [word for word in text.split() if word in add or not any(re.fullmatch(p, word) for p in remove)]
     words = list(dict.fromkeys(words))

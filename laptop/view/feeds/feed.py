@@ -100,7 +100,7 @@ class SimulationFeed(RealTime):
 
     kind = "simulation"
 
-    def __init__(self, directory: Path, only: Sequence[str] = ()) -> None:
+    def __init__(self, directory: Path, only: Sequence[str]) -> None:
         """`only` these robots, all where none is named. Raises `LocalError` where no simulation runs there."""
         if not is_live(directory):
             raise LocalError(

@@ -66,7 +66,7 @@ def feed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Simulation
     monkeypatch.setattr(server.secrets, "token_urlsafe", lambda _: "a-token")
     directory = tmp_path / "run"
     with claim(directory):
-        feed = SimulationFeed(directory)
+        feed = SimulationFeed(directory, ())
         feed.buses = {name: Bus() for name in ("r0", "r1", "r2")}  # type: ignore[misc]
         feed.config = parse(CONFIG, Path("swarm.toml"))
         yield feed

@@ -33,7 +33,7 @@ LIVE = "/live?token=a-token"
 def feed(tmp_path: Path) -> Iterator[SimulationFeed]:
     directory = tmp_path / "run"
     with claim(directory):
-        feed = SimulationFeed(directory)
+        feed = SimulationFeed(directory, ())
         feed.buses = {"r0": Bus(), "r1": Bus()}  # type: ignore[dict-item]
         yield feed
         feed.close()

@@ -51,7 +51,7 @@ class Bus:
 def feed(tmp_path: Path):
     directory = tmp_path / "run"
     with claim(directory):
-        feed = SimulationFeed(directory)
+        feed = SimulationFeed(directory, ())
         feed.buses = {"r0": Bus(), "r1": Bus()}
         yield feed
         feed.close()
@@ -318,7 +318,7 @@ def test_an_app_is_asked_again_until_it_answers_or_for_so_long(
 
 def test_without_a_simulation_it_says_so(tmp_path: Path) -> None:
     with pytest.raises(LocalError, match="no simulation is running"):
-        SimulationFeed(tmp_path)
+        SimulationFeed(tmp_path, ())
 
 
 def test_a_number_that_is_none_is_told_as_text(feed: SimulationFeed) -> None:
