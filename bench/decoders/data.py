@@ -20,7 +20,7 @@ from bench.decoders.run import MIB, Target
 from laptop.fleet.core import collect
 from laptop.fleet.files import journal
 from laptop.fleet.release import versions
-from laptop.view.feeds.picture import Picture, places
+from laptop.view.feeds.picture import Picture, track
 from services.balancer.bridge import link
 from services.balancer.core.devices import balboa, imu, uwb
 from services.balancer.core.flashing import intel_hex
@@ -282,7 +282,7 @@ def _pages(rng: random.Random) -> Made:
             with contextlib.suppress(ValueError, RecursionError):
                 value = json_value(json_text.decode(said))
                 picture.put(robot, topic, value, now)
-                json.dumps(list(places([(now, value)], 0.0)))
+                json.dumps(list(track([(now, value)], 0.0)))
         else:
             name = said.decode("utf-8", "replace")
             picture.take(robot, f"swarm/{robot}/{name}", said, now)

@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
         show(args, {"app": args.app, "act": args.act, "done": done}, [done])
         return 0
     everyone.named(args)
-    _, hosts, ssh = everyone.chosen(args)
+    _, hosts, ssh = everyone.recipients(args)
 
     async def job(host: Host, _: everyone.ReportProgress) -> str:
         return await apps.systemctl(ssh, host, args.act, [unit(args.app)])

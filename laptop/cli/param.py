@@ -25,7 +25,7 @@ def run(args: argparse.Namespace) -> int:
     if not (args.real or robot_command.is_meant(args)):
         return param.run(args)
     wanted = param.settings_of(args)  # what is wrong is said here, not by each robot
-    _, robots, ssh = everyone.chosen(args)
+    _, robots, ssh = everyone.recipients(args)
     param.check_robots(wanted, [host.robot for host in robots])
 
     async def job(host: Host, tell: everyone.ReportProgress) -> str:

@@ -28,7 +28,7 @@ def units(names: Sequence[str]) -> list[str]:
     return [unit(name) for name in names] or [TARGET]
 
 
-def kill(name: str) -> str:
+def kill_command(name: str) -> str:
     """The robot's command that has the main process of a service or an app end as by a crash: what else it has started
     is left to systemd, which then starts it again. Fails where it does not run; raises `LocalError` as `unit`."""
     what = unit(name)

@@ -55,7 +55,7 @@ def sample(robot: str, topic: str, value: object, log_time: int) -> FoxgloveMess
             if not isinstance(value, dict) or not value.keys() >= _POSE_NEEDS:
                 return None
             known = {field: value[field] for field in _POSE_FIELDS if field in value}
-            pose = Pose(**{**known, "heading": number(value["heading"])})
+            pose = Pose(**{**known, "heading": float_or_none(value["heading"])})
             return FoxgloveMessage(key, foxglove.POSE, pose, foxglove.pose(pose, log_time))
         return FoxgloveMessage(key, name, value, json_text.encode(value))
     except LocalError:
@@ -103,7 +103,7 @@ def log(events: Iterable[Event], log_time: int) -> Iterator[FoxgloveMessage]:
         yield _made(LOG, "foxglove.Log", line)
 
 
-def number(value: object) -> float | None:
+def float_or_none(value: object) -> float | None:
     """Return a number as a float; None for other values."""
     return float(value) if is_number(value) else None
 

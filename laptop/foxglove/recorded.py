@@ -41,5 +41,5 @@ class RecordedScenes:
             yield from log(events, log_time)
         if sample.t >= self._last + PERIOD:
             self._last = sample.t
-            yield frames(scene.places(self._picture, self._config), log_time)
-            yield scene.scene(self._picture, self._config, log_time)
+            yield frames(scene.robot_poses(self._picture, self._config), log_time)
+            yield scene.scene_update(self._picture, self._config, log_time)

@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from laptop.foxglove.messages import FoxgloveMessage, number, rotation, timestamp
+from laptop.foxglove.messages import FoxgloveMessage, float_or_none, rotation, timestamp
 from laptop.view.feeds.picture import Picture, pose_topic
 from swarm.config.types import Config
 from swarm.core.graph import Edge, pair_of
@@ -34,7 +34,7 @@ Place = tuple[float, float, float]
 """x and y, m, and heading, rad."""
 
 
-def places(picture: Picture, config: Config) -> dict[str, Place]:
+def robot_poses(picture: Picture, config: Config) -> dict[str, Place]:
     """Return the places of robots: the true ones where they are known (a simulation), else their estimates."""
     found = {}
     for robot in config.names:
@@ -42,19 +42,19 @@ def places(picture: Picture, config: Config) -> dict[str, Place]:
         value = picture.newest(robot, topic)
         place = _xy(value)
         if place is not None and isinstance(value, dict) and (topic == "sim/truth" or value.get("quality")):
-            found[robot] = (*place, number(value.get("heading")) or 0.0)
+            found[robot] = (*place, float_or_none(value.get("heading")) or 0.0)
     return found
 
 
 def _xy(value: object) -> tuple[float, float] | None:
     """The place that a message holds, m; None where it holds none."""
-    x, y = (number(value.get(name)) for name in "xy") if isinstance(value, dict) else (None, None)
+    x, y = (float_or_none(value.get(name)) for name in "xy") if isinstance(value, dict) else (None, None)
     return None if x is None or y is None else (x, y)
 
 
-def scene(picture: Picture, config: Config, log_time: int) -> FoxgloveMessage:
+def scene_update(picture: Picture, config: Config, log_time: int) -> FoxgloveMessage:
     """Return the drawing at a log time, ns since 1970. Each entity replaces the one of its name."""
-    where = places(picture, config)
+    where = robot_poses(picture, config)
     entities = [
         *(_robot(robot, place, picture, log_time) for robot, place in where.items()),
         _entity("links", log_time, lines=[_lines(_links(picture, config, where), 0.012)]),

@@ -150,8 +150,8 @@ class FoxgloveServer:
                         messages.append(message)
             events = picture.events_since(self._event)
             messages += log(events, log_time)
-            messages.append(frames(scene.places(picture, config), log_time))
-            messages.append(scene.scene(picture, config, log_time))
+            messages.append(frames(scene.robot_poses(picture, config), log_time))
+            messages.append(scene.scene_update(picture, config, log_time))
         if events:
             self._event = events[-1].number
         for message in messages:

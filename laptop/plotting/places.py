@@ -38,7 +38,7 @@ class _Estimate(NamedTuple):
     spread: Spread
 
 
-def scene(figure: Any, run: Run, references: Mapping[str, Sequence[Place]] | None = None) -> None:
+def draw_map(figure: Any, run: Run, references: Mapping[str, Sequence[Place]] | None = None) -> None:
     """Anchors, robots, their paths, and what they think where the target is, with ellipses of two standard
     deviations. Of simulated robots the true paths are there too. Where the target's place is known, the estimates'
     errors over iterations stand beside the map, dotted those of the `references` (by robot, from iteration 0 on); of

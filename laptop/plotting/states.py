@@ -75,13 +75,13 @@ def states(
             _mark_gaps(left, right, path, column, style.colour(index, len(paths)))
         left.set(xlabel="iteration", ylabel=title)
         right.set(xlabel=style.TIME)
-        style.whole(left.xaxis)
+        style.integer_ticks(left.xaxis)
         if between is not None:
             begin, end = between
             if ks := [k for path in paths.values() for k, t in path.times.items() if begin <= t <= end]:
                 left.set_xlim(min(ks), max(*ks, min(ks) + 1))
         if whole:
-            style.whole(left.yaxis)
+            style.integer_ticks(left.yaxis)
         right.tick_params(labelleft=False)
         if row == 0:
             style.legend(left, len(paths))
@@ -165,7 +165,7 @@ def iterations(figure: Any, run: Run) -> None:
             drawn = [math.nan if again else k for k, again in zip(ks, _again(ks), strict=True)]
             axes.plot(times, drawn, label=f"{name}: {_pace(path)}", **look)
         axes.set(xlabel=style.TIME, ylabel=f"iteration of {channel}" if channel else "iteration")
-        style.whole(axes.yaxis)
+        style.integer_ticks(axes.yaxis)
         style.legend(axes, len(paths), loc="center left", bbox_to_anchor=(1.0, 0.5), ncols=1, title="mean period")
 
 

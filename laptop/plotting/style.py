@@ -123,7 +123,7 @@ def _room(middle: tuple[float, float], width: float, height: float, point: tuple
     return math.hypot(max(0.0, abs(point[0] - middle[0]) - width / 2), max(0.0, abs(point[1] - middle[1]) - height / 2))
 
 
-def whole(axis: Any) -> None:
+def integer_ticks(axis: Any) -> None:
     """Ticks of an axis that counts."""
     from matplotlib.ticker import MaxNLocator
 

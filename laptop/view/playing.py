@@ -8,7 +8,7 @@ from typing import Any
 from laptop.view import series
 from laptop.view.layouts import Layouts
 from laptop.view.recording import ViewedRecording
-from laptop.view.scene import scene
+from laptop.view.scene import fixed_parts
 from swarm.errors import LocalError, RecordingError, SwarmError
 from swarm.messages.json_values import is_number
 from swarm.recording import folder
@@ -39,7 +39,7 @@ class Playing:
     def first(self) -> dict[str, Any]:
         """Return the message that a page gets before it asks."""
         run = self._recording
-        swarm = scene(run, None) or {"kind": run.kind, "robots": list(run.robots), "edges": [], "acts": []}
+        swarm = fixed_parts(run, None) or {"kind": run.kind, "robots": list(run.robots), "edges": [], "acts": []}
         told = {"first": run.first, "last": run.last, "damage": run.damage, "name": run.path.resolve().name}
         return {
             "t": run.first,
@@ -54,7 +54,7 @@ class Playing:
         try:
             if "seek" in asked:
                 since = asked["seek"].get("since")
-                return self._step(None if since is None else number(since), number(asked["seek"]["t"]))
+                return self._step(None if since is None else number_asked(since), number_asked(asked["seek"]["t"]))
             if "series" in asked:
                 topic, fields = series.wanted(asked["series"])
                 answer: dict[str, Any] = {"topic": topic, "fields": fields}
@@ -119,7 +119,7 @@ def runs_in(directory: Path) -> list[dict[str, Any]]:
     return sorted(found, key=lambda each: -each["at"])[:MAX_RUNS]
 
 
-def number(value: object) -> float:
+def number_asked(value: object) -> float:
     """Return a number that a page has sent. Raises `TypeError` for other values."""
     if not is_number(value):
         raise TypeError("no number")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from laptop.view import series
-from laptop.view.feeds.picture import MAX_EVENTS, TRAIL_S, Event, Picture, places, pose_topic
+from laptop.view.feeds.picture import MAX_EVENTS, TRAIL_S, Event, Picture, pose_topic, track
 from laptop.view.series import dig
 from swarm.errors import RecordingError, SwarmError
 from swarm.messages.json_values import json_value
@@ -101,7 +101,7 @@ class ViewedRecording:
         """Return the robots' places at an instant, m."""
         found = {}
         for robot in self._rows:
-            here = list(places(self._newest(robot, pose_topic(self._rows[robot]), t), -math.inf))
+            here = list(track(self._newest(robot, pose_topic(self._rows[robot]), t), -math.inf))
             if here:
                 found[robot] = here[0]
         return found
@@ -121,7 +121,7 @@ class ViewedRecording:
         return {}
 
     def _trail(self, robot: str, t: float) -> Iterator[tuple[float, float]]:
-        return places(self._between(robot, pose_topic(self._rows[robot]), t - TRAIL_S, t), t - TRAIL_S)
+        return track(self._between(robot, pose_topic(self._rows[robot]), t - TRAIL_S, t), t - TRAIL_S)
 
     def _newest(self, robot: str, topic: str, t: float) -> Iterator[tuple[float, object]]:
         times, data = self._rows[robot].get(topic, ([], []))

@@ -8,7 +8,7 @@ from laptop.view.recording import ViewedRecording
 from swarm.config.types import Config
 
 
-def scene(feed: LiveFeed | ViewedRecording, control: Control | None) -> dict[str, Any] | None:
+def fixed_parts(feed: LiveFeed | ViewedRecording, control: Control | None) -> dict[str, Any] | None:
     """Return the part of the page that does not move: names, links of the topology, anchors."""
     config = feed.config
     if config is None:

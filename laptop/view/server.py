@@ -25,10 +25,10 @@ from laptop.view.camera import add_camera
 from laptop.view.feeds.feed import LiveFeed
 from laptop.view.feeds.picture import TRAIL_S
 from laptop.view.layouts import Layouts, default_path
-from laptop.view.playing import Playing, number
+from laptop.view.playing import Playing, number_asked
 from laptop.view.questions import Answer, Questions, as_json
 from laptop.view.recording import ViewedRecording
-from laptop.view.scene import scene
+from laptop.view.scene import fixed_parts
 from swarm.errors import LocalError, PayloadError
 from swarm.messages.json_input import read_json
 
@@ -222,7 +222,7 @@ class _PageSteps:
         if trails:
             step["trails"] = trails
         if full:
-            parts |= {"swarm": scene(feed, self._control), "pace": feed.pace(), "layouts": self._layouts.told()}
+            parts |= {"swarm": fixed_parts(feed, self._control), "pace": feed.pace(), "layouts": self._layouts.told()}
         for name, value in parts.items():
             if self._known.get(name) != value:
                 step[name] = self._known[name] = value
@@ -260,12 +260,12 @@ def _answer(feed: LiveFeed, control: Control | None, layouts: Layouts, asked: An
             return {"done": control.do(asked["do"])}
         if "pace" in asked:
             speed = asked["pace"]["speed"]
-            feed.set_pace(None if speed is None else number(speed), bool(asked["pace"]["paused"]))
+            feed.set_pace(None if speed is None else number_asked(speed), bool(asked["pace"]["paused"]))
             return {"done": "paused" if asked["pace"]["paused"] else f"speed: {speed or 'max'}"}
         if "layout" in asked:
             return {"done": layouts.keep(asked["layout"]), "layouts": layouts.told()}
         if "look" in asked:
-            return _look(feed, number(asked["look"]["t"]))
+            return _look(feed, number_asked(asked["look"]["t"]))
         topic, fields = series.wanted(asked["series"])
     except LocalError as error:
         return {"refused": str(error)}

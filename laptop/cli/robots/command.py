@@ -16,7 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Output comes as it is made, each line with its robot's name; 0 where it succeeded on all."""
-    _, robots, ssh = everyone.chosen(args)
+    _, robots, ssh = everyone.recipients(args)
     command = " ".join(args.command)
 
     async def job(host: Host, tell: everyone.ReportProgress) -> str:

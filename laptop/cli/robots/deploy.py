@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Install the release that fits each robot. Return 0 where it runs on every one."""
-    config, robots, ssh = everyone.chosen(args, addressed=True)
+    config, robots, ssh = everyone.recipients(args, addressed=True)
     files = read_files(config, args.key)
     whole = {host.robot: with_calibration(files, config, host.robot) for host in robots}
     releases = [read_release(path) for path in args.releases] or _made(config, robots, ssh, args.timeout)

@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 where all of every robot's is here; what broke goes on where it was the next time."""
-    config, robots, ssh = everyone.chosen(args)
+    config, robots, ssh = everyone.recipients(args)
     try:
         args.into.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     if (there := robot_command.simulated(args)) is not None:
         return _simulated(args, there)
     _known(args)
-    _, robots, ssh = everyone.chosen(args)
+    _, robots, ssh = everyone.recipients(args)
     which = " ".join(f"--unit={name}" for name in map(unit, args.services)) or "--unit='swarm*'"
     command = f"sudo -n journalctl --no-pager --output=short-iso --lines={args.lines} {which}"
     if args.follow:

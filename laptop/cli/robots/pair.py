@@ -5,7 +5,7 @@ import asyncio
 import sys
 import time
 
-from laptop.fleet.core.pairing import check, edges, with_addresses
+from laptop.fleet.core.pairing import bluetooth_links, check, with_addresses
 from laptop.fleet.pair import Pairing, look
 from laptop.fleet.ssh import everyone
 from swarm.config import Config, parse
@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     """Print a line for each link. Return 0 where all are paired and trusted at both ends."""
     if args.check and args.again:
         raise LocalError("--check changes nothing and --again does: give only one of the two")
-    config, robots, ssh = everyone.chosen(args)
+    config, robots, ssh = everyone.recipients(args)
     began = time.monotonic()
     found, looks = everyone.gather(robots, lambda host: look(ssh, host), args.timeout)
     wrong = check(config, {name: answer["address"] for name, answer in looks.items()})
@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     good = {name: answer for name, answer in looks.items() if name not in wrong}
     if not args.check:
         config = _complete(config, {name: answer["address"] for name, answer in good.items()}, args.json)
-    wanted = edges(config, [host.robot for host in robots])
+    wanted = bluetooth_links(config, [host.robot for host in robots])
     pairing = Pairing(ssh, {host.robot: host for host in robots}, good, args.timeout, _tell(args.json))
     links = asyncio.run(pairing.carry_out(wanted, check=args.check, again=args.again))
     rows = {each.robot: {"ok": each.ok, "text": each.text} for each in outcomes}

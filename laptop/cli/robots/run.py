@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """0 where all have a first state on every robot; started nowhere where robots do not all run the same."""
     found = dict(map(_app, args.app))
-    config, robots, ssh = everyone.chosen(args, addressed=True)
+    config, robots, ssh = everyone.recipients(args, addressed=True)
     settings = settings_of(args, list(found))
     for name in found:
         apps.check_settings(settings[name], config, name)

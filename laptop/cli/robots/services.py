@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
     names = units(args.services)
     if (there := robot_command.simulated(args)) is not None:
         return _simulated(args, there)
-    _, robots, ssh = everyone.chosen(args)
+    _, robots, ssh = everyone.recipients(args)
 
     async def job(host: Host, _: everyone.ReportProgress) -> str:
         return await apps.systemctl(ssh, host, args.action, names)

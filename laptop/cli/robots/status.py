@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     """0 where every robot answers and all of its services run."""
     there = robot_command.simulated(args)
     if there is None:
-        config, robots, ssh = everyone.chosen(args)
+        config, robots, ssh = everyone.recipients(args)
     else:
         config = load(next(iter(there.values())).parent / CONFIG)
     while True:

@@ -20,7 +20,7 @@ def main() -> int:
     _, rest = parser().parse_known_args()
     options = arguments.parse([APP, *rest])
     sys.stderr.write("Three simulated robots, each six processes as on a Pi, find a target together.\n")
-    return sim.simulate(
+    return sim.run_simulation(
         replace(
             options,
             iterations=options.iterations or (None if options.seconds else ITERATIONS),

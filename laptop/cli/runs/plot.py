@@ -16,7 +16,7 @@ HELP = "draw a recorded run: states, map, mesh, LEDs, floods, ..."
 KINDS: dict[str, Callable[[Any, Run], None]] = {
     "states": states.states,
     "iterations": states.iterations,
-    "map": places.scene,
+    "map": places.draw_map,
     "mesh": mesh.mesh,
     "leds": events.leds,
     "floods": journeys.floods,
@@ -97,7 +97,7 @@ def draw(run: Path, app: str, path: Path, references: Mapping[str, Sequence[plac
     recorded = Run(run, app)
     with style.figure(path, settings=style.RC, layout="constrained") as made:
         if references and _of(recorded) == "map":
-            places.scene(made, recorded, references)
+            places.draw_map(made, recorded, references)
         else:
             draw_on(made, recorded, None, ())
 

@@ -25,10 +25,10 @@ from swarm.recording import folder
 def main() -> int:
     """Run one simulation; the exit code is 0 only when it did what was asked."""
     log.setup("sim")
-    return simulate(arguments.parse(sys.argv[1:]))
+    return run_simulation(arguments.parse(sys.argv[1:]))
 
 
-def simulate(options: Options) -> int:
+def run_simulation(options: Options) -> int:
     """Run one simulation with these options; returns the exit code."""
     if options.virtual:
         with tempfile.TemporaryDirectory(prefix="swarm-sim-") as place:

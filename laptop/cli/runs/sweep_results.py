@@ -118,7 +118,7 @@ def draw_on(made: Any, app: str, points: Sequence[SweepPoint], found: Sequence[S
             ticks = [", ".join(value for _, value in point.choices) for point in points]
             axes.set_xticks(range(len(points)), ticks, rotation=20 if len(points) > 4 else 0)
         elif all(x.is_integer() for line in lines.values() for x, _ in line):
-            style.whole(axes.xaxis)
+            style.integer_ticks(axes.xaxis)
         what = along or ", ".join(each for each, _ in points[0].choices)
         axes.set(xlabel=what, ylabel=kinds[name], title=f"{app}: median, and worst (dotted)")
         axes.grid(alpha=0.3)

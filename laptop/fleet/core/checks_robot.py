@@ -1,7 +1,7 @@
 """Checks of a robot's devices and radio, by what its services say of them."""
 
 from laptop.fleet.core.checkup import SIMULATED, Check, ExaminedRobot, Finding, bad, ok, skipped, warning
-from laptop.fleet.core.pairing import edges
+from laptop.fleet.core.pairing import bluetooth_links
 from services.balancer.core.devices import balboa, imu
 from services.mesh.core.routing.physical_links import calls_of
 
@@ -137,7 +137,7 @@ def pairing(robot: ExaminedRobot) -> Finding:
     if its is None or robot.config.robot(robot.name).link is not None:
         return skipped("its links are not Bluetooth's")
     known = its.get("devices") or {}
-    pairs = [edge for edge in edges(robot.config, robot.config.names) if robot.name in edge]
+    pairs = [edge for edge in bluetooth_links(robot.config, robot.config.names) if robot.name in edge]
     near = [b if a == robot.name else a for a, b in pairs]
     missing = [name for name in near if not _is_bonded(known.get(robot.addresses.get(name)))]
     if not missing:

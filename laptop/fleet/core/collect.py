@@ -95,7 +95,7 @@ def parse_list(text: str) -> tuple[list[File], list[str]]:
     return sorted(files, key=lambda file: file.path), sorted(strange)
 
 
-def chosen(files: Sequence[File], wanted: Sequence[str]) -> list[File]:
+def of_runs(files: Sequence[File], wanted: Sequence[str]) -> list[File]:
     """Return the files of the wanted runs, named by folder or by app; all without any."""
     return [file for file in files if not wanted or file.run in wanted or file.app in wanted]
 

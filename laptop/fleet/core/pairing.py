@@ -20,7 +20,7 @@ class Bond:
     trusted: bool = False
 
 
-def edges(config: Config, robots: Collection[str]) -> list[Edge]:
+def bluetooth_links(config: Config, robots: Collection[str]) -> list[Edge]:
     """The Bluetooth links between these robots: those of the topology, or all pairs where any robot may call another:
     where robots find links themselves, and where hubs with successors carry the topology.
 

@@ -55,7 +55,7 @@ class RecordingFetch:
         """Bring what is missing of the wanted runs (all without any); raises `HostError`."""
         try:
             found, self._got.strange = collect.parse_list(await self._run(collect.LIST))
-            files = collect.chosen(found, runs)
+            files = collect.of_runs(found, runs)
             await self._bring(files)
             # A copy that was not the robot's file was set aside, and is fetched anew: once.
             await self._bring([file for file in files if file not in self._got.verified])

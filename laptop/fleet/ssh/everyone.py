@@ -73,7 +73,7 @@ def add_config(parser: argparse.ArgumentParser, text: str) -> None:
     parser.add_argument("--ssh-config", type=Path, metavar="FILE", help="ssh configuration, in place of ~/.ssh/config")
 
 
-def chosen(args: argparse.Namespace, *, addressed: bool = False) -> tuple[Config, tuple[Host, ...], Ssh]:
+def recipients(args: argparse.Namespace, *, addressed: bool = False) -> tuple[Config, tuple[Host, ...], Ssh]:
     """The config and robots that the arguments name, and the way to them.
 
     With `addressed` the config must have all Bluetooth addresses, as robots need it.

@@ -20,7 +20,7 @@ from laptop.cli import param
 from laptop.fleet import apps
 from laptop.fleet.core.answers import MISUNDERSTOOD, misunderstood
 from laptop.fleet.ssh.ssh import Host, HostError, Ssh, hosts
-from laptop.fleet.units import SERVICES, kill, unit
+from laptop.fleet.units import SERVICES, kill_command, unit
 from laptop.view.actions.plan import Plan
 from laptop.view.actions.robot_actions import PageAction, cut, named, settings_of
 from laptop.view.feeds.news import REACH
@@ -129,7 +129,7 @@ class RemoteActions:
         name = service.removeprefix("app/")
         if (service == name) != (name in SERVICES):
             raise LocalError(f"no service {service[:30]!r}; there are {', '.join(SERVICES)} and app/NAME")
-        command = kill(name)
+        command = kill_command(name)
 
         async def job(host: Host) -> str:
             await self._ssh.check(host, command)

@@ -294,7 +294,7 @@ class Picture:
     def trail(self, robot: str, seconds: float, now: float) -> Iterator[tuple[float, float]]:
         """Return the way that a robot has come until `now`, m: the true one where there is one."""
         topic = pose_topic(self.topics(robot))
-        return places(self.history(robot, topic, since=now - seconds, until=now), now - seconds)
+        return track(self.history(robot, topic, since=now - seconds, until=now), now - seconds)
 
     def note(self, now: float, robot: str, level: str, text: str) -> None:
         """Add a line to what has happened."""
@@ -354,7 +354,7 @@ def pose_topic(topics: Container[str]) -> str:
     return "sim/truth" if "sim/truth" in topics else "dwm/pose"
 
 
-def places(history: Iterable[tuple[float, object]], since: float) -> Iterator[tuple[float, float]]:
+def track(history: Iterable[tuple[float, object]], since: float) -> Iterator[tuple[float, float]]:
     """Yield a robot's places since a time, m, by the values of a key with `x` and `y`."""
     for t, value in history:
         if t >= since and isinstance(value, dict):

@@ -19,7 +19,7 @@ from typing import Any
 
 from lab.i2c.order import order
 from lab.waiting import WaitedInVainError, until
-from laptop.fleet.units import kill
+from laptop.fleet.units import kill_command
 from services.balancer.core.devices import balboa, imu
 from swarm.bus.zenoh_bus import Bus
 from swarm.messages import BalancerFault, BalancerState, Pose, SetMode
@@ -53,7 +53,7 @@ def i2c(**faults: object) -> dict[str, Any]:
 
 def crash(service: str) -> None:
     """Kill it as the live page does."""
-    subprocess.run(["sh", "-c", kill(service)], check=True)
+    subprocess.run(["sh", "-c", kill_command(service)], check=True)
 
 
 def show(unit: str, name: str) -> str:
@@ -311,7 +311,7 @@ def stopped() -> dict[str, float]:
     subprocess.run(["systemctl", "stop", "swarm-balancer"], check=True)
     expect(i2c()["motors"] == [0.0, 0.0], "the motors are on")
     expect(show("swarm-balancer", "Result") == "success", "it did not end well")
-    refused = subprocess.run(["sh", "-c", kill("balancer")], capture_output=True, text=True)
+    refused = subprocess.run(["sh", "-c", kill_command("balancer")], capture_output=True, text=True)
     expect(refused.returncode == 1 and "not running at this moment" in refused.stderr, f"killed what is not: {refused}")
     return {}
 

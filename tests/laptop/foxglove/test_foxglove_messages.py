@@ -65,7 +65,7 @@ def test_the_scene_has_robots_links_ranges_and_anchors(config: Config) -> None:
     told(picture, one, "mesh/links", Links(1.0, (LinkState(other, "up", 1, 0.03, 5, 5, ""),)))
     anchor = config.anchors[0]
     told(picture, one, "dwm/ranges", Ranges(1.0, 1, (Range(anchor.address, 1.0, 1.0, 90, 0.0, 1),)))
-    found = entities(scene.scene(picture, config, NOW))
+    found = entities(scene.scene_update(picture, config, NOW))
     assert found[one]["texts"][0]["text"] == one
     assert found[other]["cylinders"][0]["pose"]["position"]["x"] == 1.0
     (link,) = found["links"]["lines"]
@@ -79,7 +79,7 @@ def test_the_scene_has_robots_links_ranges_and_anchors(config: Config) -> None:
 def test_a_robot_without_a_fix_is_not_drawn(config: Config) -> None:
     picture = Picture()
     told(picture, "r0", "dwm/pose", Pose(1.0, 1, 1.0, 1.0, 0.0, 0, "ekf"))
-    assert scene.places(picture, config) == {}
+    assert scene.robot_poses(picture, config) == {}
 
 
 def test_the_log_and_the_frames_are_foxgloves(config: Config) -> None:
@@ -102,7 +102,7 @@ def test_no_sample_of_a_robot_spoils_the_scene(config: Config, topic: str, value
 
     picture = Picture()
     picture.put("r0", topic, json_value(value), 0.0)
-    json.loads(scene.scene(picture, config, NOW).data)
+    json.loads(scene.scene_update(picture, config, NOW).data)
     if (held := picture.newest("r0", topic)) is not None and (message := sample("r0", topic, held, NOW)) is not None:
         json.loads(message.data)
         json.loads(message.schema)

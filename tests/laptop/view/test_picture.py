@@ -20,7 +20,7 @@ from laptop.view.feeds.picture import (
     MAX_SUBJECTS,
     MAX_TOPICS,
     Picture,
-    places,
+    track,
 )
 from swarm.errors import PayloadError
 from swarm.messages import AppProgress, Links, LinkState, Pose, Status, topics
@@ -321,4 +321,4 @@ def test_a_message_of_more_values_than_a_page_could_go_through_is_left_out_and_n
 
 def test_numbers_that_no_float_can_be_are_no_places() -> None:
     rows: list[tuple[float, object]] = [(0.0, {"x": 10**400, "y": 0}), (1.0, {"x": 1, "y": 2})]
-    assert list(places(rows, 0.0)) == [(1.0, 2.0)]
+    assert list(track(rows, 0.0)) == [(1.0, 2.0)]

@@ -23,7 +23,7 @@ def run(args: argparse.Namespace) -> int:
     """Return 1 where a robot refuses, does not answer or cannot be reached."""
     if not robot_command.is_far(args):
         return balance.run(args)
-    _, robots, ssh = everyone.chosen(args)
+    _, robots, ssh = everyone.recipients(args)
     there, args.timeout = str(args.timeout), args.timeout + SLACK_S
 
     async def job(host: Host, _: everyone.ReportProgress) -> str:

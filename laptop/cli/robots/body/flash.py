@@ -25,7 +25,7 @@ def run(args: argparse.Namespace) -> int:
     if args.here or args.port:
         return flash.run(args)
     data, read = flash.read_firmware(args.firmware)
-    _, robots, ssh = everyone.chosen(args)
+    _, robots, ssh = everyone.recipients(args)
 
     async def job(host: Host, tell: everyone.ReportProgress) -> str:
         command = f"sudo -n env SWARM_ROBOT={host.robot} {CURRENT}/bin/swarm flash - --here"

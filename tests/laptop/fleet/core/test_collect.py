@@ -38,9 +38,9 @@ def test_no_name_leads_out_of_the_folder(name: str) -> None:
 
 def test_only_the_wanted_runs_are_chosen() -> None:
     files = [File("consensus-1/r0.a", 1), File("consensus-2/r0.a", 1), File("goto-1/r0.a", 1)]
-    assert collect.chosen(files, []) == files
-    assert collect.chosen(files, ["consensus"]) == files[:2]
-    assert collect.chosen(files, ["goto-1", "consensus-2"]) == files[1:]
+    assert collect.of_runs(files, []) == files
+    assert collect.of_runs(files, ["consensus"]) == files[:2]
+    assert collect.of_runs(files, ["goto-1", "consensus-2"]) == files[1:]
 
 
 def test_what_is_here_is_not_asked_for() -> None:

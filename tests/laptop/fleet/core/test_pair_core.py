@@ -7,7 +7,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from laptop.fleet.core.pairing import Bond, PairingSchedule, check, edges, ordered, plan, with_addresses
+from laptop.fleet.core.pairing import Bond, PairingSchedule, bluetooth_links, check, ordered, plan, with_addresses
 from swarm.config import parse
 
 bonds = st.none() | st.builds(Bond, st.booleans(), st.booleans())
@@ -75,8 +75,8 @@ def test_addresses_are_written_below_names_and_nowhere_else() -> None:
 
 def test_addresses_of_robots_are_compared_with_swarm_toml() -> None:
     config = parse(CONFIG, Path("swarm.toml"), addressed=False)
-    assert edges(config, config.names) == [("r0", "r1"), ("r1", "r2")]
-    assert edges(config, ["r1", "r2"]) == [("r1", "r2")]
+    assert bluetooth_links(config, config.names) == [("r0", "r1"), ("r1", "r2")]
+    assert bluetooth_links(config, ["r1", "r2"]) == [("r1", "r2")]
     assert ordered([("r0", "r1")], {"r0": "B", "r1": "A"}) == [("r1", "r0")]
     assert check(config, {"r0": "B8:27:EB:00:00:10", "r2": "B8:27:EB:00:00:12"}) == {}
     assert "is that of r2" in check(config, {"r0": "B8:27:EB:00:00:12"})["r0"]
@@ -90,6 +90,6 @@ def test_any_two_robots_are_paired_where_hubs_with_successors_carry_the_topology
     for links, wanted in (("graph", 3), ("star", 6), ("tree", 6), ("auto", 6)):
         text = f'network = "x"\n{robots}[topology]\nshape = "line"\n[mesh]\ninsecure = true\nlinks = "{links}"\n'
         config = parse(text, Path("swarm.toml"))
-        found = edges(config, config.names)
+        found = bluetooth_links(config, config.names)
         assert len(found) == wanted
         assert set(line) <= set(found)
