@@ -131,7 +131,7 @@ export class Lanes {
         }
       });
       if (lane < 10) return;
-      c.fillStyle = theme.colour("--ink");
+      c.fillStyle = theme.colour("--text");
       c.font = `600 11px ${FONT}`;
       c.textAlign = "left";
       c.fillText(name, 14, y);

@@ -175,13 +175,13 @@ export class LockstepChart {
         c.fillRect(x(index) - bar / 2, height - 2, bar, 4);
       }
       if (name === selected) {
-        c.strokeStyle = theme.colour("--ink");
+        c.strokeStyle = theme.colour("--text");
         c.lineWidth = 2;
         c.strokeRect(x(index) - bar / 2 - 3, top - 10, bar + 6, bottom - top + 12);
       }
       const near = selected !== null && name !== selected && Math.abs(index - names.indexOf(selected)) < skip;
       if ((index % skip === 0 && !near) || name === selected) {
-        c.fillStyle = theme.colour("--ink");
+        c.fillStyle = theme.colour("--text");
         c.fillText(name, x(index), height - 5);
       }
     });

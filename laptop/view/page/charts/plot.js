@@ -41,8 +41,8 @@ export class Plot {
     }
     this.plot?.destroy();
     this.shape = shape;
-    const ink = theme.colour("--muted"), hair = theme.colour("--grid"), font = `11px ${FONT}`;
-    const axis = { stroke: ink, font, grid: { stroke: hair, width: 1 }, ticks: { show: false }, gap: 4 };
+    const muted = theme.colour("--muted"), hair = theme.colour("--grid"), font = `11px ${FONT}`;
+    const axis = { stroke: muted, font, grid: { stroke: hair, width: 1 }, ticks: { show: false }, gap: 4 };
     const xs = (_, low, high) => this.range ?? counted(low, high);
     this.plot = new uPlot({
       width, height,
@@ -73,7 +73,7 @@ export class Plot {
     if (this.at !== null) {
       const x = plot.valToPos(this.at, "x", true);
       if (x >= left && x <= left + width + 1) {
-        c.fillStyle = theme.colour("--ink");
+        c.fillStyle = theme.colour("--text");
         c.fillRect(x - ratio / 2, top, ratio, height);
       }
     }
@@ -93,7 +93,7 @@ export class Plot {
       c.moveTo(end - x > 14 * ratio ? end + 6 * ratio : x + 2 * ratio, end - x > 14 * ratio ? at : y);
       c.lineTo(end + 10 * ratio, at);
       c.stroke();
-      c.fillStyle = theme.colour("--ink");
+      c.fillStyle = theme.colour("--text");
       c.font = `600 ${11 * ratio}px ${FONT}`;
       c.fillText(name, end + 13 * ratio, at);
       const wide = c.measureText(`${name} `).width;
@@ -162,7 +162,7 @@ function bands(lines) {
   let [low, high] = [Infinity, -Infinity];
   for (const { points } of lines) [low, high] = [Math.min(low, points[0]?.[0] ?? low), Math.max(high, points.at(-1)?.[0] ?? high)];
   const names = [["most", 1], ["90 %", 0.9], ["median", 0.5], ["10 %", 0.1], ["least", 0]];
-  const found = names.map(([name], index) => ({ name, colour: theme.colour(index === 2 ? "--ink" : "--edge"), points: [], strong: index === 2, hidden: index % 4 === 0 }));
+  const found = names.map(([name], index) => ({ name, colour: theme.colour(index === 2 ? "--text" : "--edge"), points: [], strong: index === 2, hidden: index % 4 === 0 }));
   const next = lines.map(() => 0);
   for (let step = 0; step <= STEPS; step += 1) {
     const x = low + ((high - low) * step) / STEPS, values = [];

@@ -92,7 +92,7 @@ export class Chart {
     const lines = robots.map((name) => ({ name, colour: this.store.colour(name), points: of(until(this.series.points(entry, name))) }));
     const beside = this.series.beside ? this.series.robots(entry, "beside") : [];
     const its = from(off && means(this.series, entry, beside, "beside")), drawn = beside.map((name) => [name, its(this.series.points(entry, name, "beside"))]);
-    if (drawn.length > SIX) lines.push({ name: "B median", colour: theme.colour("--ink"), dash: true, points: middle(drawn.map(([, points]) => points)) });
+    if (drawn.length > SIX) lines.push({ name: "B median", colour: theme.colour("--text"), dash: true, points: middle(drawn.map(([, points]) => points)) });
     else for (const [name, points] of drawn) lines.push({ name: `B ${name}`, colour: this.store.colour(name), dash: true, points });
     return lines;
   }

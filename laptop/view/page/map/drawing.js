@@ -64,7 +64,7 @@ export class Pen {
   // Where the target really is.
   target({ x, y }) {
     const [px, py] = this.at(x, y), { c, ratio } = this;
-    c.strokeStyle = c.fillStyle = theme.colour("--ink");
+    c.strokeStyle = c.fillStyle = theme.colour("--text");
     c.lineWidth = 1.5 * ratio;
     for (const radius of [4, 9]) {
       c.beginPath();
@@ -143,20 +143,20 @@ export class Pen {
   }
 
   // Where a robot is to go, and the way there.
-  goal([x, y], from, { colour, next, ink }) {
+  goal([x, y], from, { colour, next, strong }) {
     const { c, ratio } = this;
-    c.strokeStyle = c.fillStyle = ink ? theme.colour("--ink") : colour;
+    c.strokeStyle = c.fillStyle = strong ? theme.colour("--text") : colour;
     c.lineWidth = 1.3 * ratio;
     c.beginPath();
-    c.arc(x, y, (ink ? 8 : 5) * ratio, 0, 7);
+    c.arc(x, y, (strong ? 8 : 5) * ratio, 0, 7);
     c.stroke();
-    if (ink || next) {
+    if (strong || next) {
       c.beginPath();
-      c.arc(x, y, (ink ? 2.5 : 1.5) * ratio, 0, 7);
+      c.arc(x, y, (strong ? 2.5 : 1.5) * ratio, 0, 7);
       c.fill();
     }
     if (!from || !next) return;
-    c.globalAlpha = ink ? 1 : 0.6;
+    c.globalAlpha = strong ? 1 : 0.6;
     c.setLineDash([3 * ratio, 4 * ratio]);
     c.beginPath();
     c.moveTo(...from);
@@ -193,7 +193,7 @@ export class Pen {
   }
 
   write(c, left, y, name, value, faint) {
-    const texts = [[name, this.bold, "--ink", left], [value, this.plain, "--muted", name ? left + this.wide(name, this.bold) + 4 * this.ratio : left]];
+    const texts = [[name, this.bold, "--text", left], [value, this.plain, "--muted", name ? left + this.wide(name, this.bold) + 4 * this.ratio : left]];
     c.textBaseline = "middle";
     c.lineJoin = "round";
     c.lineWidth = 3.5 * this.ratio;
@@ -268,7 +268,7 @@ export class Pen {
     c.translate(...at);
     c.globalAlpha = gone ? 0.3 : 1;
     if (selected || fault || waits) {
-      c.strokeStyle = theme.colour(fault ? "--bad" : selected ? "--ink" : "--warnmark");
+      c.strokeStyle = theme.colour(fault ? "--bad" : selected ? "--text" : "--warnmark");
       c.lineWidth = (selected ? 2.4 : 1.8) * ratio;
       if (waits && !fault && !selected) c.setLineDash([4 * ratio, 3 * ratio]);
       c.beginPath();
@@ -284,7 +284,7 @@ export class Pen {
     c.roundRect(back, -size, front - back, 2 * size, 3 * ratio);
     c.fill();
     if (heading !== null) {
-      c.strokeStyle = theme.colour("--ink");
+      c.strokeStyle = theme.colour("--text");
       c.lineWidth = 2 * ratio;
       c.beginPath();
       c.moveTo(0, 0);

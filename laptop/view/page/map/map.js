@@ -2,7 +2,7 @@
 // step. What seldom changes (grid, anchors, trails) is a picture of its own below the rest.
 
 import { Pen, reach, rimSize } from "./drawing.js";
-import { listen } from "./hands.js";
+import { listen } from "./pointer.js";
 import { Labels } from "./labels.js";
 import { isPlace } from "../store.js";
 import { sharp, theme } from "../theme.js";
@@ -41,7 +41,7 @@ export class SwarmMap {
     this.goals = []; // where robots are to go
     this.waiting = new Set(); // robots that wait for others
     this.wanted = null; // {robot, x, y}: where somebody wants the selected one to go
-    this.held = null; // {robot, x, y}: in somebody's hand
+    this.held = null; // {robot, x, y}: a robot that the pointer puts elsewhere
     this.place = () => {}; // a robot is put elsewhere
     listen(this);
   }
@@ -248,7 +248,7 @@ export class SwarmMap {
     for (const goal of this.goals) pen.goal(pen.at(goal.x, goal.y), places.has(goal.name) && pen.at(places.get(goal.name).x, places.get(goal.name).y), { ...goal, colour: store.colour(goal.name) });
     for (const wish of [this.wanted, this.held]) {
       const from = wish && places.get(wish.robot);
-      if (from) pen.goal(pen.at(wish.x, wish.y), pen.at(from.x, from.y), { next: true, ink: true });
+      if (from) pen.goal(pen.at(wish.x, wish.y), pen.at(from.x, from.y), { next: true, strong: true });
     }
     for (const [name, { x, y, heading, tilt }] of places) {
       pen.robot({ at: pen.at(x, y), heading, tilt: tilt ?? 0, colour: store.colour(name), leds: this.leds(name), gone: store.gone(name), fault: store.failed(name), waits: this.waiting.has(name), selected: name === this.selected });

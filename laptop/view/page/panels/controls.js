@@ -1,4 +1,4 @@
-// What can be done to the swarm, where the server allows it: stop it, stand, rest, lie, start and stop apps, lay hands on
+// What can be done to the swarm, where the server allows it: stop it, stand, rest, lie, start and stop apps, act on
 // one robot, set an app's parameters, send a robot to a place. What came of it is told robot by robot.
 
 import { short, write } from "../numbers.js";
@@ -137,7 +137,7 @@ export class Controls {
     return held;
   }
 
-  // What can be done to a robot. Real ones have buttons of their own, and hands of people.
+  // What can be done to a robot. Real robots have buttons of their own, which people press.
   laid(robot, peers, apps, services) {
     const of = (act, each, buttons) => (this.can(act) ? each.flatMap(buttons) : []);
     const rows = {

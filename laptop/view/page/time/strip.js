@@ -74,7 +74,7 @@ export class Strip {
       }
     }
     if (this.bracket?.kept) {
-      c.fillStyle = theme.colour("--ink");
+      c.fillStyle = theme.colour("--text");
       c.fillRect(x(from), floor - 1, x(to) - x(from), 3);
     }
     for (const [t, level] of marks) {
