@@ -30,7 +30,7 @@ async def _make(request: web.Request, name: str) -> web.StreamResponse:
     if busy.locked():
         raise web.HTTPConflict(text="another one is being made")
     try:
-        from laptop.view import film  # drives Chromium, over pipes that only Unix has
+        from laptop.view import film, page_picture  # they drive Chromium, over pipes that only Unix has
     except ModuleNotFoundError as error:
         raise web.HTTPServiceUnavailable(text=f"pictures need {error.name}, which this system has not") from None
     asked = request.query
@@ -42,7 +42,7 @@ async def _make(request: web.Request, name: str) -> web.StreamResponse:
             path = Path(folder) / name
             try:
                 if path.suffix == ".png":
-                    await film.take(address, path, float(asked["at"]) if "at" in asked else None, charts)
+                    await page_picture.take(address, path, float(asked["at"]) if "at" in asked else None, charts)
                 else:
                     begin, end = float(asked["from"]), float(asked["to"])
                     wanted = film.Film(begin, end, charts=charts, theme=asked.get("theme", "light"))

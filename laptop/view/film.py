@@ -1,7 +1,4 @@
-"""Pictures of the page without a person: one as a file, or a film of a recorded run.
-
-A film shows the page at exact instants of the recording; ffmpeg makes it a file.
-"""
+"""A film of a recorded run: pictures of the page at exact instants of the recording, which ffmpeg makes a file."""
 
 import asyncio
 import contextlib
@@ -117,32 +114,3 @@ async def shoot(address: str, film: Film, path: Path, tell: Callable[[int, int],
             await process.wait()
         await errors
         part.unlink(missing_ok=True)
-
-
-SIZE = (1400, 1000)
-"""Size of the picture in pixels."""
-
-SETTLE_S = 4.0
-"""Seconds that a live page has to connect, and for trails and charts to grow."""
-
-DRAWN_S = 1.0
-"""Seconds within which all parts of the page have drawn what they know."""
-
-
-async def take(address: str, path: Path, at: float | None, charts: Sequence[str]) -> None:
-    """Write a PNG of the page at `address`, of a recording at the instant `at`, s. Raises `LocalError` where that
-    fails."""
-    query = urlencode([("chart", chart) for chart in charts])
-    async with chromium.opened(f"{address}&{query}", SIZE) as page:
-        await page.until("Boolean(window.swarmView?.store.swarm)")
-        if at is not None:
-            await page.evaluate(f"swarmView.player.seek({at!r})")
-        await asyncio.sleep(SETTLE_S if at is None else DRAWN_S)
-        await page.evaluate("swarmView.settled()")
-        await asyncio.sleep(DRAWN_S)
-        await page.until("document.querySelector('#connection').textContent !== 'server lost'")  # on a busy machine
-        picture = await page.picture()
-    try:
-        path.write_bytes(picture)
-    except OSError as error:
-        raise LocalError(f"{path}: {error.strerror}") from None

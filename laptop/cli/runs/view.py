@@ -79,9 +79,9 @@ def run(args: argparse.Namespace) -> int:
 
         async def ready(address: str) -> None:
             if args.screenshot is not None:
-                from laptop.view import film  # drives Chromium, over pipes that only Unix has
+                from laptop.view import page_picture  # drives Chromium, over pipes that only Unix has
 
-                await film.take(address, args.screenshot, at, args.chart)
+                await page_picture.take(address, args.screenshot, at, args.chart)
                 print(args.screenshot)
                 ended.set()
                 return

@@ -12,7 +12,7 @@ pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 from aiohttp.test_utils import TestClient, TestServer
 from virtual_run import recorded
 
-from laptop.view import film
+from laptop.view import film, page_picture
 from laptop.view.layouts import Layouts
 from laptop.view.playing import Playing
 from laptop.view.recording import ViewedRecording
@@ -121,7 +121,7 @@ def test_a_page_is_given_pictures_and_films_or_told_why_there_are_none(
         asked.append((address.partition("?")[2], wanted.begin, wanted.end))
         raise LocalError("no ffmpeg found")
 
-    monkeypatch.setattr(film, "take", take)
+    monkeypatch.setattr(page_picture, "take", take)
     monkeypatch.setattr(film, "shoot", shoot)
 
     async def main() -> None:
