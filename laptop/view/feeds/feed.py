@@ -76,10 +76,13 @@ class LiveFeed(Protocol):
         """Raises `LocalError` where no robot can be told anything at this moment."""
 
 
-class RealTime:
-    """A time that nobody can change."""
+class RealTimeFeed:
+    """The parts of a feed of robots in real time, whose pace nobody can change."""
 
     def __init__(self) -> None:
+        self.picture = Picture()
+        self.lock = threading.Lock()
+        """The lock that protects the picture."""
         self.began = clock.now()
         """The time from which the page counts seconds."""
 
@@ -88,14 +91,14 @@ class RealTime:
         return clock.now() - self.began
 
     def pace(self) -> None:
-        """It passes as it does."""
+        """Return None: nobody can change the pace of real time."""
 
     def set_pace(self, speed: float | None, paused: bool) -> None:
         """Refuse: this is real time."""
         raise ValueError("this is real time")
 
 
-class SimulationFeed(RealTime):
+class SimulationFeed(RealTimeFeed):
     """Watches the bus of every robot of a running simulation until closed."""
 
     kind = "simulation"
@@ -110,9 +113,6 @@ class SimulationFeed(RealTime):
         self._only = only
         buses.only_wanted(robots(directory), only)
         super().__init__()
-        self.picture = Picture()
-        self.lock = threading.Lock()
-        """The lock that protects the picture."""
         self.directory = directory
         self.live = True
         """Whether the run was still going on at the last look."""

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from functools import partial
 
 from laptop.fleet.ssh.ssh import Host, HostError, Ssh
-from laptop.view.feeds.feed import RealTime
+from laptop.view.feeds.feed import RealTimeFeed
 from laptop.view.feeds.news import REACH
-from laptop.view.feeds.picture import Picture
 from laptop.view.feeds.tunnel import Tunnel
 from swarm import clock
 from swarm.config.types import Config
@@ -44,7 +43,7 @@ _FIRST_S = 20.0
 """Seconds that the first connection may take; ssh gives up a robot that does not answer after 10."""
 
 
-class Robots(RealTime):
+class Robots(RealTimeFeed):
     """Watches real robots until closed."""
 
     kind = "robots"
@@ -52,9 +51,6 @@ class Robots(RealTime):
     def __init__(self, config: Config, hosts: Sequence[Host], ssh: Ssh) -> None:
         """`hosts`: whom to connect to; one is enough to see all. Raises `HostError` where none can be reached."""
         super().__init__()
-        self.picture = Picture()
-        self.lock = threading.Lock()
-        """Around the picture."""
         self.config = config
         self._turn = threading.Event()
         self._closing = False
