@@ -13,8 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from laptop.fleet.ssh import robot_command
-from laptop.fleet.ssh.remote_text import copy_text
-from laptop.fleet.ssh.ssh import NO_SSH, Host, HostError, Ssh, hosts
+from laptop.fleet.ssh.ssh import NO_SSH, Host, HostError, Ssh, copy_text, hosts
 from services.dwm.calibrate import __main__ as calibrate
 from swarm.config import Config, load
 from swarm.errors import LocalError

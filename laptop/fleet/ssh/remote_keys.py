@@ -8,8 +8,7 @@ import sys
 import threading
 from collections.abc import Callable
 
-from laptop.fleet.ssh.remote_text import copy_text
-from laptop.fleet.ssh.ssh import CLIENT_FAILED, NO_SSH, Host, Ssh
+from laptop.fleet.ssh.ssh import CLIENT_FAILED, NO_SSH, Host, Ssh, copy_text
 from swarm.errors import LocalError
 from swarm.onboard.body.keyboard import Keyboard
 

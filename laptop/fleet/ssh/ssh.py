@@ -5,12 +5,14 @@ told never to ask (BatchMode): a question to eight robots at once has nobody to 
 """
 
 import asyncio
+import codecs
 import contextlib
 import os
 import re
 import signal
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import IO, TextIO
 
 from swarm.config import Config
 from swarm.errors import LocalError, RemoteError
@@ -286,3 +288,14 @@ def explained(err: str, reasons: Iterable[tuple[str, str]]) -> str:
 def last_words(text: str) -> str:
     """The last line that says something, printable and not too long."""
     return next((printable(line.strip()) for line in reversed(text.splitlines()) if line.strip()), "")
+
+
+def copy_text(source: IO[bytes], to: TextIO) -> None:
+    """Write what comes from `source` to a stream until its end, a question without a line end at once.
+
+    The stream is one of this process' own, which are guarded: a robot's text does not steer the terminal.
+    """
+    decoder = codecs.getincrementaldecoder("utf-8")("replace")
+    while data := source.read1(4096):  # type: ignore[attr-defined]  # a BufferedReader
+        to.write(decoder.decode(data))
+        to.flush()

@@ -6,7 +6,7 @@ import threading
 
 from conftest import wait_until
 
-from laptop.fleet.ssh.remote_text import copy_text
+from laptop.fleet.ssh.ssh import copy_text
 from swarm.process.terminal import Guarded
 
 
