@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Raises `LocalError` where there is no such simulation, robot or app."""
+    """Start or stop an app. Raises `LocalError` where there is no such simulation, robot or app."""
     if not robot_command.is_meant(args):
         run_dir = running(args.run_dir)
         named = [*args.which, *(args.robots or ())]

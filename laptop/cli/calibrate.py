@@ -25,7 +25,7 @@ _THERE = "/run/swarm/calibration-{robot}-{stamp}.csv"
 
 
 def main() -> int:
-    """Run one command; returns its exit code."""
+    """Run one command, and return its exit code."""
     way = argparse.ArgumentParser(add_help=False)
     robot_command.add_arguments(way)
     args, words = way.parse_known_args(sys.argv[1:])
@@ -55,7 +55,7 @@ def main() -> int:
 
 
 def _measure(ssh: Ssh, host: Host, options: argparse.Namespace, config: Config) -> Path:
-    """Lead the session on the robot and bring its samples here; raises `LocalError`."""
+    """Lead the session on the robot and bring its samples here. Raises `LocalError`."""
     stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S")
     path: Path = options.samples or Path(f"calibration-{host.robot}-{stamp}.csv")
     there = _THERE.format(robot=host.robot, stamp=stamp)

@@ -64,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Stop or arm over every path there is; `LocalError` where there is none.
+    """Stop or arm over every path there is. Raises `LocalError` where there is none.
 
     Returns 1 where a robot that can be reached has not confirmed in time.
     """
@@ -205,7 +205,7 @@ def command(robots: tuple[Host, ...], ssh: Ssh, *, stop: bool, reason: str, bega
 
 
 def _rows(text: str) -> dict[str, dict[str, Any]]:
-    """The far command's rows by robot; none where it printed something else."""
+    """Return the rows by robot that a robot's own command has printed; none where it printed something else."""
     try:
         return {str(row["robot"]): dict(row) for row in read_json(text)["robots"]}
     except (PayloadError, ValueError, LookupError, TypeError):

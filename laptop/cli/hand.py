@@ -80,14 +80,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Raises `LocalError` where there is no such simulation, robot or service."""
+    """Do one act. Raises `LocalError` where there is no such simulation, robot or service."""
     done = do(runtime_of(args.run_dir, args.robot), args)
     show(args, {"robot": args.robot, "act": args.act, "done": done}, [f"{args.robot}: {done}"])
     return 0
 
 
 def do(runtime: Path, args: argparse.Namespace) -> str:
-    """Do it to the robot with this runtime directory; what was done, in words."""
+    """Do what the arguments say to the robot with this runtime directory, and return in words what was done."""
     match args.act:
         case "kill":
             service, pid = end_service(runtime, args.service, args.signal)
@@ -141,7 +141,7 @@ def end_service(runtime: Path, wanted: str, name: str) -> tuple[str, int]:
 
 
 def _service(runtime: Path, wanted: str) -> str:
-    """The service's full name; a robot runs one app as a rule, then `app` alone will do."""
+    """Return the full name of a service. A robot runs one app as a rule, and `app` then stands for its name."""
     name = wanted.removeprefix("app/")
     if wanted in SERVICES or (wanted.startswith("app/") and is_name(name)):
         return wanted

@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what is known; code 1 where a mesh says nothing, a robot is away or a link is not up."""
+    """Print what is known of the mesh. Return 1 where a mesh says nothing, a robot is away or a link is not up."""
     mesh = show.shown(args)
     if args.plot is not None:
         draw(mesh, args.plot)

@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Code 1 where a robot does not answer, or refuses."""
+    """Show or set parameters. Return 1 where a robot does not answer, or refuses."""
     if not (args.real or robot_command.is_meant(args)):
         return param.run(args)
     wanted = param.settings_of(args)  # what is wrong is said here, not by each robot

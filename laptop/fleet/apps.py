@@ -107,8 +107,8 @@ class AppStart:
         arguments: Sequence[str] = (),
         settings: Sequence[str] = (),
     ) -> None:
-        """`files`: of the user's app, `NAME.py` among them; None = a built-in one. `settings`: `[ROBOT.]NAME=VALUE`,
-        checked."""
+        """`files`: the files of the user's app, `NAME.py` among them; None for a built-in app. `settings`: checked
+        ones, `[ROBOT.]NAME=VALUE`."""
         self.unit = unit(name)
         folder = f"{APPS}/{name}-{sources.digest(files).hex()[:12]}" if files is not None else ""
         data = b"" if files is None else pack(files, dict.fromkeys(files, 0o644))
@@ -136,7 +136,8 @@ class AppStart:
         )
 
     async def on(self, ssh: Ssh, host: Host) -> str:
-        """Begin on a robot, not waiting: an app is ready when it has its first measurement. Raises `HostError`."""
+        """Begin on a robot without waiting until the app is ready, which needs its first measurement. Raises
+        `HostError`."""
         await self._begin(ssh, host)
         return f"started {self.unit}"
 
@@ -146,13 +147,13 @@ class AppStart:
         return f"{self.unit} runs: {self.run}"
 
     async def _begin(self, ssh: Ssh, host: Host) -> str:
-        """Start it; returns which invocation of the unit there was before."""
+        """Start the app, and return which invocation of the unit there was before."""
         said = await ssh.check(host, f"sudo -n sh -c '{self._script}'", feed=self._feed)
         return said.split()[0] if said.split() else ""
 
 
 async def systemctl(ssh: Ssh, host: Host, action: str, names: Iterable[str]) -> str:
-    """Have units started, stopped or restarted; `HostError` where that fails.
+    """Have units started, stopped or restarted. Raises `HostError` where that fails.
 
     An app that is started or restarted is waited for until it is ready, or says what it waits for: for the first
     measurement or the links of the others, which may take minutes.
@@ -175,8 +176,8 @@ async def systemctl(ssh: Ssh, host: Host, action: str, names: Iterable[str]) -> 
 
 
 async def _first(ssh: Ssh, host: Host, name: str, before: str, *, may_wait: bool = False) -> str:
-    """Wait until another invocation of the unit `name` than `before` is ready; `may_wait`: or until it says what it
-    waits for, which is returned. Raises `HostError` with its last words."""
+    """Wait until another invocation of the unit `name` than `before` is ready. With `may_wait`, end also when the unit
+    says what it waits for, and return that. Raises `HostError` with the unit's last words."""
     enough = f'"activating-{_WAITING}"*' if may_wait else "-"
     script = _FIRST.format(unit=name, before=before, tries=round(WAIT_S / 0.5), enough=enough)
     state, status, *said = [*(await ssh.check(host, script)).splitlines(), "", ""]
@@ -192,7 +193,7 @@ async def _first(ssh: Ssh, host: Host, name: str, before: str, *, may_wait: bool
 
 
 def check_name(name: str, told: str) -> None:
-    """Raises `LocalError` where no app can have this name; `told` is what the user has called it."""
+    """Raise `LocalError` where no app can have this name. `told` is what the user has called the app."""
     if not is_name(name) or name in SERVICES:
         raise LocalError(f"{told}: expected the name of an app, or a file with such a name: a-z, 0-9, _ and -")
 
@@ -221,7 +222,7 @@ def differences(found: Mapping[str, versions.Versions], config: Config) -> str:
 
 
 async def ask_known(ssh: Ssh, host: Host) -> dict[str, StartedApp]:
-    """The apps that were started on a robot, by name; raises `HostError`."""
+    """Return the apps that were started on a robot, by name. Raises `HostError`."""
     known: dict[str, StartedApp] = {}
     for line in (await ssh.check(host, f"sudo -n sh -c '{_KNOWN}'")).splitlines():
         if found := _LINE.fullmatch(line):

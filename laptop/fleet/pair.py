@@ -31,7 +31,7 @@ async def ask(ssh: Ssh, host: Host, request: Mapping[str, Any]) -> dict[str, Any
 
 
 class Pairing:
-    """All links of a swarm."""
+    """The pairing of all links of a swarm."""
 
     def __init__(
         self,
@@ -41,11 +41,13 @@ class Pairing:
         timeout_s: float,
         tell: ReportProgress,
     ) -> None:
-        """`looks`: what each robot that answered said of itself; `timeout_s` for each link."""
+        """`looks`: the answer of each robot that has been asked with `look`. `timeout_s`: the time that each link may
+        take."""
         self._ssh, self._hosts, self._looks, self._timeout_s, self._tell = ssh, hosts, looks, timeout_s, tell
 
     async def carry_out(self, edges: Sequence[Edge], *, check: bool, again: bool) -> dict[Edge, str]:
-        """Bring all links to be paired and trusted, or `check` only. What is wrong by link, empty where nothing is."""
+        """Bring all links to be paired and trusted, or `check` only. Return by link what is wrong, empty where nothing
+        is."""
         addresses = {name: str(answer["address"]) for name, answer in self._looks.items()}
         problems = {}
         reachable = []
@@ -113,7 +115,7 @@ class Pairing:
             raise HostError(f"{me}: {error}") from None
 
     async def _pair(self, a: str, b: str) -> None:
-        """`b` waits to be found, `a` finds it and pairs. If `a` fails, `b` is told to stop, by the end of its input."""
+        """Let `b` wait to be found, and `a` find it and pair. If `a` fails, the end of its input tells `b` to stop."""
         listening, end = asyncio.Event(), asyncio.Event()
         request = {"do": "listen", "peer": self._looks[a]["address"], "inquiry": INQUIRY_S}
         called = asyncio.create_task(

@@ -56,14 +56,14 @@ class Provisioning:
         tell: ReportProgress,
         rig: Rig,
     ) -> None:
-        """`bundle` by Debian and architecture."""
+        """`bundle`: the packages for each Debian and architecture."""
         self._ssh, self._host, self._wish, self._bundle = ssh, host, wish, bundle
         self._tell, self._rig = tell, rig
         self.changed = 0
         self._there: set[str] = set()
 
     async def look(self) -> dict[str, Any]:
-        """The robot's facts, and what time it is here at that moment."""
+        """Return the robot's facts, and note the time of this computer at that moment."""
         self._wish = replace(self._wish, now=time.time())
         request = {
             **steps.LOOK,
@@ -75,7 +75,7 @@ class Provisioning:
         return dict(await remote.call(self._ssh, self._host, "facts", request))
 
     async def check(self) -> str:
-        """Say what would be done, and do nothing; raises `HostError` where something cannot be helped."""
+        """Tell what would be changed, and change nothing. Raises `HostError` where something cannot be helped."""
         facts = await self.look()
         self._offer(facts)
         verdicts = {step.name: step.judge(facts, self._wish) for step in (*steps.FIRST, *steps.THEN)}
@@ -88,7 +88,8 @@ class Provisioning:
         return f"{len(changes)} of {len(verdicts)} would be changed{', and it would reboot' if reboot else ''}"
 
     async def carry_out(self, *, reboot: bool) -> bool:
-        """Do all steps; whether all of it is in force (not before a `reboot`). Raises `HostError` where one fails."""
+        """Do all steps. Return whether all changes are in force, which some are only after a `reboot`. Raises
+        `HostError` where a step fails."""
         facts = await self.look()
         facts, wait = await self._packages(facts)
         facts, wait_too = await self._stage(facts, steps.THEN)
@@ -113,7 +114,7 @@ class Provisioning:
         return repository
 
     async def _packages(self, facts: dict[str, Any]) -> tuple[dict[str, Any], bool]:
-        """The steps that come first; before them, what apt would take of the bundle."""
+        """Do the steps that come first, after asking which packages of the bundle apt would install."""
         repository = self._offer(facts)
         files: list[Package] = []
         if repository is not None:
@@ -141,7 +142,7 @@ class Provisioning:
         return self._rig.root.rstrip("/") + packages.CACHE
 
     async def _send(self, repository: Repository, files: Sequence[Package]) -> None:
-        """Bring those files that are not there yet."""
+        """Bring those files that are not on the robot yet."""
         files = [package for package in files if package.sha256 not in self._there]
         if not files:
             return
@@ -166,7 +167,8 @@ class Provisioning:
         repository: Repository | None = None,
         files: Sequence[Package] = (),
     ) -> tuple[dict[str, Any], bool]:
-        """Judge all steps, then change what is to be changed, then see that it is so. Facts, and whether to reboot."""
+        """Judge all steps, carry out the changes, and check that they hold. Return the facts afterwards, and whether to
+        reboot."""
         verdicts = {step.name: step.judge(facts, self._wish) for step in stage}
         for name, verdict in verdicts.items():
             if verdict.state != "change":
@@ -189,7 +191,7 @@ class Provisioning:
         return facts, any(verdict.reboot for verdict in wanted.values())
 
     async def _change(self, wanted: Mapping[str, Verdict], boot_id: str) -> None:
-        """Carry out all of them, until one fails."""
+        """Carry out all changes, until one fails."""
 
         def here(change: Change) -> Change:
             if change["do"] != "run":

@@ -10,7 +10,7 @@ TARGET = "swarm.target"
 
 
 def unit(name: str) -> str:
-    """The unit of a service, or of the app of that name; raises `LocalError` where it can be neither."""
+    """Return the unit of a service, or of the app of that name. Raises `LocalError` where there can be neither."""
     if name in SERVICES:
         return f"swarm-{name}.service"
     if is_name(name):
@@ -24,13 +24,13 @@ def is_app(unit: str) -> bool:
 
 
 def units(names: Sequence[str]) -> list[str]:
-    """The units of these, or the target that holds all services."""
+    """Return the units of these services and apps; the target that holds all services where none is named."""
     return [unit(name) for name in names] or [TARGET]
 
 
 def kill_command(name: str) -> str:
-    """The robot's command that has the main process of a service or an app end as by a crash: what else it has started
-    is left to systemd, which then starts it again. Fails where it does not run; raises `LocalError` as `unit`."""
+    """Return the robot's command that ends the main process of a service or an app as a crash would. systemd starts it
+    again. The command fails where the process does not run. Raises `LocalError` as `unit` does."""
     what = unit(name)
     # Not `is-active`: an app that waits for its first measurement is "activating", and runs.
     runs = f'[ "$(systemctl show --property=MainPID --value {what})" != 0 ]'

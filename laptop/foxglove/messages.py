@@ -39,7 +39,7 @@ class FoxgloveMessage(NamedTuple):
 
     @property
     def schema(self) -> bytes:
-        """The JSON schema, which a topic gets with its first message."""
+        """Return the JSON schema, which a topic gets with its first message."""
         if self.schema_name == foxglove.POSE:
             return foxglove.pose_schema()
         return json_text.schema(self.value, self.schema_name)
@@ -63,7 +63,7 @@ def sample(robot: str, topic: str, value: object, log_time: int) -> FoxgloveMess
 
 
 def _schema_name(key: str, topic: str) -> str:
-    """The name of the message's class; of an app's state, the app's, as every app has other fields."""
+    """Return the name of the message's class; of an app's state the app's name, as every app has other fields."""
     service, *rest = topic.split("/")
     if service == "app" and rest[-1] == "state":
         return ".".join(rest)

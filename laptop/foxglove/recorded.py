@@ -28,7 +28,7 @@ class RecordedScenes:
         self._event = 0
 
     def after(self, sample: RecordedSample) -> Iterator[FoxgloveMessage]:
-        """Yield the messages to show after a sample; most have none, and so has one that cannot be read."""
+        """Yield the messages to show after a sample. Most samples have none, as has one that cannot be read."""
         try:
             robot, service, topic = parse(sample.topic)
             message = json_value(sample.message)

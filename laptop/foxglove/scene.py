@@ -47,7 +47,7 @@ def robot_poses(picture: Picture, config: Config) -> dict[str, Place]:
 
 
 def _xy(value: object) -> tuple[float, float] | None:
-    """The place that a message holds, m; None where it holds none."""
+    """Return the place that a message holds, m; None where it holds none."""
     x, y = (float_or_none(value.get(name)) for name in "xy") if isinstance(value, dict) else (None, None)
     return None if x is None or y is None else (x, y)
 

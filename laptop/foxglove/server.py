@@ -34,7 +34,7 @@ class FoxgloveServer:
     """Serves a feed until closed."""
 
     def __init__(self, feed: LiveFeed, control: Control, port: int, *, writable: bool) -> None:
-        """`port`: of 127.0.0.1; 0 = any free one. `writable`: whether clients may set parameters of apps. Raises
+        """`port`: a port of 127.0.0.1; 0 = any free one. `writable`: whether clients may set parameters of apps. Raises
         `LocalError` where the port is taken."""
         self._feed = feed
         self._control = control
@@ -69,14 +69,14 @@ class FoxgloveServer:
     # What clients ask, on the SDK's threads
 
     def on_get_parameters(self, client: Any, names: list[str], request_id: str | None = None) -> list[Parameter]:
-        """Values of parameters, `robot.app.name`; all where none is named."""
+        """Return the values of parameters, called `robot.app.name`; all where none is named."""
         known = self._parameters()
         return [Parameter(name, value=known[name]) for name in names or known if name in known]
 
     def on_set_parameters(
         self, client: Any, parameters: list[Parameter], request_id: str | None = None
     ) -> list[Parameter]:
-        """Ask apps for other values; what they then have is told as soon as they answer."""
+        """Ask apps for other values. Clients are told the values that apps have as soon as these answer."""
         for each in parameters if self._writable else ():
             robot, _, rest = each.name.partition(".")
             app, _, name = rest.partition(".")
@@ -89,17 +89,17 @@ class FoxgloveServer:
         return self.on_get_parameters(client, [each.name for each in parameters])
 
     def on_parameters_subscribe(self, names: list[str]) -> None:
-        """They are told whenever robots tell them."""
+        """Do nothing: parameters are published whenever a robot reports them."""
 
     def on_parameters_unsubscribe(self, names: list[str]) -> None:
-        """See `on_parameters_subscribe`."""
+        """Do nothing, as `on_parameters_subscribe`."""
 
     def on_subscribe(self, client: Any, channel: Any) -> None:
         """Publish what was published before for a new subscriber, since much is published on change only."""
         self._late.set()
 
     def on_unsubscribe(self, client: Any, channel: Any) -> None:
-        """The SDK keeps who wants what."""
+        """Do nothing: the SDK records the subscribers."""
 
     def _parameters(self) -> dict[str, Any]:
         """Return the parameters of all apps, by `robot.app.name`."""
@@ -133,7 +133,7 @@ class FoxgloveServer:
             self._server.publish_parameter_values([Parameter(name, value=known[name]) for name in known])
 
     def _look(self, log_time: int) -> list[str]:
-        """Tell what is new; gives its topics."""
+        """Tell clients what is new, and return its topics."""
         feed, config = self._feed, self._feed.config
         messages: list[FoxgloveMessage] = []
         with feed.lock:

@@ -111,7 +111,7 @@ def standup(figure: Any, run: Run) -> None:
 
 
 def _with_silence(tilts: list[tuple[float, float, bool]]) -> list[tuple[float, float, bool]]:
-    """Insert, before each silence, that nothing is known from then on: a line has a gap there."""
+    """Insert an unknown state before each silence, so that a line has a gap there."""
     found = tilts[:1]
     for entry in tilts[1:]:
         if entry[0] - found[-1][0] > SILENT_S:
@@ -121,8 +121,8 @@ def _with_silence(tilts: list[tuple[float, float, bool]]) -> list[tuple[float, f
 
 
 def _flashes(run: Run) -> tuple[dict[str, list[float]], dict[str, list[tuple[float, float]]], str]:
-    """Times at which each robot's flashing LED came on, the stretches it was on, and who says so: the registers of the
-    simulated robots, or the balancers. The LED is the one that was switched most often."""
+    """Return the times at which each robot's flashing LED came on, the stretches it was on, and who says so: the
+    registers of the simulated robots, or the balancers. The LED is the one that was switched most often."""
     simulated = any(name.endswith("/sim/leds") for name in run.topics)
     topic = "sim/leds" if simulated else "balancer/leds"
     changes: Counter[str] = Counter()

@@ -52,7 +52,7 @@ def unicasts(figure: Any, run: Run) -> None:
 
 
 class Pass(NamedTuple):
-    """A message or, on its way back, the answer to it is handed to a neighbour."""
+    """A report that a robot hands a message, or the answer to it, to a neighbour."""
 
     t: float
     robot: str
@@ -72,7 +72,7 @@ class JourneyLeg(NamedTuple):
 
 
 def legs(passes: Iterable[Pass], sender: str, to: str, arrived: float | None, known: float | None) -> list[JourneyLeg]:
-    """The way of one message from `sender` to `to`, and of its answers, by what the robots on it have told.
+    """Return the way of one message from `sender` to `to`, and of its answers, by what the robots on it have told.
 
     A robot hands on at once what comes to it, so that tells when it came: each arrival belongs to what was last handed
     to that robot before. `arrived`: when the receiver's app got it; `known`: when the sender got the answer.
@@ -162,7 +162,8 @@ def _of(request: _Request, passes: Sequence[_Passed], until: float) -> list[Pass
 
 
 def _panels(figure: Any, run: Run, requests: Sequence[_Request], what: str) -> tuple[list[tuple[Any, _Request]], str]:
-    """Axes for the last ones, and a word on how many these are of."""
+    """Make axes for the last requests. Return these pairs, and text that tells how many of all they are, empty where
+    they are all."""
     if not requests:
         raise LocalError(f"{run.path}: no app has sent a {what} in this recording")
     shown = requests[-PANELS:]

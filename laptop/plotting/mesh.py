@@ -35,8 +35,8 @@ class DrawnLink(NamedTuple):
 
 
 def mesh(figure: Any, run: Run) -> None:
-    """The links between the robots as they were at the end: colour and words tell the mean round-trip time, dashed =
-    down; messages that a link has dropped while it was recorded are counted."""
+    """Draw the links between the robots as they were at the end. Colour and words tell the mean round-trip time, and a
+    dashed link is down. Messages that a link has dropped while it was recorded are counted."""
     seen: dict[Edge, dict[str, list[dict[str, Any]]]] = {}
     newest: dict[str, list[str]] = {}
     """The peers of each robot by its newest message: a link that the swarm does not want any more is not in it."""
@@ -111,7 +111,8 @@ def network(
 
 
 def layout(names: list[str], links: list[Edge], real: Mapping[str, Place]) -> dict[str, Place]:
-    """Robots where they are, if all are known, apart, and none seems to be on a link of others; else on a circle."""
+    """Return the places of robots where all are known, apart, and none seems to be on a link of others; else places on
+    a circle."""
     places = {name: real[name] for name in names if name in real}
     if len(places) == len(names):
         size = _size(places)
@@ -156,7 +157,7 @@ def _size(places: Mapping[str, Place]) -> float:
 
 
 def _off(place: Place, a: Place, b: Place) -> float:
-    """Distance of a place from the line between two others."""
+    """Return the distance of a place from the line between two others."""
     (x, y), (xa, ya), (xb, yb) = place, a, b
     squared = (xb - xa) * (xb - xa) + (yb - ya) * (yb - ya)
     share = max(0.0, min(1.0, ((x - xa) * (xb - xa) + (y - ya) * (yb - ya)) / squared)) if squared else 0.0

@@ -39,10 +39,10 @@ class _Estimate(NamedTuple):
 
 
 def draw_map(figure: Any, run: Run, references: Mapping[str, Sequence[Place]] | None = None) -> None:
-    """Anchors, robots, their paths, and what they think where the target is, with ellipses of two standard
-    deviations. Of simulated robots the true paths are there too. Where the target's place is known, the estimates'
-    errors over iterations stand beside the map, dotted those of the `references` (by robot, from iteration 0 on); of
-    apps that drive, how near robots came, and how far they were from their formation."""
+    """Draw anchors, robots, their paths, and where they think that the target is, with ellipses of two standard
+    deviations. Of simulated robots, draw the true paths, too. Where the target's place is known, the estimates' errors
+    over iterations stand beside the map, and the errors of the `references` (by robot, from iteration 0 on) are dotted.
+    Of apps that drive, how near robots came stands there, and how far they were from their formation."""
     swarm = config_in(run.path)
     way, estimates = _target(run, swarm), _estimates(run)
     robots = list(run.robots)
@@ -155,7 +155,7 @@ def _seeker(run: Run) -> str | None:
 
 
 def _at(way: Sequence[tuple[float, Place]], t: float) -> Place:
-    """The place on a way at time t, between two samples on the line between them."""
+    """Return the place on a way at time t, on the line between two samples."""
     index = bisect_left(way, t, key=itemgetter(0))
     if index in (0, len(way)):
         return way[min(index, len(way) - 1)][1]
@@ -206,8 +206,8 @@ def _errors(
 
 
 def distances(axes: Any, run: Run, tracks: Mapping[str, list[tuple[Place, dict[str, Any]]]]) -> None:
-    """Over time the distance of the two robots that are nearest to each other, and of a formation how far the robots
-    are from it (root mean square, wherever it stands)."""
+    """Draw over time the distance of the two robots that are nearest to each other. Of a formation, draw how far the
+    robots are from it (root mean square, wherever it stands)."""
     import numpy as np
 
     times = {name: np.array([message["t"] for _, message in track]) for name, track in tracks.items()}
@@ -272,7 +272,7 @@ def _ellipse(axes: Any, place: Place, spread: Spread, colour: Any, marks: set[st
 
 
 def frame(axes: Any, places: list[Place]) -> None:
-    """Limits of the axes: all places, and a margin."""
+    """Set the limits of the axes to all places and a margin."""
     xs, ys = zip(*places, strict=True)
     margin = 0.08 * max(max(xs) - min(xs), max(ys) - min(ys), 0.5) + 0.1
     axes.set(xlim=(min(xs) - margin, max(xs) + margin), ylim=(min(ys) - margin, max(ys) + margin))

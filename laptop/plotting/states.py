@@ -149,7 +149,7 @@ def _chosen(panels: Sequence[_Panel]) -> list[_Panel]:
 
 
 def iterations(figure: Any, run: Run) -> None:
-    """Iteration over time, for each robot (thesis figures 3.9 and 3.11)."""
+    """Draw iterations over time, for each robot (thesis figures 3.9 and 3.11)."""
     channels = [(name, run.trajectories(channel=name)) for name in run.states()]
     channels = [(name, paths) for name, paths in channels if any(len(path.rows) > 1 for path in paths.values())]
     if not channels:
@@ -170,8 +170,8 @@ def iterations(figure: Any, run: Run) -> None:
 
 
 def leaps(path: Trajectory) -> tuple[int, ...]:
-    """The k before which a robot was away: it began anew there, was started again or had lost its state, or others went
-    on without it and its k leaps."""
+    """Return each k before which a robot was away: it began anew there, was started again or had lost its state, or
+    others went on without it and its k leaps."""
     ks = sorted(path.rows)
     steps = [after - k for k, after in itertools.pairwise(ks)]
     usual = sorted(steps)[len(steps) // 2] if steps else 0
@@ -180,7 +180,7 @@ def leaps(path: Trajectory) -> tuple[int, ...]:
 
 
 def gaps(path: Trajectory) -> tuple[int, ...]:
-    """The k before which a robot was away: `leaps`, or it did nothing for `AWAY_S` where it has a pace."""
+    """Return each k before which a robot was away: `leaps`, or it did nothing for `AWAY_S` where it has a pace."""
     ks = sorted(path.rows)
     steps = [path.times[after] - path.times[k] for k, after in itertools.pairwise(ks)]
     ordered = sorted(steps)
@@ -203,13 +203,13 @@ def _mark_gaps(left: Any, right: Any, path: Trajectory, column: str, colour: Any
 
 
 def _line(path: Trajectory, column: str, breaks: Sequence[int]) -> tuple[list[int], list[float]]:
-    """Iterations and values, nan where the line has a gap."""
+    """Return iterations and values, nan where the line has a gap."""
     ks = _with_gaps(sorted(path.rows), breaks)
     return ks, [math.nan if again else path.value(k, column) for k, again in zip(ks, _again(ks), strict=True)]
 
 
 def _with_gaps(ks: Sequence[int], breaks: Sequence[int]) -> list[int]:
-    """Iterations, the last one before each gap twice."""
+    """Return the iterations, with the last one before each gap twice."""
     found: list[int] = []
     for k in ks:
         if k in breaks and found:
@@ -223,7 +223,7 @@ def _again(ks: Sequence[int]) -> list[bool]:
 
 
 def _columns(run: Run) -> list[_Panel]:
-    """Label, column and trajectories of all that can be drawn: a vector's parts one by one."""
+    """Return label, column and trajectories of all that can be drawn: a vector's parts one by one."""
     found = []
     for channel in run.states():
         paths = {name: path for name, path in run.trajectories(channel=channel).items() if path.rows}
@@ -295,7 +295,7 @@ def _look(index: int, robots: int, points: int) -> dict[str, Any]:
 
 
 def _pace(path: Trajectory) -> str:
-    """Mean time of an iteration, without the gaps."""
+    """Return the mean time of an iteration, without the gaps."""
     ks, away = sorted(path.times)[1:], set(gaps(path))
     steps = [(path.times[after] - path.times[k], after - k) for k, after in itertools.pairwise(ks) if after not in away]
     if not steps:

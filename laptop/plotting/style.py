@@ -50,7 +50,8 @@ RC = {
 
 
 def colour(index: int, count: int) -> Any:
-    """The colour of one of `count` robots: of the palette, or of a ramp where there are more."""
+    """Return the colour of one of `count` robots, of the palette, or of a ramp where there are more robots than
+    colours."""
     if count <= FEW:
         return COLOURS[index]
     from matplotlib import colormaps
@@ -124,14 +125,14 @@ def _room(middle: tuple[float, float], width: float, height: float, point: tuple
 
 
 def integer_ticks(axis: Any) -> None:
-    """Ticks of an axis that counts."""
+    """Give an axis that counts ticks at whole numbers."""
     from matplotlib.ticker import MaxNLocator
 
     axis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
 
 
 def rows_of_robots(axes: Any, robots: Sequence[str]) -> None:
-    """The y axis has a row for each robot, the first one at the top."""
+    """Give the y axis a row for each robot, the first one at the top."""
     axes.set_yticks(range(len(robots)), robots)
     axes.set_ylim(len(robots) - 0.4, -0.6)
     axes.grid(visible=False, axis="y")

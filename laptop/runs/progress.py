@@ -13,7 +13,7 @@ PATIENCE_S, EVERY_S = 0.5, 0.1
 
 @contextlib.contextmanager
 def progress(what: str, *, shown: bool = True) -> Iterator[Callable[[float], None]]:
-    """Within this, what is given takes the share that is done, 0 to 1, and draws it."""
+    """Yield a function that takes the share of a computation that is done, 0 to 1, and draws it."""
     stream = sys.stderr
     shown = shown and (stream.isatty() or "ipykernel" in sys.modules)
     due = time.monotonic() + PATIENCE_S

@@ -278,7 +278,8 @@ def load(path: str | Path, app: str = "") -> RunData:
 
 
 def _interpolated(times: Array, known: Array, values: Array) -> Array:
-    """Values at `times`: linear between the samples, and from the nearest two before the first and after the last."""
+    """Return values at `times`: linear between the samples, and from the nearest two before the first and after the
+    last."""
     if len(known) == 1:
         return np.full(times.shape, values[0])
     after = np.clip(np.searchsorted(known, times), 1, len(known) - 1)

@@ -97,14 +97,14 @@ def simulate(
 
 
 def app_of(app: App) -> loader.LoadedApp:
-    """The app that a program means; raises `AppError`."""
+    """Return the app that a program means. Raises `AppError`."""
     return loader.load(str(app)) if isinstance(app, str | Path) else loader.of_class(app)
 
 
 def settings_for(
     app: loader.LoadedApp, values: Mapping[str, Any] | None, robots: int | None, options: Mapping[str, Any]
 ) -> list[Setting]:
-    """First values and parameters as settings. Raises `ConfigError`."""
+    """Return first values and parameters as settings. Raises `ConfigError`."""
     if values is not None and not isinstance(values, Mapping):
         raise ConfigError(f'values: expected them by name, such as {{"x": [1.0, 2.0]}}, got {shown(values)}')
     choice = options.get("algorithm") or (values or {}).get("algorithm")
@@ -133,7 +133,7 @@ def arguments_of(
     seconds: float | None,
     options: Mapping[str, Any],
 ) -> list[str]:
-    """The command line of `swarm sim` that says the same. Raises `ConfigError`."""
+    """Return the command line of `swarm sim` with the same meaning. Raises `ConfigError`."""
     flags = flags_of_options()
     words = [f"--latency={latency}"]
     if options.get("config") is None:

@@ -164,5 +164,5 @@ def _flat(row: SweptRun | Summary) -> dict[str, Any]:
 
 
 def _values(point: SweepPoint) -> dict[str, Any]:
-    """The values of a combination, numbers as such."""
+    """Return the values of a combination, numbers as such."""
     return {name: number_or_text(text) for name, text in point.choices}

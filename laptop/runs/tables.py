@@ -51,8 +51,8 @@ def write(path: Path, table: Table) -> None:
 
 
 def _flat(name: str, value: Any, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Any]:
-    """Fields of a message by dotted names; parts of a list by what they are called (links by their peer), or number,
-    entries of a matrix of one of the `shapes` by row and column."""
+    """Return the fields of a message by dotted names. Parts of a list are called by what names them, links by their
+    peer, or by their number; entries of a matrix of one of the `shapes` by row and column."""
     if isinstance(value, Mapping):
         parts = {f"{name}.{key}" if name else str(key): part for key, part in value.items()}
     elif isinstance(value, list | tuple):
@@ -90,7 +90,7 @@ def _mat(path: Path, table: Table) -> None:
 
 
 def _variables(names: Iterable[str]) -> list[str]:
-    """MATLAB's names for columns: letters, digits and _, a letter first, at most 63, no two alike."""
+    """Return MATLAB's names for columns: letters, digits and _, a letter first, at most 63, no two alike."""
     found: list[str] = []
     for name in names:
         plain = "".join(each if each.isascii() and each.isalnum() else "_" for each in name).strip("_")
@@ -110,8 +110,8 @@ def _parquet(path: Path, table: Table) -> None:
 
 
 def _even(values: list[Any]) -> list[Any]:
-    """Values of one type: truths and integers of 64 bits as they are, other numbers with nan where there is none, all
-    else as text."""
+    """Return values of one type: truths and integers of 64 bits as they are, other numbers with nan where there is
+    none, all else as text."""
     there = [value for value in values if value is not None]
     whole = all(type(value) is int and -(2**63) <= value < 2**63 for value in there)
     if len(there) == len(values) and (whole or all(isinstance(value, bool) for value in there)):

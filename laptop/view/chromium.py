@@ -27,7 +27,7 @@ _LONGEST = 1 << 27
 
 
 def browser() -> str:
-    """The browser to use; `LocalError` where there is none."""
+    """Return the browser to use. Raises `LocalError` where there is none."""
     for name in BROWSERS:
         if (path := shutil.which(name)) is not None:
             return path
@@ -68,7 +68,7 @@ class Page:
         return found["result"].get("value")
 
     async def until(self, condition: str) -> None:
-        """Wait until an expression is true; `LocalError` where that takes too long."""
+        """Wait until an expression is true. Raises `LocalError` where that takes too long."""
         deadline = asyncio.get_running_loop().time() + PATIENCE_S
         while not await self.evaluate(condition):
             if asyncio.get_running_loop().time() > deadline:
@@ -136,7 +136,8 @@ async def opened(address: str, size: tuple[int, int], scale: float = 1.0) -> Asy
 
 
 def _spawn(command: list[str]) -> tuple[int, int, int]:
-    """Start a browser in a process group of its own: its pid, where it speaks and where it listens."""
+    """Start a browser in a process group of its own. Return its pid, and the descriptors from which and to which we
+    read and write."""
     (its_in, our_out), (our_in, its_out) = os.pipe(), os.pipe()
     high = [fcntl.fcntl(descriptor, fcntl.F_DUPFD_CLOEXEC, 10) for descriptor in (its_in, its_out)]  # none is 3 or 4
     os.close(its_in)

@@ -44,7 +44,7 @@ class Film:
     theme: str = "light"
 
     def instants(self) -> list[float]:
-        """Return the instants of its pictures, s of the recording: at least one, and none behind the end."""
+        """Return the instants of the film's pictures, s of the recording: at least one, and none behind the end."""
         count = max(1, round((self.end - self.begin) / self.speed * self.fps))
         if count > MAX_FRAMES:
             raise LocalError(f"{count} pictures: at most {MAX_FRAMES}; use --from, --to, --speed or --fps")
@@ -52,14 +52,14 @@ class Film:
 
 
 def encoder() -> str:
-    """The program that encodes; `LocalError` where there is none."""
+    """Return the program that encodes. Raises `LocalError` where there is none."""
     if (path := shutil.which(ENCODER)) is None:
         raise LocalError(f"no {ENCODER} found, which makes pictures a film: apt-get install {ENCODER}")
     return path
 
 
 async def shoot(address: str, film: Film, path: Path, tell: Callable[[int, int], None]) -> None:
-    """Write the film of the page at `address`; `tell(done, all)` after each picture. Raises `LocalError`.
+    """Write the film of the page at `address`, and call `tell(done, all)` after each picture. Raises `LocalError`.
 
     The file appears when it is whole; its suffix is one of `FORMATS`.
     """

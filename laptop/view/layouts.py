@@ -43,8 +43,9 @@ class Layouts:
         return {"current": self.current, "layouts": {name: list(map(list, each)) for name, each in self.named.items()}}
 
     def keep(self, asked: Any) -> str:
-        """Carry out `{name, panels}`: keep panels under a name and use them; without `panels`: use that name, or, where
-        it is empty, the page's own; `panels` null: forget it. What was done, in words. Raises `LocalError`."""
+        """Carry out `{name, panels}`, and return in words what was done. With `panels`, keep them under the name and
+        use them; with null for them, forget the name; without them, use the layout of that name, or the page's own
+        where the name is empty. Raises `LocalError`."""
         if not isinstance(asked, dict) or not isinstance(asked.get("name"), str):
             raise LocalError("layout: expected {name, panels}")
         with self._lock:

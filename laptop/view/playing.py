@@ -27,7 +27,7 @@ class Playing:
     """One page's way through recordings."""
 
     def __init__(self, recording: ViewedRecording, layouts: Layouts, wanted: str | None) -> None:
-        """`wanted`: the name of another recording of its folder, which the page begins with where it is there."""
+        """`wanted`: the name of another recording of the same folder, with which the page begins where it is there."""
         self._recording = recording
         self._folder = recording.path.resolve().parent
         self._layouts = layouts
@@ -104,7 +104,7 @@ class Playing:
 
 
 def runs_in(directory: Path) -> list[dict[str, Any]]:
-    """The recordings that are in a folder, each a folder or a file of its own, the newest first."""
+    """Return the recordings in a folder, each a folder or a file of its own, the newest first."""
     found: list[dict[str, Any]] = []
     for path in directory.iterdir():
         try:

@@ -24,12 +24,12 @@ JUMP_S = 3.0
 
 
 class ViewedRecording:
-    """A run, all of it in memory: its messages as they were written, JSON text."""
+    """A run in memory: all of its messages as they were written, JSON text."""
 
     kind = "recording"
 
     def __init__(self, path: Path) -> None:
-        """Raises `RecordingError` where there is none. What of it cannot be read is named in `damage`."""
+        """Raises `RecordingError` where there is no recording. `damage` names the parts that cannot be read."""
         run = Run(path)
         self.path = path
         self.first, self.last = 0.0, 0.0
@@ -82,7 +82,7 @@ class ViewedRecording:
         return step
 
     def series(self, topic: str, fields: Sequence[series.Path]) -> dict[str, list[series.Row]]:
-        """Numbers of a key over the whole run, by robot."""
+        """Return numbers of a key over the whole run, by robot."""
         found, most = {}, series.most_of(len(self._rows))
         for robot, topics in self._rows.items():
             times, data = topics.get(topic, ((), ()))
@@ -93,7 +93,8 @@ class ViewedRecording:
         return {robot: rows for robot, rows in found.items() if rows}
 
     def marks(self) -> list[tuple[float, str, str]]:
-        """Time, level and text of what happened in the whole run, for a strip of its time: of much the worst."""
+        """Return time, level and text of events in the whole run, for a strip of its time. Of too many, return the
+        worst."""
         worst = sorted(self._events, key=lambda event: (LEVELS.index(event.level), event.t))[:MAX_MARKS]
         return sorted((event.t, event.level, f"{event.robot} {event.text}") for event in worst)
 

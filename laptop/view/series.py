@@ -29,7 +29,7 @@ def most_of(robots: int) -> int:
 
 
 def wanted(asked: Any) -> tuple[str, list[Path]]:
-    """Topic and paths of fields of `{topic, fields: [[NAME, ...], ...]}`. Raises `LocalError`, `KeyError` or
+    """Return topic and paths of fields of `{topic, fields: [[NAME, ...], ...]}`. Raises `LocalError`, `KeyError` or
     `TypeError`."""
     fields = [tuple(map(str, path)) for path in asked["fields"]]
     if not fields or len(fields) > MAX_FIELDS or any(not 0 < len(path) <= MAX_DEPTH for path in fields):
@@ -38,8 +38,8 @@ def wanted(asked: Any) -> tuple[str, list[Path]]:
 
 
 def rows(samples: Iterable[tuple[float, object]], fields: Sequence[Path]) -> list[Row]:
-    """`[t, k, NUMBER, ...]` for each sample that has at least one of the fields as a number; `None` in place of what is
-    none. `k` is the iteration that the sample tells of."""
+    """Return `[t, k, NUMBER, ...]` for each sample that has at least one of the fields as a number. None stands for a
+    field that is no number. `k` is the iteration of the sample."""
     found = []
     for t, value in samples:
         numbers = [_number(dig(value, path)) for path in fields]
@@ -49,8 +49,8 @@ def rows(samples: Iterable[tuple[float, object]], fields: Sequence[Path]) -> lis
 
 
 def dig(value: object, path: Path) -> object:
-    """The field of a field ...; parts of a list are called by their `peer`, `anchor` or `robot`, else by their place.
-    None where there is none."""
+    """Return the field of a value at a path of names; None where there is none. Parts of a list are called by their
+    `peer`, `anchor` or `robot`, else by their index."""
     for name in path:
         if isinstance(value, dict):
             value = value.get(name)

@@ -78,7 +78,7 @@ _log = logging.getLogger("view")
 
 
 def application(feed: Feed, control: Control | None, token: str) -> web.Application:
-    """The server; run it with `serve`. There is nothing to control in a recording."""
+    """Return the server, which `serve` runs. `control` is None where there is nothing to control, as in a recording."""
     app = web.Application(middlewares=[_guard])
     app[_FEED], app[_CONTROL], app[_TOKEN] = feed, control, token
     app[_LAYOUTS] = Layouts(default_path())
@@ -185,11 +185,12 @@ class _PageSteps:
 
     @property
     def crowd(self) -> bool:
-        """Whether the swarm is so large that the page is told seldom."""
+        """Return whether the swarm is so large that the page is told seldom."""
         return self._feed.config is not None and len(self._feed.config.names) >= CROWD
 
     def next(self) -> str:
-        """What there is, and later what has changed, as JSON. It takes long where robots say much."""
+        """Return all that is there at first, and later what has changed, as JSON. This takes long where robots say
+        much."""
         feed = self._feed
         now = feed.now()
         step: dict[str, Any] = {"t": now, "live": feed.live}
@@ -252,7 +253,7 @@ def _told(feed: LiveFeed, control: Control | None, layouts: Layouts, asked: Any)
 
 
 def _answer(feed: LiveFeed, control: Control | None, layouts: Layouts, asked: Any) -> Answer:
-    """The answer to what a page asks: numbers of a key over time, an instant of the past, a layout, or an act."""
+    """Return the answer to what a page asks: numbers of a key over time, a past instant, a layout, or an act."""
     try:
         if "do" in asked:
             if control is None:
@@ -301,8 +302,8 @@ def _look(feed: LiveFeed, t: float) -> Answer:
 
 
 async def _repeat(control: Control, thread: concurrent.futures.Executor) -> None:
-    """Repeat what robots have not confirmed. `thread` does nothing else: acts that hang do not keep a stop from that,
-    and a new stop does not wait for the picture, at which this looks."""
+    """Repeat what robots have not confirmed. `thread` does nothing else: acts that hang do not delay the repetition of
+    a stop, and a new stop does not wait for the picture, at which `control.repeat` looks."""
     while True:
         await asyncio.sleep(REPEAT_S)
         try:
@@ -321,7 +322,7 @@ def end_on_signals(ended: asyncio.Event) -> None:
 async def serve(
     feed: Feed, control: Control | None, port: int, ready: Callable[[str], Awaitable[None]], ended: asyncio.Event
 ) -> None:
-    """Serve until `ended`; `ready(address)` is awaited when the page can be opened. Raises `LocalError` where the port
+    """Serve until `ended`. `ready(address)` is awaited when the page can be opened. Raises `LocalError` where the port
     is taken."""
     token = secrets.token_urlsafe(16)
     runner = web.AppRunner(application(feed, control, token), access_log=None, shutdown_timeout=1.0)

@@ -16,7 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure, print and draw; code 1 where something was not answered at all."""
+    """Measure, print and draw. Return 1 where something was not answered at all."""
     robot, series = links.measured(args)
     if args.plot is not None:
         draw(args.plot, robot, args.what, series)
@@ -24,7 +24,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def draw(path: Path, robot: str, what: str, series: Sequence[Series]) -> None:
-    """Figure 3.19 of the thesis: round trip by payload, and goodput beside it; a line for each way of sending."""
+    """Draw figure 3.19 of the thesis: round trip by payload, and goodput beside it, with a line for each way of
+    sending."""
     with figure(path, figsize=(10 if what == "rtt" else 5.5, 4), layout="constrained") as picture:
         rates = picture.add_subplot(1, 2 if what == "rtt" else 1, 2 if what == "rtt" else 1)
         times = picture.add_subplot(1, 2, 1) if what == "rtt" else None

@@ -150,7 +150,7 @@ def _radio(pace: float, told: Mapping[str, Sequence[LinkState]]) -> RadioBehavio
 
 
 def _curve(each: Recorded, name: str, values: Sequence[float], known: Mapping[str, float]) -> Curve | None:
-    """The run beside the model's; None where the parameter makes no difference to it."""
+    """Return a run beside the model's runs; None where the parameter makes no difference to it."""
     model = {value: [_simulated(each.path, {**known, name: value}, seed).pace for seed in SEEDS] for value in values}
     paces = [statistics.fmean(of) for of in model.values()]
     return Curve(each.radio.pace, model) if max(paces) > FLAT * min(paces) else None

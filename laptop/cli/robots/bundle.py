@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _release(folder: Path, machine: str, python: str, packages: Sequence[str]) -> Path:
-    """Make it there, in place of an older one for the same robots; returns its path."""
+    """Make a release in the folder, in place of an older one for the same robots, and return its path."""
     made = read_release(build(folder, machine, python, packages))
     for path in folder.glob("balboa-swarm-*.tar.gz"):
         other = read_release(path)

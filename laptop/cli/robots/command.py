@@ -9,13 +9,13 @@ HELP = "run a shell command on every robot, over ssh"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command, in one argument or several."""
+    """Declare the command, which is one argument or several, and the way by ssh."""
     parser.add_argument("command", nargs="+", metavar="COMMAND", help="command for the robots' shell, in quotes")
     everyone.add_arguments(parser, timeout_s=60)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Output comes as it is made, each line with its robot's name; 0 where it succeeded on all."""
+    """Print the output as it is made, each line with its robot's name. Return 0 where the command succeeded on all."""
     _, robots, ssh = everyone.recipients(args)
     command = " ".join(args.command)
 

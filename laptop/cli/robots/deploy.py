@@ -17,7 +17,7 @@ HELP = "install a release, config and key on all robots, over ssh"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Releases, and what goes with them."""
+    """Declare releases, and what goes with them."""
     parser.add_argument(
         "releases",
         nargs="*",

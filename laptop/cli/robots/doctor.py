@@ -37,7 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, rig: Rig | None = None) -> int:
-    """0 where nothing is wrong (warnings are not), 1 where something is, or a robot cannot be asked."""
+    """Examine the robots. Return 0 where nothing is wrong, apart from warnings, and 1 where something is wrong or a
+    robot cannot be asked."""
     everyone.named(args)
     there = robot_command.simulated(args)
     found, problems = _real(args, rig or Rig()) if there is None else (_simulated(there), {})

@@ -27,7 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 where all of every robot's is here; what broke goes on where it was the next time."""
+    """Fetch the files. Return 0 where all files of every robot are here. A transfer that broke off goes on the next
+    time."""
     config, robots, ssh = everyone.recipients(args)
     try:
         args.into.mkdir(parents=True, exist_ok=True)

@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Lines as they come, each with its robot's name."""
+    """Print lines as they come, each with its robot's name."""
     if args.services and Path(args.services[0]).exists():
         return _of_run(args)
     args.lines = LINES if args.lines is None else args.lines

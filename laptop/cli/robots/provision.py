@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, rig: Rig | None = None, architecture: str = "arm64") -> int:
-    """Every step of every robot is ok, changed or failed; 0 where none failed on any."""
+    """Provision the robots and report each step as ok, changed or failed. Return 0 where no step failed on any."""
     config, robots, ssh = _chosen(args)
     packages = {} if args.bundle is None else bundle.repositories(args.bundle)
     paths = [] if args.bundle is None else sorted(args.bundle.glob("balboa-swarm-*.tar.gz"))
@@ -73,7 +73,7 @@ def run(args: argparse.Namespace, rig: Rig | None = None, architecture: str = "a
 
 
 def _chosen(args: argparse.Namespace) -> tuple[Config, tuple[Host, ...], Ssh]:
-    """The config, the robots with the addresses that were given for them, and the way to them."""
+    """Return the config, the robots with the addresses that were given for them, and the way to them."""
     addresses = dict(text.partition("=")[::2] for text in args.which)
     if len(addresses) < len(args.which):
         raise LocalError("a robot is named twice")

@@ -20,7 +20,7 @@ HELP = "start apps on all robots, over ssh (swarm services stop APP ends one)"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The apps, and how they run: the words of `swarm sim APP`."""
+    """Declare the apps, and how they run, in the words of `swarm sim APP`."""
     parser.add_argument("app", nargs="+", metavar="APP", help="names of built-in apps, or Python files of yours")
     parser.add_argument("--algorithm", metavar="NAME", help="algorithm of the first app")
     parser.add_argument("--iterations", type=whole(0), metavar="K", help="end after K iterations (default: no end)")
@@ -43,7 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 where all have a first state on every robot; started nowhere where robots do not all run the same."""
+    """Start the apps, on no robot where robots do not all run the same. Return 0 where all apps have a first state on
+    every robot."""
     found = dict(map(_app, args.app))
     config, robots, ssh = everyone.recipients(args, addressed=True)
     settings = settings_of(args, list(found))
@@ -72,7 +73,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def settings_of(args: argparse.Namespace, names: Sequence[str]) -> dict[str, list[str]]:
-    """The settings of each app, as `swarm sim` understands them; raises `LocalError` for an app that is not started."""
+    """Return the settings of each app, as `swarm sim` understands them. Raises `LocalError` for an app that is not
+    started."""
     first: list[str] = []
     if args.algorithm is not None:
         first.append(f"algorithm={args.algorithm}")

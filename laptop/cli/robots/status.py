@@ -71,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 where every robot answers and all of its services run."""
+    """Print the table. Return 0 where every robot answers and all of its services run."""
     there = robot_command.simulated(args)
     if there is None:
         config, robots, ssh = everyone.recipients(args)
@@ -97,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _simulated(there: Mapping[str, Path]) -> dict[str, StatusRow]:
-    """Rows of simulated robots: what their services say, in the words of a real robot's answer."""
+    """Return the rows of simulated robots, by what their services say."""
     rows = {}
     for name, said in newest_messages(there).items():
         runs = [each for each in SERVICES if (said.get("bus") if each == "bus" else f"{each}/status" in said)]
@@ -129,7 +129,8 @@ def question(robot: str) -> str:
 
 
 def parse(robot: str, text: str) -> StatusRow:
-    """The answer of a robot. What it does not say, or its release says in another way than this one, stays empty."""
+    """Return the row of a robot by its answer. What the robot does not say, or its release says in another way than
+    this one, stays empty."""
     return _row(robot, sections.read(text))
 
 

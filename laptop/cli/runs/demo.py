@@ -30,7 +30,7 @@ def main() -> int:
 
 
 def parser() -> argparse.ArgumentParser:
-    """The argument parser of `swarm demo`: it only has a help of its own, other options are those of `swarm sim`."""
+    """Return the argument parser of `swarm demo`. Only its help is its own: other options are those of `swarm sim`."""
     return argparse.ArgumentParser(
         prog="swarm demo",
         usage="swarm demo [-h] [OPTION ...]",

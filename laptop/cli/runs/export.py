@@ -25,7 +25,7 @@ HELP = "write a recorded run as CSV files, or as one MCAP file on one time axis"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The run, and what to make of it."""
+    """Declare the run, and what to make of it."""
     parser.add_argument("run", type=Path, metavar="RUN", help="folder of a run, or one recording (.mcap)")
     parser.add_argument(
         "--csv", type=Path, metavar="DIR", help="write the thesis' layouts: <k>.csv for each robot, without a header"
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0; an error where there is nothing to export."""
+    """Write the files and return 0. Raises `LocalError` where there is nothing to export."""
     if not (args.csv or args.table or args.mcap):
         raise LocalError("say what to make of the run: --csv DIR, --table DIR or --mcap FILE")
     recorded = Run(args.run, args.app)
@@ -78,7 +78,7 @@ def _write(place: Path, files: Mapping[str, str]) -> list[Path]:
 
 
 def _lines(recorded: Run) -> dict[str, str]:
-    """The files that a run was imported from, to the byte."""
+    """Return the files that a run was imported from, with the same bytes."""
     files = {name: topic for entries in recorded.notes(FILES) for name, topic in entries.items()}
     lines: dict[str, list[str]] = {topic: [] for topic in files.values()}
     for path in recorded.files if files else ():
@@ -120,7 +120,7 @@ def _layouts(recorded: Run, notes: list[str]) -> dict[str, str]:
 
 
 def _measured(recorded: Run, robot: str) -> dict[int, tuple[float, float, float]]:
-    """Measurements of a robot by the state that they gave: the one of step k gave state k + 1."""
+    """Return the measurements of a robot by the state that they gave: the one of step k gave state k + 1."""
     found = {}
     for sample in recorded.samples(f"swarm/{robot}/app/{recorded.app}/measurement"):
         message = sample.message

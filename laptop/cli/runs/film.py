@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when the film is there."""
+    """Make the film and return 0."""
     try:
         from laptop.view import chromium, film, server
     except ModuleNotFoundError as error:
@@ -101,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _plan(args: argparse.Namespace, feed: "ViewedRecording") -> "Film":
-    """The film that is wanted; `LocalError` where it cannot be."""
+    """Return the film that the arguments describe. Raises `LocalError` where there can be no such film."""
     from laptop.view.film import Film
 
     size = re.fullmatch(r"(\d{1,5})x(\d{1,5})", args.size)

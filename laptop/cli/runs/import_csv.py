@@ -20,7 +20,7 @@ UNIX = "unix"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The folder, and where the run goes."""
+    """Declare the folder, and where the run goes."""
     parser.add_argument(
         "source", type=Path, metavar="CSVDIR", help="folder with <k>.csv of each robot, or with such folders"
     )
@@ -29,7 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0; an error where a file is not as the thesis' are."""
+    """Write the run and return 0. Raises `LocalError` or `RecordingError` where a file is not one of the thesis'
+    layouts."""
     source = args.source.resolve()
     paths = sorted(source.rglob("*.csv")) if source.is_dir() else []
     if not paths:

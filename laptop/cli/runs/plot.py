@@ -37,7 +37,7 @@ OF_APP = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The run, what to draw, and where."""
+    """Declare the run, what to draw of it, and the file."""
     parser.add_argument("run", type=Path, metavar="RUN", help="folder of a run, or one recording (.mcap)")
     parser.add_argument("--kind", choices=KINDS, help="kind of picture (default: the app chooses)")
     parser.add_argument(
@@ -67,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0; an error where there is nothing to draw."""
+    """Draw the run and return 0. Raises `LocalError` where there is nothing to draw."""
     recorded = Run(args.run, args.app)
     labels = dict(_label(text) for text in args.label)
     kind = args.kind or ("states" if args.column or labels else _of(recorded))
@@ -92,8 +92,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def draw(run: Path, app: str, path: Path, references: Mapping[str, Sequence[places.Place]] | None = None) -> None:
-    """Draw what is drawn of a recorded run of an app where nothing else is asked for; beside estimates of a target the
-    `references`, by robot."""
+    """Draw a recorded run of an app as `swarm plot` does by default, and beside estimates of a target the `references`,
+    by robot."""
     recorded = Run(run, app)
     with style.figure(path, settings=style.RC, layout="constrained") as made:
         if references and _of(recorded) == "map":

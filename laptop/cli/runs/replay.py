@@ -29,7 +29,7 @@ SETTLE_S = 0.3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The run, what of it, how fast, and where to."""
+    """Declare the run, the part of it to play, the speed, and the bus to play on."""
     parser.add_argument("run", type=Path, metavar="RUN", help="folder of a run, or one recording (.mcap)")
     parser.add_argument(
         "keys", nargs="*", metavar="KEY", help="key expressions to publish, as for z_sub (default: all)"
@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when all of it was played."""
+    """Play the run, and return 0 when all of it was played."""
     recorded = Run(args.run)
     for damage in recorded.damage:
         sys.stderr.write(f"note: {damage}\n")
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _played(args: argparse.Namespace, count: int) -> int:
-    """0; raises `LocalError` where there was nothing to play."""
+    """Return 0. Raises `LocalError` where there was nothing to play."""
     if not count:
         keys = f" under {' '.join(args.keys)}" if args.keys else ""
         start = "" if args.start is None else f" from {args.start:g} s on"
@@ -99,7 +99,7 @@ def _bus(args: argparse.Namespace) -> Iterator[Bus]:
 
 
 def _play(bus: Bus, samples: Iterator[RecordedSample], speed: float) -> int:
-    """Publish each when its time has come; how many there were."""
+    """Publish each message when its time has come, and return how many there were."""
     began: float | None = None
     count = 0
     for sample in samples:

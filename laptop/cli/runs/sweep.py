@@ -25,7 +25,7 @@ WITHIN = 0.01
 
 
 def parser() -> argparse.ArgumentParser:
-    """The argument parser of `swarm sweep`."""
+    """Return the argument parser of `swarm sweep`."""
     p = argparse.ArgumentParser(
         prog="swarm sweep",
         description="Run an app under virtual time over robots, topologies, parameters and seeds, on all cores.",
@@ -76,7 +76,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main() -> int:
-    """0 where no run failed, or, with `--limit`, where each point has a value that settles."""
+    """Run the sweep. Return 0 where no run failed, or, with `--limit`, where each point has a value that settles."""
     log.setup("sweep")
     args, rest = parser().parse_known_args()
     lists = [(name, getattr(args, name)) for name in ("robots", "topology", "algorithm") if getattr(args, name)]

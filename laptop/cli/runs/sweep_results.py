@@ -29,7 +29,7 @@ _NUMBERS = {
 
 
 def by_point(points: Sequence[SweepPoint], found: Sequence[SweptRun]) -> list[list[SweptRun]]:
-    """The runs of each point."""
+    """Return the runs of each point."""
     runs: list[list[SweptRun]] = [[] for _ in points]
     for run in found:
         runs[run.point].append(run)
@@ -85,7 +85,8 @@ def draw(app: str, points: Sequence[SweepPoint], found: Sequence[SweptRun], path
 
 
 def draw_on(made: Any, app: str, points: Sequence[SweepPoint], found: Sequence[SweptRun]) -> None:
-    """Iterations to settle and error over the first list of numbers, a line for each combination of the others."""
+    """Draw iterations to settle and error over the first list of numbers, with a line for each combination of the
+    others."""
     sums = [summarize(runs) for runs in by_point(points, found)]
     along = _along(points)
     lines: dict[str, list[tuple[float, Summary]]] = {}
@@ -158,13 +159,13 @@ def _zero(sums: Sequence[Summary], name: str) -> float | None:
 
 
 def _metrics(sums: Sequence[Summary]) -> list[str]:
-    """Names of the app's methods `error_NAME`, as far as they gave numbers."""
+    """Return the names of the app's methods `error_NAME` that gave numbers."""
     known = dict.fromkeys(name for each in sums for name in each.metrics)
     return [name for name in known if f"{name}_most" in known]
 
 
 def _along(points: Sequence[SweepPoint]) -> str | None:
-    """The first choice that has several values, all numbers."""
+    """Return the first choice that has several values, all of them numbers."""
     for place, (name, _) in enumerate(points[0].choices):
         values = {point.choices[place][1] for point in points}
         if len(values) > 1 and all(map(_is_number, values)):

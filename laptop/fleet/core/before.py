@@ -16,7 +16,7 @@ def board(facts: Facts, wish: DesiredRobot) -> Verdict:
 
 
 def system(facts: Facts, wish: DesiredRobot) -> Verdict:
-    """64 bit Raspberry Pi OS, Bookworm or Trixie, with the Python of it."""
+    """Check for Raspberry Pi OS, 64 bit, Bookworm or Trixie, with its own Python."""
     name, architecture = facts["os"].get("VERSION_CODENAME", ""), facts["architecture"]
     advice = "flash Raspberry Pi OS Lite (64 bit), Bookworm or Trixie"
     if facts["os"].get("ID") not in ("debian", "raspbian") or name not in SUITES:
@@ -29,7 +29,7 @@ def system(facts: Facts, wish: DesiredRobot) -> Verdict:
 
 
 def disk(facts: Facts, wish: DesiredRobot) -> Verdict:
-    """Room for packages and releases."""
+    """Check that there is room for packages and releases."""
     need = dict(MIN_FREE)
     if wish.bundle is not None:
         need["/"] += 5 * sum(wish.bundle.files.values())  # the file, and what it unpacks to
@@ -43,7 +43,7 @@ def disk(facts: Facts, wish: DesiredRobot) -> Verdict:
 
 
 def key(facts: Facts, wish: DesiredRobot) -> Verdict:
-    """The swarm's key: there, or brought."""
+    """Check that the robot has the swarm's key, or that the key comes with the release."""
     if wish.key_file is None:
         return ok("none: swarm.toml says insecure")
     if wish.key_file in facts["there"] or wish.key:
@@ -54,7 +54,7 @@ def key(facts: Facts, wish: DesiredRobot) -> Verdict:
 
 
 def address(facts: Facts, wish: DesiredRobot) -> Verdict:
-    """Whether ssh still reaches it once it has its name."""
+    """Check that ssh still reaches the robot once it has its name."""
     host = wish.address.rpartition("@")[2]
     if host.endswith(".local") and host != f"{wish.robot}.local" and facts["hostname"] != wish.robot:
         return failed(f"{host} will be {wish.robot}.local once it has its name: give its number, NAME=USER@ADDRESS")
@@ -66,7 +66,7 @@ CLOCK_S = 30.0
 
 
 def clock(facts: Facts, wish: DesiredRobot) -> Verdict:
-    """The wall clock: a Pi has none of its own, and robots have no NTP."""
+    """Check the wall clock: a Pi has none of its own, and robots have no NTP."""
     off = facts["time"] - wish.now
     if abs(off) <= CLOCK_S:
         return ok("right")

@@ -10,7 +10,7 @@ LOW_SCL = 0.9
 
 
 def devices(robot: ExaminedRobot) -> Finding:
-    """IMU and ATmega answer."""
+    """Check that IMU and ATmega answer."""
     fault = robot.said("balancer/fault")
     if fault.get("name") in ("bus", "device"):
         return bad(f"{fault['reason']}", "power of the Balboa, seat of the Pi on its header; then: swarm balance stand")
@@ -45,7 +45,7 @@ def _scanned(found: dict[str, object]) -> Finding:
 
 
 def bus_clock(robot: ExaminedRobot) -> Finding:
-    """The I2C bus is as fast as it was told to be, and carries all that the balancer does with it.
+    """Check that the I2C bus is as fast as it was told to be, and has time for all that the balancer does with it.
 
     The balancer times the transfers of each control step, whose bytes are known.
     """
@@ -64,7 +64,7 @@ def bus_clock(robot: ExaminedRobot) -> Finding:
 
 
 def firmware(robot: ExaminedRobot) -> Finding:
-    """The ATmega runs our firmware."""
+    """Check that the ATmega runs our firmware."""
     said = robot.said("balancer/firmware")
     scanned = None if robot.system is None else (robot.system["devices"] or {}).get("atmega")
     if said:
@@ -92,7 +92,7 @@ def module(robot: ExaminedRobot) -> Finding:
 
 
 def ranges(robot: ExaminedRobot) -> Finding:
-    """Three anchors in sight."""
+    """Check that three anchors are in sight."""
     if not robot.config.anchors:
         return skipped("swarm.toml has no anchors")
     if robot.config.robot(robot.name).uwb_role == "anchor":
@@ -106,7 +106,7 @@ def ranges(robot: ExaminedRobot) -> Finding:
 
 
 def adapter(robot: ExaminedRobot) -> Finding:
-    """The Bluetooth adapter is there, and it is the one that swarm.toml names."""
+    """Check that the Bluetooth adapter is there, and that it is the one that swarm.toml names."""
     if robot.config.robot(robot.name).link is not None:
         return skipped("its links are not Bluetooth's")
     found = robot.facts["pairing"]
@@ -132,7 +132,7 @@ def _is_bonded(device: dict[str, object] | None) -> bool:
 
 
 def pairing(robot: ExaminedRobot) -> Finding:
-    """Check that all robots that may have a link with it are paired and trusted."""
+    """Check that the robot is paired with all robots that may have a link with it, and trusts them."""
     its = robot.facts["pairing"]
     if its is None or robot.config.robot(robot.name).link is not None:
         return skipped("its links are not Bluetooth's")
@@ -158,7 +158,7 @@ def pairing(robot: ExaminedRobot) -> Finding:
 
 
 def links(robot: ExaminedRobot) -> Finding:
-    """The mesh has all of its links, and each name is that of one robot."""
+    """Check that the mesh has all of its links, and that each name is that of one robot."""
     if clashes := robot.said("mesh/links").get("clashes"):
         return bad(
             "; ".join(text for _, text in sorted(clashes.items())),
@@ -181,7 +181,7 @@ def links(robot: ExaminedRobot) -> Finding:
 
 
 def body(robot: ExaminedRobot) -> Finding:
-    """The balancer has no fault."""
+    """Check that the balancer has no fault."""
     state, fault = robot.said("balancer/state"), robot.said("balancer/fault")
     if not state:
         return bad("the balancer says nothing", "swarm logs balancer")
@@ -208,7 +208,7 @@ def battery(robot: ExaminedRobot) -> Finding:
 
 
 def time(robot: ExaminedRobot) -> Finding:
-    """The swarm's common time is known."""
+    """Check that the swarm's common time is known."""
     said = robot.said("mesh/clock")
     if not said:
         return bad("the mesh tells no time", "swarm logs mesh")

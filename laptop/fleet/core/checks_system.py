@@ -39,7 +39,7 @@ def _step(step: ProvisioningStep) -> Callable[[ExaminedRobot], Finding]:
 
 
 def disk(robot: ExaminedRobot) -> Finding:
-    """Room for recordings and logs."""
+    """Check that there is room for recordings and logs."""
     free = robot.disk if robot.system is None else robot.system["free"].get("/")
     if free is None:
         return SIMULATED
@@ -50,7 +50,7 @@ def disk(robot: ExaminedRobot) -> Finding:
 
 
 def memory(robot: ExaminedRobot) -> Finding:
-    """Memory for one more app."""
+    """Check that there is memory for one more app."""
     free = robot.facts["memory"]
     if free is None:
         return warning("it does not tell", "look at /proc/meminfo there")
@@ -67,7 +67,7 @@ _NOW = {0: "too little voltage", 1: "slowed down", 2: "throttled", 3: "at its li
 
 
 def heat(robot: ExaminedRobot) -> Finding:
-    """Neither hot nor short of voltage."""
+    """Check that the Pi is neither hot nor short of voltage."""
     celsius, flags = robot.facts["temperature"], robot.facts["throttled"] or 0
     text = "no temperature" if celsius is None else f"{celsius:.0f} degrees"
     now = [word for bit, word in _NOW.items() if flags >> bit & 1]
@@ -117,7 +117,7 @@ def release(robot: ExaminedRobot) -> Finding:
 
 
 def config(robot: ExaminedRobot) -> Finding:
-    """The robot's swarm.toml is ours, and it knows who it is."""
+    """Check that the robot has our swarm.toml, and knows which robot it is."""
     if robot.facts["config"] is None:
         return bad("it has no /etc/swarm/swarm.toml", "swarm deploy")
     if robot.facts["robot"] != robot.name:
@@ -128,7 +128,7 @@ def config(robot: ExaminedRobot) -> Finding:
 
 
 def key(robot: ExaminedRobot) -> Finding:
-    """The key is the mesh's alone."""
+    """Check that nobody but the mesh can read the key."""
     path = robot.config.mesh.key_file
     if path is None:
         return skipped("swarm.toml says insecure: links need none")

@@ -41,7 +41,7 @@ class ExaminedRobot:
         return self.system
 
     def said(self, topic: str) -> Mapping[str, Any]:
-        """The newest message under a topic, empty where there was none."""
+        """Return the newest message under a topic, empty where there was none."""
         return dict((self.bus or {}).get(topic) or {})
 
 
@@ -73,17 +73,17 @@ def ok(text: str) -> Finding:
 
 
 def warning(text: str, remedy: str) -> Finding:
-    """It works, but not for long, or not well."""
+    """Return a finding of something that works badly or will soon fail."""
     return Finding("warning", text, remedy)
 
 
 def bad(text: str, remedy: str) -> Finding:
-    """Something does not work."""
+    """Return a finding of something that does not work."""
     return Finding("bad", text, remedy)
 
 
 def skipped(text: str) -> Finding:
-    """Does not apply here."""
+    """Return a finding that the check does not apply to this robot."""
     return Finding("skipped", text)
 
 

@@ -63,7 +63,7 @@ class File:
 
     @property
     def app(self) -> str:
-        """The app of the run."""
+        """Return the app of the run."""
         return self.run.rpartition("-")[0]
 
     def is_of(self, robot: str) -> bool:
@@ -78,7 +78,8 @@ class File:
 
 
 def parse_list(text: str) -> tuple[list[File], list[str]]:
-    """The robot's answer to LIST: its files, and the names that are none of ours and stay where they are.
+    """Read the robot's answer to LIST. Return the files, and the paths that none of our programs makes; these files
+    stay where they are.
 
     Raises `RemoteError` where it is no list.
     """
@@ -96,20 +97,20 @@ def parse_list(text: str) -> tuple[list[File], list[str]]:
 
 
 def of_runs(files: Sequence[File], wanted: Sequence[str]) -> list[File]:
-    """Return the files of the wanted runs, named by folder or by app; all without any."""
+    """Return the files of the runs that are named by folder or by app; all files where none is named."""
     return [file for file in files if not wanted or file.run in wanted or file.app in wanted]
 
 
 @frozen
 class Wanted:
-    """A file to be sent from an offset on."""
+    """A file that the robot is to send from an offset on."""
 
     file: File
     offset: int
 
     @property
     def line(self) -> bytes:
-        """The request, as SEND reads it."""
+        """Return the request, as SEND reads it."""
         return f"{self.offset} {self.file.size} {self.file.path}\n".encode()
 
 
@@ -129,7 +130,7 @@ class FileData:
 
 @frozen
 class FileEnd:
-    """A file has come to its end; the sum of all of its bytes on the robot, None where it has no such file now."""
+    """The end of a file, with the sum of all of its bytes on the robot; None where the robot has no such file."""
 
     wanted: Wanted
     sum: str | None
@@ -146,11 +147,12 @@ class Stream:
 
     @property
     def finished(self) -> bool:
-        """Whether everything has come."""
+        """Return whether everything has come."""
         return not self._todo
 
     def receive(self, data: bytes) -> Iterator[FileData | FileEnd]:
-        """Take what came. Raises `RemoteError` where it is no answer to what was asked."""
+        """Take data of the stream and yield its parts. Raises `RemoteError` where the data is no answer to what was
+        asked."""
         data = self._rest + data
         self._rest = b""
         while data and self._todo:

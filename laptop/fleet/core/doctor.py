@@ -56,7 +56,8 @@ def _firmware(robot: ExaminedRobot) -> str | None:
 
 
 def _keys(robots: Sequence[ExaminedRobot]) -> list[str]:
-    """Robots that have no key in common, and so no link. While a key is replaced a file holds two of them."""
+    """Return a line about robots that have no key in common, and so no link; none where all have. While a key is
+    replaced a file holds two of them."""
     ids = {
         robot.name: frozenset(map(str, robot.key["ids"]))
         for robot in robots

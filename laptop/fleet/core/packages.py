@@ -23,7 +23,7 @@ SYNAPTICS = "/lib/firmware/synaptics"
 
 
 def packages(facts: Facts, wish: DesiredRobot) -> Verdict:
-    """Debian's packages, from the bundle: a robot has no internet."""
+    """Check Debian's packages. Missing ones come from the bundle, since a robot has no internet."""
     missing = wanted_packages(facts, wish)
     if not missing and not facts["broken"]:
         return ok(" ".join(f"{name} {facts['packages'][name]}" for name in wish.packages))
@@ -46,7 +46,7 @@ def packages(facts: Facts, wish: DesiredRobot) -> Verdict:
 
 
 def wanted_packages(facts: Facts, wish: DesiredRobot) -> list[str]:
-    """Packages that the robot lacks: the ones of all robots, the radio's firmware, a newer kernel."""
+    """Return the packages that the robot lacks: the ones of all robots, the radio's firmware, a newer kernel."""
     missing = [name for name in wish.packages if name not in facts["packages"]]
     if _firmware_missing(facts, wish) and FIRMWARE_PACKAGE not in facts["packages"] and _offers(wish, FIRMWARE_PACKAGE):
         missing.append(FIRMWARE_PACKAGE)
@@ -68,7 +68,7 @@ CACHE = "/var/cache/balboa-swarm"
 
 
 def apt_get(*words: str) -> list[str]:
-    """apt-get with the bundle for its only source, beside the system's own lists."""
+    """Return the command apt-get with the bundle for its only source, beside the system's own lists."""
     options = {
         "Dir::Etc::sourcelist": f"{CACHE}/sources.list",
         "Dir::Etc::sourceparts": "/dev/null",
@@ -101,7 +101,7 @@ def kernel(facts: Facts, wish: DesiredRobot) -> Verdict:
 
 
 def radio(facts: Facts, wish: DesiredRobot) -> Verdict:
-    """The Zero 2 W's Bluetooth firmware under the names that its kernel asks for."""
+    """Check that the Zero 2 W's Bluetooth firmware stands under the names that its kernel asks for."""
     if wish.board != "zero2w" or not wish.bluetooth:
         return ok("nothing to do on this board" if wish.bluetooth else "no Bluetooth links")
     if not _firmware_missing(facts, wish):
@@ -124,7 +124,7 @@ def _firmware_missing(facts: Facts, wish: DesiredRobot) -> bool:
 
 
 def _unlinked(facts: Facts) -> dict[str, str]:
-    """Files that are there, by the name that is not."""
+    """Return the firmware files that are there, by the names under which the kernel looks for them in vain."""
     return {
         path: name
         for path, name in FIRMWARE.items()

@@ -21,8 +21,8 @@ class Bond:
 
 
 def bluetooth_links(config: Config, robots: Collection[str]) -> list[Edge]:
-    """The Bluetooth links between these robots: those of the topology, or all pairs where any robot may call another:
-    where robots find links themselves, and where hubs with successors carry the topology.
+    """Return the Bluetooth links between these robots. They are those of the topology, or all pairs where any robot may
+    call another: where robots find links themselves, and where hubs with successors carry the topology.
 
     A link is Bluetooth's where either end has no `link`.
     """
@@ -74,7 +74,7 @@ class PairingSchedule:
     busy: set[str] = field(default_factory=set)
 
     def start(self) -> list[Edge]:
-        """Links that can be begun now; their robots are busy from now on."""
+        """Return the links that can be begun. Their robots are busy until `done`."""
         begun = []
         for edge in list(self.waiting):
             if not self.busy & set(edge):
@@ -84,17 +84,18 @@ class PairingSchedule:
         return begun
 
     def done(self, edge: Edge) -> None:
-        """The robots of this link are free again."""
+        """Let the robots of this link be paired with others."""
         self.busy -= set(edge)
 
 
 def ordered(pairs: Iterable[Edge], addresses: Mapping[str, str]) -> list[Edge]:
-    """The lower address calls, as it will when the mesh runs."""
+    """Return the pairs with the lower address first: that robot calls, as it does when the mesh runs."""
     return [(a, b) if addresses[a] < addresses[b] else (b, a) for a, b in pairs]
 
 
 def with_addresses(text: str, addresses: Mapping[str, str]) -> str:
-    """The text of a swarm.toml with a line `bluetooth = "..."` below the names of these robots; the rest is untouched.
+    """Return the text of a swarm.toml with a line `bluetooth = "..."` below the names of these robots; the rest is
+    untouched.
 
     Robots whose name stands in another form than `name = "r0"` on a line of its own are left alone.
     """

@@ -28,12 +28,12 @@ FILES = (*CONFIG_TXT, *CMDLINE, BLUETOOTH_CONF, MODULES, LIMITS, NETWORK_CONF, W
 
 
 def _first(facts: Facts, paths: tuple[str, ...]) -> tuple[str, str] | None:
-    """The path that is there, and its text."""
+    """Return the first path that is there, and its text."""
     return next(((path, facts["files"][path]) for path in paths if facts["files"].get(path) is not None), None)
 
 
 def _file(facts: Facts, path: str, wanted: str, what: str, *then: Change, mode: str = "0644") -> Verdict:
-    """`path` holds this text with this mode."""
+    """Check that `path` holds the text `wanted` with this mode."""
     if facts["files"].get(path) == wanted and facts["modes"].get(path) == mode:
         return ok(what)
     return change(what, {"do": "write", "path": path, "text": wanted, "mode": mode}, *then)
@@ -46,8 +46,8 @@ def _edited(path: str, before: str, after: str, what: str) -> Verdict:
 
 
 def boot(facts: Facts, wish: DesiredRobot) -> Verdict:
-    """config.txt: I2C on at its speed, the core clock it comes from fixed, and the UART where the DWM1001 is wired to
-    it."""
+    """Check config.txt: I2C is on at its speed, the core clock behind it is fixed, and the UART is on where the DWM1001
+    is wired to it."""
     found = _first(facts, CONFIG_TXT)
     if found is None:
         return failed(f"there is no {CONFIG_TXT[0]}: is this Raspberry Pi OS?")
@@ -61,7 +61,8 @@ def boot(facts: Facts, wish: DesiredRobot) -> Verdict:
 
 
 def cmdline(facts: Facts, wish: DesiredRobot) -> Verdict:
-    """cmdline.txt: limits of memory in force, a core for the balancer, and nobody else at the DWM1001's UART."""
+    """Check cmdline.txt: limits of memory are in force, the balancer has a core, and nothing else uses the DWM1001's
+    UART."""
     found = _first(facts, CMDLINE)
     if found is None:
         return failed(f"there is no {CMDLINE[0]}: is this Raspberry Pi OS?")
@@ -74,14 +75,14 @@ def cmdline(facts: Facts, wish: DesiredRobot) -> Verdict:
 
 
 def i2c(facts: Facts, wish: DesiredRobot) -> Verdict:
-    """/dev/i2c-1: the module behind it is loaded on boot."""
+    """Check that the module behind /dev/i2c-1 is loaded on boot."""
     what = "i2c-dev is loaded on boot"
     verdict = _file(facts, MODULES, "i2c-dev\n", what)
     return change(what, *verdict.changes, reboot=True) if verdict.changes else verdict
 
 
 def bluetooth(facts: Facts, wish: DesiredRobot) -> Verdict:
-    """bluetoothd on boot, the adapter powered, the radio not blocked, and calls heard soon."""
+    """Check that bluetoothd runs on boot, the adapter is powered, no radio is blocked, and calls are heard soon."""
     if not wish.bluetooth:
         return ok("no Bluetooth links")
     if "bluetooth!" in facts["blocked"]:
@@ -111,7 +112,8 @@ LIMITS_TEXT = """# Balboa Swarm: who is in this group may run the balancer by ha
 
 
 def realtime(facts: Facts, wish: DesiredRobot) -> Verdict:
-    """Real-time priority and locked memory for members of the group swarm; services have theirs by their units."""
+    """Check that members of the group swarm have real-time priority and locked memory; services have theirs by their
+    units."""
     return _file(facts, LIMITS, LIMITS_TEXT, "priority 40 and locked memory for the group swarm")
 
 
@@ -122,7 +124,7 @@ wifi.powersave = 2
 
 
 def network(facts: Facts, wish: DesiredRobot) -> Verdict:
-    """Wi-Fi that does not sleep, and the network to join where one was given."""
+    """Check that Wi-Fi does not sleep, and that the robot joins the network where one was given."""
     verdicts = [_file(facts, NETWORK_CONF, NETWORK_TEXT, "Wi-Fi does not sleep")]
     if wish.wifi is not None:
         what = f"joins {wish.wifi[0]}"
@@ -155,7 +157,7 @@ manage_etc_hosts: false
 
 
 def name(facts: Facts, wish: DesiredRobot) -> Verdict:
-    """The host's name is the robot's: what others, logs and the prompt call it."""
+    """Check that the host's name is the robot's, by which others, logs and the prompt call it."""
     changes: list[Change] = []
     if facts["hostname"] != wish.robot or (facts["files"].get(HOSTNAME) or "").strip() != wish.robot:
         changes.append({"do": "run", "words": ["hostnamectl", "set-hostname", wish.robot]})

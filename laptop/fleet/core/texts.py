@@ -8,7 +8,7 @@ END = "# balboa-swarm: end"
 
 
 def with_block(text: str, lines: Sequence[str]) -> str:
-    """The text with our lines in a marked block at its end, in place of an older one.
+    """Return the text with our lines in a marked block at its end, in place of an older one.
 
     At the end, for in `config.txt` the last of two contradicting lines holds; `[all]` must be among `lines` there, or a
     section's filter before it would hold for ours, too.
@@ -23,7 +23,7 @@ def with_block(text: str, lines: Sequence[str]) -> str:
 
 
 def with_words(text: str, add: Sequence[str], remove: Collection[str]) -> str:
-    """The kernel's command line (`cmdline.txt`: one line) with these words, and without those that match `remove`."""
+    """Return the kernel's command line, which is one line, with these words, and without those that match `remove`."""
     words = [word for word in text.split() if word in add or not any(re.fullmatch(p, word) for p in remove)]
     words = list(dict.fromkeys(words))
     return " ".join([*words, *(word for word in add if word not in words)]) + "\n"
@@ -54,7 +54,7 @@ def with_setting(text: str, section: str, key: str, value: str) -> str:
 
 
 def with_host(text: str, name: str) -> str:
-    """`/etc/hosts` with this robot's name at 127.0.1.1, as Debian has it."""
+    """Return `/etc/hosts` with this robot's name at 127.0.1.1, as Debian has it."""
     lines = [line for line in text.splitlines() if not re.match(r"127\.0\.1\.1(\s|$)", line)]
     local = [n for n, line in enumerate(lines) if re.match(r"127\.0\.0\.1(\s|$)", line)]
     lines.insert(local[0] + 1 if local else 0, f"127.0.1.1\t{name}")
@@ -62,6 +62,6 @@ def with_host(text: str, name: str) -> str:
 
 
 def kernel_version(release: str) -> tuple[int, int]:
-    """6.12.25+rpt-rpi-v8 is (6, 12); (0, 0) where it is no such text."""
+    """Return the version in a kernel's name: (6, 12) for 6.12.25+rpt-rpi-v8, (0, 0) where there is none."""
     match = re.match(r"(\d+)\.(\d+)", release)
     return (int(match[1]), int(match[2])) if match else (0, 0)

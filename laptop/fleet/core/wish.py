@@ -110,17 +110,17 @@ class Verdict:
 
 
 def ok(text: str) -> Verdict:
-    """It is as it should be."""
+    """Return the verdict that nothing has to be changed."""
     return Verdict("ok", text)
 
 
 def failed(text: str) -> Verdict:
-    """It is not, and no change of ours helps."""
+    """Return the verdict that something is wrong and that we cannot repair it."""
     return Verdict("failed", text)
 
 
 def change(text: str, *changes: Change, reboot: bool = False) -> Verdict:
-    """It is not, and these changes help."""
+    """Return the verdict that these changes repair what is wrong."""
     return Verdict("change", text, changes, reboot)
 
 

@@ -43,7 +43,7 @@ class Got:
 
 
 class RecordingFetch:
-    """One robot's recordings into `folder`/RUN."""
+    """Fetches one robot's recordings into `folder`/RUN."""
 
     def __init__(self, ssh: Ssh, host: Host, folder: Path, tell: ReportProgress) -> None:
         self._ssh, self._host, self._folder, self._tell = ssh, host, folder, tell
@@ -52,7 +52,7 @@ class RecordingFetch:
         """Files that differ from another robot's file of the same name."""
 
     async def recordings(self, runs: list[str]) -> Got:
-        """Bring what is missing of the wanted runs (all without any); raises `HostError`."""
+        """Bring what is missing here of the wanted runs, of all where none is named. Raises `HostError`."""
         try:
             found, self._got.strange = collect.parse_list(await self._run(collect.LIST))
             files = collect.of_runs(found, runs)
@@ -69,7 +69,8 @@ class RecordingFetch:
         return self._got
 
     async def delete(self) -> tuple[int, list[str]]:
-        """Delete on the robot what has a verified copy here: how many files, and the runs that still go on."""
+        """Delete on the robot the files that have a verified copy here. Return how many were deleted, and the runs that
+        still go on."""
         active = {line.split()[0] for line in (await self._ssh.check(self._host, _ACTIVE)).splitlines() if line.split()}
         running = sorted({file.run for file in self._got.verified if f"swarm-app@{file.app}.service" in active})
         todo = [(file, digest) for file, digest in self._got.verified.items() if file.run not in running]
@@ -78,7 +79,7 @@ class RecordingFetch:
         return len(gone), running
 
     async def journal(self) -> int:
-        """Append what is new to the robot's journal; how many entries. Raises `HostError`."""
+        """Append new entries to the copy of the robot's journal, and return how many. Raises `HostError`."""
         try:
             return await self._journal()
         except OSError as error:
@@ -88,14 +89,15 @@ class RecordingFetch:
         return await self._ssh.check(self._host, _as_root(script), feed=[feed])
 
     def _local(self, file: File) -> Path:
-        """The copy here: the robot's own, or one of a file that all robots have, as long as it is the same."""
+        """Return the path of the copy here: the robot's own, or one of a file that all robots have, as long as it is
+        the same."""
         own, common = self._folder / file.own(self._host.robot), self._folder / file.path
         if own == common or own.exists() or file in self._differs:
             return own
         return common if common.is_file() and common.stat().st_size == file.size else own
 
     def _settle(self, file: File, path: Path, same: bool) -> None:
-        """Finish a whole file: `same` as the robot's, or not."""
+        """Put a file that has come to its end in its place. `same`: whether its sum is that of the robot's file."""
         common = self._folder / file.path
         if not same and path == common and not file.is_of(self._host.robot):
             self._differs.add(file)
@@ -174,7 +176,7 @@ class RecordingFetch:
 
 
 class _Sink:
-    """Writes what comes to its files, and compares each with the robot's sum when it is whole."""
+    """Writes parts of the stream to files, and compares each whole file with the robot's sum."""
 
     def __init__(
         self, places: Mapping[File, Path], settle: Callable[[File, Path, bool], None], got: Got, report: "_Progress"
@@ -184,7 +186,7 @@ class _Sink:
         self._path = Path()
 
     def take(self, parts: Iterable[FileData | FileEnd]) -> None:
-        """Parts of the stream as they come."""
+        """Write parts of the stream as they come."""
         for part in parts:
             file = part.wanted.file
             if isinstance(part, FileData):
@@ -219,7 +221,7 @@ class _Sink:
 
 
 class _Progress:
-    """Says now and then how far it has come."""
+    """Reports each ten megabytes what share of the files has come."""
 
     def __init__(self, total: int, tell: ReportProgress) -> None:
         self._total, self._tell = total, tell
@@ -242,6 +244,6 @@ def _sum(path: Path) -> str:
 
 
 def _set_aside(path: Path) -> None:
-    """Keep under another name what is not the robot's file: it may be all that is left of something."""
+    """Give a file that is not the robot's another name: its data may exist nowhere else."""
     number = next(number for number in range(1, 1 << 30) if not path.with_name(f"{path.name}~{number}").exists())
     path.rename(path.with_name(f"{path.name}~{number}"))

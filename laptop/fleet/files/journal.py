@@ -32,7 +32,7 @@ class JournalMark:
 
     @classmethod
     def of(cls, text: str) -> "JournalMark":
-        """Read a mark that was kept; one that cannot be read is the beginning."""
+        """Read a mark that was kept. One that cannot be read stands for the beginning of the journal."""
         size, _, cursor = text.strip().partition(" ")
         if not text.endswith("\n"):
             return cls()
@@ -57,7 +57,8 @@ def entry(line: str) -> tuple[str, str] | None:
 
 
 def _message(value: object) -> str:
-    """journald gives what is no text as a list of bytes, and what is too long not at all."""
+    """Return a message as text. journald gives one that is no text as a list of bytes, and leaves out one that is too
+    long."""
     if isinstance(value, list):
         value = bytes(each for each in value if isinstance(each, int) and 0 <= each < 256).decode(errors="replace")
     return "(left out)" if value is None else str(value)

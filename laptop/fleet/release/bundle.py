@@ -60,7 +60,7 @@ class Repository:
 
 
 def read_repository(folder: Path) -> Repository:
-    """Read the index of a folder; raises `LocalError` where it is none."""
+    """Read the index of a folder. Raises `LocalError` where there is none."""
     try:
         index = (folder / "Packages").read_text()
     except OSError as error:
@@ -69,7 +69,7 @@ def read_repository(folder: Path) -> Repository:
 
 
 def repositories(folder: Path) -> dict[tuple[str, str], Repository]:
-    """The repositories of a bundle by Debian and architecture; raises `LocalError` where there are none."""
+    """Return the repositories of a bundle by Debian and architecture. Raises `LocalError` where there are none."""
     found = {}
     for path in sorted(folder.glob("*/Packages")):
         suite, _, architecture = path.parent.name.partition("-")
@@ -80,18 +80,18 @@ def repositories(folder: Path) -> dict[tuple[str, str], Repository]:
 
 
 def fields(stanza: str) -> dict[str, str]:
-    """The fields of a stanza of Debian's control files; lines that continue a field are left out."""
+    """Return the fields of a stanza of Debian's control files; lines that continue a field are left out."""
     lines = (line.partition(":") for line in stanza.splitlines() if line[:1] not in (" ", "\t", "#", ""))
     return {name: value.strip() for name, colon, value in lines if colon}
 
 
 def stanzas(index: str) -> list[str]:
-    """The stanzas of an index."""
+    """Return the stanzas of an index."""
     return [stanza for stanza in re.split(r"\n[ \t]*\n", index.strip()) if stanza.strip()]
 
 
 def entries(index: str) -> list[Package]:
-    """The packages of an index; raises `LocalError` where a field that we need is missing or odd."""
+    """Return the packages of an index. Raises `LocalError` where a field that we need is missing or odd."""
     found = []
     for stanza in stanzas(index):
         field = fields(stanza)
@@ -141,7 +141,7 @@ class Archive:
 
 
 def archives(suite: str, mirror: str, pi_keys: Path | None) -> tuple[Archive, ...]:
-    """Debian with its updates, and Raspberry Pi's archive where its key is known; raises `LocalError`."""
+    """Return Debian's archive with its updates, and Raspberry Pi's where its key is known. Raises `LocalError`."""
     if not DEBIAN_KEYS.exists():
         raise LocalError(f"there is no {DEBIAN_KEYS}: sudo apt-get install debian-archive-keyring")
     if pi_keys is not None and not pi_keys.exists():
@@ -155,7 +155,8 @@ def archives(suite: str, mirror: str, pi_keys: Path | None) -> tuple[Archive, ..
 
 
 def download(folder: Path, sources: Sequence[Archive], architecture: str, packages: Sequence[str]) -> tuple[int, int]:
-    """Fill `folder` with these packages, all they depend on, and an index; how many, and their bytes.
+    """Fill `folder` with these packages, all they depend on, and an index. Return the number of packages, and their
+    bytes.
 
     The folder is as it was, or whole. Raises `LocalError` where apt cannot do it.
     """
@@ -219,11 +220,11 @@ class _Apt:
         self._options = [part for name, value in settings.items() for part in ("-o", f"{name}={value}")]
 
     def get(self, *words: str) -> str:
-        """apt-get; its output. Without what is only recommended."""
+        """Run apt-get without recommended packages, and return its output."""
         return self._run("apt-get", "--no-install-recommends", *words)
 
     def cache(self, *words: str) -> str:
-        """Run apt-cache."""
+        """Run apt-cache, and return its output."""
         return self._run("apt-cache", *words)
 
     def _run(self, program: str, *words: str) -> str:

@@ -37,7 +37,7 @@ releases."""
 
 @frozen
 class Release:
-    """A release as `laptop.fleet.release` makes it."""
+    """A release in memory, as `laptop.fleet.release` makes it."""
 
     path: Path
     identity: str
@@ -49,12 +49,12 @@ class Release:
 
     @property
     def sums(self) -> bytes:
-        """The input of `sha256sum --check`."""
+        """Return the input of `sha256sum --check`."""
         lines = (f"{hashlib.sha256(data).hexdigest()}  {name}\n" for name, data in sorted(self.files.items()))
         return "".join(lines).encode()
 
     def lacks(self, packages: Iterable[str]) -> list[str]:
-        """Return those of `[robot] packages` of which it has no wheel."""
+        """Return those of `[robot] packages` of which the release has no wheel."""
         there = {_plain(name.removeprefix("wheels/").partition("-")[0]) for name in self.files if name.endswith(".whl")}
         return [each for each in packages if _plain(_NAME.match(each)[0]) not in there]  # type: ignore[index]
 
@@ -68,8 +68,8 @@ def _plain(name: str) -> str:
 
 
 def pack(files: Mapping[str, bytes], modes: Mapping[str, int], time: int = 0) -> bytes:
-    """Pack files as a tar; only the owner can read those without a mode. `time` is that of their last change, s since
-    1970."""
+    """Pack files as a tar, in which only the owner can read those without a mode. `time`: the time of their last
+    change, s since 1970."""
     buffer = io.BytesIO()
     with tarfile.open(fileobj=buffer, mode="w") as archive:
         for name, data in files.items():
@@ -80,7 +80,7 @@ def pack(files: Mapping[str, bytes], modes: Mapping[str, int], time: int = 0) ->
 
 
 def read_release(path: Path) -> Release:
-    """Read `balboa-swarm-ID.tar.gz`; raises `LocalError` where it is none."""
+    """Read `balboa-swarm-ID.tar.gz`. Raises `LocalError` where the file is no release."""
     try:
         # As a whole, which compares the checksum at its end: an archive is read up to its last file only.
         with tarfile.open(fileobj=io.BytesIO(gzip.decompress(path.read_bytes()))) as archive:
@@ -98,13 +98,14 @@ def read_release(path: Path) -> Release:
 
 
 async def ask_kind(ssh: Ssh, host: Host) -> tuple[str, str] | None:
-    """Processor and Python of the robot, those that a release has to be for; None where it has no Python of ours."""
+    """Return processor and Python of the robot, for which a release has to be made; None where the robot has no Python
+    of ours."""
     machine, *pythons = (await ssh.check(host, _WHAT)).split()
     return (machine, pythons[0]) if pythons else None
 
 
 def fitting(releases: Sequence[Release], machine: str, pythons: list[str]) -> Release:
-    """The release for a robot; raises `HostError` that names what it would need."""
+    """Return the release for a robot. Raises `HostError` that names what the robot would need."""
     for release in releases:
         if release.machine == machine and release.python in pythons:
             return release
@@ -114,7 +115,7 @@ def fitting(releases: Sequence[Release], machine: str, pythons: list[str]) -> Re
 
 
 async def bring(ssh: Ssh, host: Host, release: Release, tell: ReportProgress) -> int:
-    """Bring the release into the robot's folder; the number of bytes sent."""
+    """Bring the release into the robot's folder, and return the number of bytes sent."""
     lacks = [
         name for name in (await ssh.check(host, _LACKS, feed=[release.sums])).splitlines() if name in release.files
     ]
@@ -167,7 +168,7 @@ def read_files(config: Config, key: Path | None) -> dict[str, bytes]:
 
 
 async def check_name(ssh: Ssh, host: Host) -> None:
-    """Raises `HostError` where the robot at this address was installed under another name."""
+    """Raise `HostError` where the robot at this address was installed under another name."""
     found = (await ssh.check(host, OWN_NAME)).strip()
     if found not in ("", host.robot):
         raise HostError(
@@ -179,7 +180,7 @@ async def check_name(ssh: Ssh, host: Host) -> None:
 async def install(
     ssh: Ssh, host: Host, releases: Sequence[Release], files: Mapping[str, bytes], tell: ReportProgress
 ) -> tuple[str, int]:
-    """Bring and install the release that fits the robot; what `install` said last, and the bytes sent."""
+    """Bring and install the release that fits the robot. Return what `install` said last, and the bytes sent."""
     machine, *pythons = (await ssh.check(host, _WHAT)).split()
     release = fitting(releases, machine, pythons)
     sent = await bring(ssh, host, release, tell)

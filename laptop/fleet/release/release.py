@@ -50,7 +50,7 @@ bytes."""
 
 
 def build(folder: Path, machine: str, python: str, packages: Sequence[str] = (), *, lock: Path = PARTS / LOCK) -> Path:
-    """Make the release for robots with this processor and Python (like 3.11) in `folder`; returns its path.
+    """Make the release for robots with this processor and Python (like 3.11) in `folder`, and return its path.
 
     `packages`: further ones as pip names them, with all that they need. Raises `LocalError` where it cannot be made.
     """
@@ -71,7 +71,7 @@ def build(folder: Path, machine: str, python: str, packages: Sequence[str] = (),
 
 
 def robot_wheel() -> tuple[str, bytes]:
-    """The wheel of what a robot carries, by `deploy/robot/pyproject.toml`: its file name and content."""
+    """Return file name and content of the wheel of what a robot carries, by `deploy/robot/pyproject.toml`."""
     whole = tomllib.loads((PARTS / "deploy/robot/pyproject.toml").read_text())
     project = whole["project"]
     files = {
@@ -119,7 +119,7 @@ def _archive(root: str, files: Mapping[str, bytes]) -> bytes:
 
 
 def _wheels(lock: str, machine: str, python: str, packages: Sequence[str]) -> tuple[str, list[Path]]:
-    """The locked and the further packages: a lock of all of them, and their files.
+    """Return a lock of the locked and the further packages, and their files.
 
     They are kept in the user's cache, so a release of the same packages needs no network.
     """
@@ -137,7 +137,7 @@ def _wheels(lock: str, machine: str, python: str, packages: Sequence[str]) -> tu
 
 
 def _download(folder: Path, lock: str, machine: str, python: str, packages: Sequence[str]) -> str:
-    """Bring all wheels into `folder`; returns the lock of all of them."""
+    """Bring all wheels into `folder`, and return the lock of all of them."""
     own = folder.parent / "own.lock"
     own.write_text(lock)
     target = ["--only-binary", ":all:", "--python-version", python, "--implementation", "cp", "--dest", str(folder)]

@@ -43,7 +43,7 @@ def question(robot: str) -> str:
 
 
 def parse(text: str) -> Versions:
-    """The answer of a robot; raises `RemoteError` where it has no release at all."""
+    """Return the versions by the answer of a robot. Raises `RemoteError` where the robot has no release at all."""
     parts = sections.read(text)
     release = parts.get("release", "").rpartition("/")[2]
     if not release:

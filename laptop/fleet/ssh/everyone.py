@@ -74,7 +74,7 @@ def add_config(parser: argparse.ArgumentParser, text: str) -> None:
 
 
 def recipients(args: argparse.Namespace, *, addressed: bool = False) -> tuple[Config, tuple[Host, ...], Ssh]:
-    """The config and robots that the arguments name, and the way to them.
+    """Return the config and robots that the arguments name, and the way to them.
 
     With `addressed` the config must have all Bluetooth addresses, as robots need it.
     """
@@ -92,7 +92,7 @@ def named(args: argparse.Namespace) -> None:
 async def each(
     robots: Sequence[Host], job: Job, timeout_s: float, tell: Callable[[Host, str], None] = lambda *_: None
 ) -> list[RobotOutcome]:
-    """Run the job on all robots at once; `timeout_s` for each. What one robot does not do harms no other."""
+    """Run the job on all robots at once, `timeout_s` for each. A robot that fails does not disturb the others."""
 
     async def one(host: Host) -> RobotOutcome:
         began, lines = time.monotonic(), []
@@ -126,7 +126,7 @@ async def together(jobs: Iterable[Coroutine[Any, Any, T]]) -> list[T]:
 def gather(
     robots: Sequence[Host], ask: Callable[[Host], Awaitable[T]], timeout_s: float
 ) -> tuple[list[RobotOutcome], dict[str, T]]:
-    """Ask all robots at once; returns how it went on each, and the answers by robot."""
+    """Ask all robots at once. Return the outcome on each, and the answers by robot."""
     answers: dict[str, T] = {}
 
     async def job(host: Host, _: ReportProgress) -> str:
@@ -137,7 +137,7 @@ def gather(
 
 
 def run(args: argparse.Namespace, robots: Sequence[Host], job: Job) -> int:
-    """Do it, show it, and return the exit code: 0 only where every robot has done it."""
+    """Run the job on all robots, print the outcomes, and return 0 if all succeeded."""
 
     def tell(host: Host, text: str) -> None:
         if not args.json:

@@ -62,7 +62,7 @@ _DBUS = ("auth", "bus", "bus_messages", "fds", "low_level", "wrappers", "io.bloc
 
 
 def _dbus() -> dict[str, str]:
-    """The sources of jeepney, by module; they are read and not imported."""
+    """Return the sources of jeepney, by module; they are read and not imported."""
     found = importlib.util.find_spec("jeepney")
     if found is None or found.origin is None:
         raise LocalError("there is no jeepney here, which speaks to bluetoothd: pip install jeepney")
@@ -73,7 +73,7 @@ def _dbus() -> dict[str, str]:
 
 
 def program(main: str, request: object) -> bytes:
-    """The first line of the bootstrap's input: module `main` of `swarm.onboard.bootstrap`, and its request."""
+    """Return the first line of the bootstrap's input: module `main` of `swarm.onboard.bootstrap`, and its request."""
     parts = PACKAGE.split(".")
     modules = {".".join(parts[: n + 1]): "" for n in range(len(parts))}
     modules |= {f"{PACKAGE}.{path.stem}": path.read_text() for path in _FOLDER.glob("*.py") if path.stem != "__init__"}

@@ -42,7 +42,8 @@ def is_far(args: argparse.Namespace) -> bool:
 
 
 def is_meant(args: argparse.Namespace) -> bool:
-    """The same, where there is a configuration at all: without one the simulation that is missing is named."""
+    """Return whether `is_far` holds and a configuration exists. Where none exists the command names the missing
+    simulation."""
     return is_far(args) and (args.config is not None or find.find() is not None)
 
 
@@ -53,7 +54,8 @@ def add_simulation(parser: argparse.ArgumentParser) -> None:
 
 
 def simulated(args: argparse.Namespace) -> dict[str, Path] | None:
-    """The runtime directories of the simulated robots that are meant; None where real ones are. Raises `LocalError`."""
+    """Return the runtime directories of the simulated robots that are meant; None where real ones are. Raises
+    `LocalError`."""
     if args.real or args.config or args.ssh_config:
         return None
     directory = (args.run_dir or default_run_dir()).absolute()

@@ -47,7 +47,7 @@ _LONGEST = 16 << 20
 
 
 class HostError(RemoteError):
-    """A robot could not be reached, or did not do what it was told; the text says why and what to do."""
+    """A robot could not be reached, or did not do what it was told. The text says why and what to do."""
 
 
 class CommandError(HostError):
@@ -77,7 +77,7 @@ class Done:
 
 
 def hosts(config: Config, only: Sequence[str] | None = None) -> tuple[Host, ...]:
-    """The robots of the config, or those that are named; raises `LocalError` for an unknown one."""
+    """Return the robots of the config, or those that are named. Raises `LocalError` for an unknown one."""
     names = dict.fromkeys(only or config.names)
     if unknown := [name for name in names if name not in config.names]:
         raise LocalError(f"{unknown[0]} is no robot of {config.path}; there are {', '.join(config.names)}")
@@ -88,13 +88,13 @@ class Ssh:
     """Runs commands on robots."""
 
     def __init__(self, config_file: Path | None = None, *, alone: bool = False) -> None:
-        """`config_file` in place of the user's ~/.ssh/config. `alone`: over connections of their own, never over one
-        that ssh shares: that one may be dead, and nobody has noticed."""
+        """`config_file` is read in place of the user's ~/.ssh/config. `alone`: each command has a connection of its own.
+        One that ssh shares may be dead, and nobody has noticed."""
         self._config_file = config_file
         self._alone = alone
 
     def arguments(self, host: Host, command: str) -> list[str]:
-        """The command line that runs `command` (for the robot's shell) on `host`."""
+        """Return the command line that runs `command` (for the robot's shell) on `host`."""
         own = [] if self._config_file is None else ["-F", str(self._config_file)]
         own += ["-o", "ControlPath=none"] * self._alone
         options = ("-o", "BatchMode=yes", "-o", f"ConnectTimeout={CONNECT_TIMEOUT_S}", *_ALIVE, *_PLAIN)
@@ -286,7 +286,7 @@ def explained(err: str, reasons: Iterable[tuple[str, str]]) -> str:
 
 
 def last_words(text: str) -> str:
-    """The last line that says something, printable and not too long."""
+    """Return the last line that says something, in printable form."""
     return next((printable(line.strip()) for line in reversed(text.splitlines()) if line.strip()), "")
 
 

@@ -35,10 +35,10 @@ START_S = 60.0
 
 
 class _Halt:
-    """A stop for all robots, or its end, that not all have confirmed."""
+    """A stop for all robots, or the end of one, that not all robots have confirmed."""
 
     def __init__(self, stop: bool, version: int) -> None:
-        """`version`: of the picture when it was given."""
+        """`version`: the version of the picture when the command was given."""
         self.stop = stop
         self.since = clock.now()
         """The time at which it was given, s."""
@@ -62,8 +62,9 @@ class _Halt:
         self._given[name] += bus.connected
 
     def look(self, name: str, bus: RobotBus, stopped: object, version: int) -> None:
-        """Look what a robot says now. It confirms by what it says afterwards, or said before where it was told often
-        enough: its news may be lost. Where it says the opposite later, twice in a row, it obeys a later command."""
+        """Look what a robot says in the newest picture. A robot confirms by what it says afterwards, or said before
+        where it was told often enough, since its news may be lost. A robot that later says the opposite twice in a row
+        obeys a later command."""
         says = stopped.get("stopped") if isinstance(stopped, dict) else None
         if not bus.connected:
             self._opposed.pop(name, None)
@@ -108,7 +109,7 @@ class Control:
             self._actions.close()
 
     def do(self, asked: object) -> str:
-        """Carry out `{act: NAME, ...}`; what was done, in words. Raises `LocalError`."""
+        """Carry out `{act: NAME, ...}`, and return in words what was done. Raises `LocalError`."""
         if not self.acts:
             raise LocalError("this page only watches: start `swarm view --control` to act")
         if not isinstance(asked, dict) or (act := self.acts.get(str(asked.get("act")))) is None:
@@ -121,7 +122,7 @@ class Control:
             raise LocalError(f"{asked.get('act')}: {error.strerror or error}") from None
 
     def repeat(self) -> None:
-        """Say again what robots have not confirmed, a stop or its end or parameters: a bus may lose it."""
+        """Say again what robots have not confirmed, since a bus may lose it: a stop, the end of one, and parameters."""
         self._halt_again()
         self._ask_again()
 
@@ -161,7 +162,7 @@ class Control:
         return "stop given to all robots" if stop else "stops taken back"
 
     def _mode(self, asked: Mapping[str, Any]) -> str:
-        """Have robots stand up, rest or lie down; what came of it their balancers tell."""
+        """Have robots stand up, rest or lie down. Their balancers tell what comes of it."""
         mode, buses = str(asked["mode"]), self._feed.buses
         if mode not in MODES:
             raise LocalError(f"mode: expected {', '.join(MODES)}")
@@ -181,7 +182,8 @@ class Control:
         return robots, [robot for robot in robots if robot in buses and buses[robot].connected]
 
     def _drive(self, asked: Mapping[str, Any]) -> str:
-        """Drive one robot as long as a page goes on to ask for it: without another one it stands within `DRIVE_S`."""
+        """Drive one robot for as long as a page repeats its request: without another request the robot stands within
+        `DRIVE_S`."""
         robot, speed, turn = named(asked["robot"], self._feed.buses), float(asked["speed"]), float(asked["turn"])
         if not (abs(speed) <= MAX_SPEED and abs(turn) <= MAX_TURN):
             raise LocalError(
@@ -194,8 +196,8 @@ class Control:
         return f"{robot}: {speed:g} m/s, {turn:g} rad/s"
 
     def _start(self, asked: Mapping[str, Any]) -> str:
-        """Start an app. An app that goes on where it was keeps its parameters, so that those it is started with are
-        asked for, too."""
+        """Start an app. An app that goes on where it was keeps its parameters, so the page's settings are also asked
+        for as parameters."""
         assert self._actions is not None
         settings = settings_of(asked)
         robots, near = self._meant(asked)

@@ -14,7 +14,7 @@ class Plan:
     """The plan of one start."""
 
     def __init__(self, app: str, config: Config, *, alone: bool) -> None:
-        """`alone`: for one robot, which others may run it with."""
+        """`alone`: whether the start is for one robot, while others may run the app."""
         self._app = app
         self._config = config
         self._alone = alone

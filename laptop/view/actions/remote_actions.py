@@ -60,7 +60,7 @@ Job = Callable[[Host], Awaitable[str]]
 
 
 class RemoteActions:
-    """Orders under way, in a thread of ours, until closed."""
+    """Carries out orders in a thread of its own until closed."""
 
     def __init__(self, view: Robots, ssh: Ssh) -> None:
         self._view = view
@@ -85,7 +85,7 @@ class RemoteActions:
         self._begin(self._look_for_apps())
 
     def close(self) -> None:
-        """Give up what is under way; on robots what has begun goes on."""
+        """Give up what is under way. On robots, work that has begun goes on."""
         asyncio.run_coroutine_threadsafe(self._cancel(), self._loop).result()
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join()
@@ -151,7 +151,7 @@ class RemoteActions:
         return app
 
     def _robots(self, asked: Mapping[str, Any]) -> list[Host]:
-        """The robot that is named, else all."""
+        """Return the robot that is named, else all."""
         if asked.get("robot"):
             return [self._hosts[named(asked["robot"], self._hosts)]]
         return list(self._hosts.values())
@@ -182,7 +182,7 @@ class RemoteActions:
         await asyncio.gather(*tasks, return_exceptions=True)
 
     async def _on(self, robots: Sequence[Host], job: Job, failed: str) -> None:
-        """Do it on all robots at once, and tell the outcome of each as it comes."""
+        """Do the job on all robots at once, and tell the outcome of each as it comes."""
 
         async def one(host: Host) -> None:
             if (text := await self._try(host, job(host), failed)) is not None:
@@ -191,7 +191,8 @@ class RemoteActions:
         await _all(map(one, robots))
 
     async def _try(self, host: Host, work: Awaitable[str], failed: str) -> str | None:
-        """Wait for what is done on a robot; None where that fails, which is told among the events."""
+        """Return what the work on a robot says at its end. Return None where the work fails, and tell the reason among
+        the events."""
         try:
             async with asyncio.timeout(TIMEOUT_S):
                 return await work
@@ -237,7 +238,7 @@ class RemoteActions:
         await self._on(robots, job, f"app/{app} was not started")
 
     async def _expect(self, app: str, host: Host, number: int) -> None:
-        """Say so where an app that was started does not come: systemd has started it, and it may have ended at once."""
+        """Tell where an app that was started does not come: it may have ended as soon as systemd had started it."""
         await asyncio.sleep(SEEN_S)
         with self._view.lock:
             there = self._view.picture.services().get(host.robot, {}).get(f"app/{app}")
@@ -258,8 +259,8 @@ class RemoteActions:
         await _all(map(one, self._hosts.values()))
 
     async def _hold(self, ends: tuple[str, str], seconds: float, number: int) -> None:
-        """Have a link held down, or let up. One near end suffices to cut it. Both are told to mend it, since either may
-        hold it."""
+        """Have a link held down, or let up. One near end suffices to cut the link. To mend it both ends are told, since
+        either may hold it."""
         failed = f"it cannot be told to {'cut' if seconds else 'mend'} the link {' - '.join(ends)}"
         sides = [(self._hosts[robot], peer) for robot, peer in (ends, ends[::-1])]
         near = [side for side in sides if self._is_near(side[0])]
@@ -289,7 +290,7 @@ class RemoteActions:
             await asyncio.sleep(_LOOK_EVERY_S)
 
     async def _say(self, host: Host, name: str, message: object) -> None:
-        """Something on a robot's bus, by the connection that there is, else by one of its own."""
+        """Publish a message on a robot's bus, by the connection that there is, else by one of its own."""
         if self._is_near(host):
             self._view.buses[host.robot].publish(name, message, urgent=True)
             return
@@ -331,7 +332,7 @@ class RemoteActions:
         return all(state in ("up", "suspect") for state in states)
 
     def _turn(self, what: str, host: Host) -> asyncio.Lock:
-        """Held by who does something about an app, or a link, of a robot."""
+        """Return the lock that is held while an order about an app or a link of a robot is carried out."""
         return self._turns.setdefault((host.robot, what), asyncio.Lock())
 
     def _check_newest(self, app: str, host: Host, number: int) -> None:

@@ -15,14 +15,14 @@ PageAction = Callable[[Mapping[str, Any]], str]
 
 
 class RobotActions(Protocol):
-    """Simulated robots, or real ones."""
+    """Actions on simulated robots, or on real ones."""
 
     @property
     def acts(self) -> Mapping[str, PageAction]:
         """Return what can be done to these robots; a page shows no other action."""
 
     def give(self, robots: Sequence[str], app: str, values: Mapping[str, Value]) -> list[str]:
-        """Have an app's parameters set on robots whose bus is not near; those of them that cannot be asked."""
+        """Have an app's parameters set on robots whose bus is not near, and return the robots that cannot be asked."""
 
     def close(self) -> None:
         """Give up what is under way."""
@@ -50,13 +50,13 @@ def settings_of(asked: Mapping[str, Any]) -> list[Setting]:
 
 
 def check_parameter(name: str, value: object) -> None:
-    """Raises `LocalError` where a parameter cannot be called so, or cannot be this."""
+    """Raise `LocalError` where no parameter can have this name or value."""
     if not name.isidentifier() or not isinstance(value, bool | int | float | str):
         raise LocalError("expected the name of a parameter, and a number, a text, true or false")
 
 
 def cut(asked: Mapping[str, Any], robots: Collection[str]) -> tuple[tuple[str, str], float]:
-    """The two ends of the link that is to be cut, and for how long, s; 0 = it is to be mended."""
+    """Return the two ends of the link that is to be cut, and for how long, s; 0 = the link is to be mended."""
     ends, seconds = (named(asked["robot"], robots), named(asked["peer"], robots)), float(asked["seconds"])
     if not 0.0 <= seconds <= MAX_CUT_S or not math.isfinite(seconds):
         raise LocalError(f"cut: expected 0 (mend) to {MAX_CUT_S:g} s, got {seconds:g}")

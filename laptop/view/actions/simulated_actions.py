@@ -16,7 +16,7 @@ FAR_M = 1000.0
 
 
 class SimulatedActions:
-    """Done at once, by the simulation."""
+    """Carries out actions at once, by orders to the simulation."""
 
     def __init__(self, feed: SimulationFeed) -> None:
         self._feed = feed

@@ -30,10 +30,10 @@ class RobotBus(Protocol):
 
     @property
     def connected(self) -> bool:
-        """Whether it is there at this moment."""
+        """Return whether the bus is there at this moment."""
 
     def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
-        """Send a message dataclass or raw bytes; silently lost while the bus is away."""
+        """Send a message dataclass or raw bytes, which are lost while the bus is away."""
 
 
 class LiveFeed(Protocol):
@@ -41,7 +41,7 @@ class LiveFeed(Protocol):
 
     @property
     def kind(self) -> str:
-        """`simulation`, `robots` or `virtual`."""
+        """Return `simulation`, `robots` or `virtual`."""
 
     @property
     def picture(self) -> Picture:
@@ -53,7 +53,7 @@ class LiveFeed(Protocol):
 
     @property
     def live(self) -> bool:
-        """Whether it still runs."""
+        """Return whether the swarm still runs."""
 
     @property
     def config(self) -> Config | None:
@@ -61,19 +61,19 @@ class LiveFeed(Protocol):
 
     @property
     def buses(self) -> Mapping[str, RobotBus]:
-        """The way to each robot that has one."""
+        """Return the way to each robot that has one."""
 
     def now(self) -> float:
-        """The page's time, s."""
+        """Return the page's time, s."""
 
     def pace(self) -> dict[str, object] | None:
         """Return how fast time passes, where that can be changed: `{speed, actual, paused}`."""
 
     def set_pace(self, speed: float | None, paused: bool) -> None:
-        """Let it pass otherwise. Raises `ValueError` where that cannot be."""
+        """Let time pass at another speed, or not at all. Raises `ValueError` where that cannot be."""
 
     def check_control(self) -> None:
-        """Raises `LocalError` where no robot can be told anything at this moment."""
+        """Raise `LocalError` where no robot can be told anything at this moment."""
 
 
 class RealTimeFeed:
@@ -87,7 +87,7 @@ class RealTimeFeed:
         """The time from which the page counts seconds."""
 
     def now(self) -> float:
-        """The page's time, s."""
+        """Return the page's time, s."""
         return clock.now() - self.began
 
     def pace(self) -> None:
@@ -104,7 +104,7 @@ class SimulationFeed(RealTimeFeed):
     kind = "simulation"
 
     def __init__(self, directory: Path, only: Sequence[str]) -> None:
-        """`only` these robots, all where none is named. Raises `LocalError` where no simulation runs there."""
+        """`only`: the robots to watch, all where none is named. Raises `LocalError` where no simulation runs there."""
         if not is_live(directory):
             raise LocalError(
                 f"no simulation is running in {directory}: start one with `swarm sim`, or name --run-dir; "
@@ -128,7 +128,7 @@ class SimulationFeed(RealTimeFeed):
         self._thread.start()
 
     def check_control(self) -> None:
-        """Raises `LocalError` where no robot can be told anything at this moment."""
+        """Raise `LocalError` where no robot can be told anything at this moment."""
         if not self.live:
             raise LocalError("the simulation has ended")
 
@@ -155,8 +155,8 @@ class SimulationFeed(RealTimeFeed):
             each.look(self.now())
 
     def _read_config(self) -> None:
-        """Read a configuration that has been written since, as by the next run in this directory, and leave robots that
-        are not in it."""
+        """Read the configuration where it was written after the last look, as by the next run in this directory, and
+        leave robots that are not in it."""
         try:
             written = (self.directory / CONFIG).stat().st_mtime_ns
         except OSError:

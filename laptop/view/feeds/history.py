@@ -35,7 +35,8 @@ class History:
         """Size of all keys, bytes."""
 
     def add(self, topic: str, payload: bytes, now: float) -> None:
-        """Keep a sample where the newest of its key is older than a step; what is too old or too much goes."""
+        """Keep a sample where the newest one of its key is older than a step. Samples that are too old or too many are
+        dropped."""
         rows = self._keys.setdefault(topic, deque())
         if rows and rows[-1][0] <= now < rows[-1][0] + HISTORY_STEP_S:
             return

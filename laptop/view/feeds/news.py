@@ -10,7 +10,7 @@ REACH = "view/reach"
 
 
 def news(topic: str, value: object) -> Iterator[tuple[str, str, str]]:
-    """Level, text and subject of what a message says that a person should read once."""
+    """Yield level, text and subject of what a message says that a person should read once."""
     if not isinstance(value, dict):
         return
     service, _, kind = topic.rpartition("/")

@@ -27,22 +27,23 @@ from swarm.process.text import printable
 
 MAX_EVENTS = 500
 MAX_TOPICS = 256
-"""Keys of one robot that are shown; an app that publishes under ever new ones must not fill the memory."""
+"""The most keys of one robot that are shown: an app that publishes under ever new keys must not fill the memory."""
 
 MAX_SIZE = 1 << 20
-"""Bytes of the newest samples of one robot together, for the same reason."""
+"""The most bytes of the newest samples of one robot together: large samples must not fill the memory."""
 
 MAX_SERVICES = 64
-"""Services of one robot that are shown, for the same reason."""
+"""The most services of one robot that are shown: a robot that names ever new ones must not fill the memory."""
 
 MAX_SUBJECTS = 256
-"""Subjects of one robot (a link, a service) whose last event is remembered, for the same reason."""
+"""The most subjects of one robot (links, services) whose last event is remembered: ever new names must not fill the
+memory."""
 
 MAX_HOPS = 4096
-"""Pairs of robots whose messages are counted, for the same reason."""
+"""The most pairs of robots whose messages are counted: ever new names of senders must not fill the memory."""
 
 MAX_PARTS = 10_000
-"""Values in one message that a page gets: a topology of 255 robots has 3000."""
+"""The most values in one message that a page gets: a topology of 255 robots has 3000."""
 
 MAX_BYTES = 256
 """The most bytes of a raw payload within a message that a page gets."""
@@ -57,7 +58,7 @@ is one of them."""
 
 
 class Event(NamedTuple):
-    """Something worth a line."""
+    """A line about something that has happened."""
 
     number: int
     t: float
@@ -77,7 +78,7 @@ _TOLD_OF_ALL = ("/status", "/progress")
 
 
 class _Packed:
-    """A sample as it came, and what it says once somebody has asked."""
+    """A sample in its encoded form, which is decoded when somebody asks."""
 
     def __init__(self, payload: bytes) -> None:
         self.payload = payload
@@ -151,14 +152,14 @@ class Picture:
             self._read(robot, topic, value, now)
 
     def refuse(self, robot: str, what: str, why: object) -> None:
-        """Something that a robot has said is dropped; the first time that is told, with its reason."""
+        """Count something that a robot has said and that is dropped. The first time, tell of it with the reason."""
         self.refused += 1
         if (robot, what) not in self._named and len(self._named) < MAX_TOPICS:
             self._named.add((robot, what))
             self.note(self._now, robot, "warning", f"{what} is left out, and whatever is like it: {why}")
 
     def _keep(self, robot: str, topic: str, value: object) -> bool:
-        """Return whether it is kept as the newest."""
+        """Keep a value as the newest of its key. Return whether there was room for it."""
         topics = self._topics.setdefault(robot, {})
         size = self._sizes[robot] + _size(value) - _size(topics.get(topic, (0, None))[1])
         if size > MAX_SIZE or (topic not in topics and len(topics) >= MAX_TOPICS):
@@ -170,8 +171,8 @@ class Picture:
         return True
 
     def _open(self, robot: str, topic: str, value: object) -> object:
-        """Decode a sample, `_NOTHING` where it is no message. This is done when somebody looks: most samples are
-        replaced before."""
+        """Decode a sample, to `_NOTHING` where it is no message. This is done when somebody looks, since most samples
+        are replaced before."""
         return self.values(robot, [(topic, value)]).get(topic, _NOTHING)
 
     def values(
@@ -233,21 +234,21 @@ class Picture:
         return self._alive
 
     def topics(self, robot: str) -> tuple[str, ...]:
-        """Keys of a robot of which there is a sample."""
+        """Return the keys of a robot of which there is a sample."""
         return tuple(self._topics.get(robot, ()))
 
     def newest(self, robot: str, topic: str) -> object:
-        """The newest value of a key; None where there is none."""
+        """Return the newest value of a key; None where there is none."""
         value = self._open(robot, topic, self._topics.get(robot, {}).get(topic, (0, None))[1])
         return None if value is _NOTHING else value
 
     def versioned(self, robot: str, topic: str) -> tuple[object, int]:
-        """The newest value of a key, and the version of the picture with which it came."""
+        """Return the newest value of a key, and the version of the picture with which the value came."""
         return self.newest(robot, topic), self._topics.get(robot, {}).get(topic, (0, None))[0]
 
     def since(self, robot: str, moved: int, rest: int | None) -> list[tuple[str, object]]:
-        """Topics and samples of a robot, for `values`: those of what moves (`AT_ONCE`) newer than the version `moved`,
-        all others newer than `rest` (None: none of them)."""
+        """Return topics and samples of a robot, for `values`: those of what moves (`AT_ONCE`) newer than the version
+        `moved`, all others newer than `rest` (None: none of them)."""
         topics = self._topics.get(robot, {})
         at_once = AT_ONCE | {pose_topic(topics)}
         entries = topics if rest is not None else {topic: topics[topic] for topic in at_once if topic in topics}
@@ -258,11 +259,11 @@ class Picture:
         ]
 
     def events_since(self, number: int) -> list[Event]:
-        """Events behind a number, oldest first."""
+        """Return the events behind a number, oldest first."""
         return [event for event in self.events if event.number > number]
 
     def hops(self) -> dict[str, int]:
-        """Messages that have passed so far, by `sender>receiver`."""
+        """Return the numbers of messages that have passed so far, by `sender>receiver`."""
         return dict(self._hops)
 
     def history(
@@ -281,8 +282,8 @@ class Picture:
         return sorted(self._topics)
 
     def look(self, robot: str, t: float) -> list[tuple[str, object]]:
-        """Topics and samples of a robot, for `values`, as they were at an instant of the last two minutes: at most
-        `MAX_SIZE` bytes."""
+        """Return topics and samples of a robot, for `values`, as they were at an instant of the last two minutes: at
+        most `MAX_SIZE` bytes."""
         found: list[tuple[str, object]] = []
         size = 0
         for topic, payload in self._history[robot].at(t) if robot in self._history else ():
@@ -305,7 +306,7 @@ class Picture:
 
 @lru_cache(4096)
 def _kind(topic: str) -> type | None:
-    """The message type of a topic, None where it is none of ours."""
+    """Return the message type of a topic; None where the topic is none of ours."""
     try:
         return type_of(f"swarm/r/{topic}")
     except PayloadError:
@@ -334,7 +335,7 @@ def _decoded(topic: str, rows: list[tuple[float, bytes]]) -> Iterator[tuple[floa
 
 
 def _parts(value: object) -> int:
-    """Count the values in a decoded message; it ends soon above `MAX_PARTS`."""
+    """Count the values in a decoded message. The count ends soon above `MAX_PARTS`."""
     parts, waiting = 0, [value]
     while waiting and parts <= MAX_PARTS:
         each = waiting.pop()
@@ -345,7 +346,7 @@ def _parts(value: object) -> int:
 
 
 def _size(value: object) -> int:
-    """Bytes that a robot has sent for it."""
+    """Return the number of bytes that a robot has sent for a value."""
     return len(value.payload) if isinstance(value, _Packed) else 0
 
 

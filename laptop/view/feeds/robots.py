@@ -49,7 +49,7 @@ class Robots(RealTimeFeed):
     kind = "robots"
 
     def __init__(self, config: Config, hosts: Sequence[Host], ssh: Ssh) -> None:
-        """`hosts`: whom to connect to; one is enough to see all. Raises `HostError` where none can be reached."""
+        """`hosts`: the robots to connect to; one is enough to see all. Raises `HostError` where none can be reached."""
         super().__init__()
         self.config = config
         self._turn = threading.Event()
@@ -72,11 +72,11 @@ class Robots(RealTimeFeed):
 
     @property
     def live(self) -> bool:
-        """Whether any robot is reached by ssh."""
+        """Return whether any robot is reached by ssh."""
         return any(tunnel.connected for tunnel in self.buses.values())
 
     def check_control(self) -> None:
-        """Raises `LocalError` where no robot can be told anything at this moment."""
+        """Raise `LocalError` where no robot can be told anything at this moment."""
         if not self.live:
             raise LocalError("no robot is reached by ssh: `swarm estop` tries every way there is")
 
@@ -124,7 +124,7 @@ class Robots(RealTimeFeed):
                     self.picture.put(name, REACH, value, now - self.began)
 
     def _eye(self) -> str | None:
-        """The robot through which the others are seen."""
+        """Return the robot through which the others are seen."""
         return next((name for name, tunnel in self.buses.items() if tunnel.connected), None)
 
     def _reach(self, name: str, now: float) -> tuple[str | None, str]:
@@ -150,7 +150,7 @@ class Robots(RealTimeFeed):
         return None, why or "the mesh brings nothing of it"
 
     def _gone(self, name: str) -> str:
-        """Whether the mesh of the robot through which all are seen has lost another one."""
+        """Return why the mesh of the robot that shows all others does not have this robot; empty where it has."""
         eye = self._eye()
         members = self.picture.newest(eye, "mesh/members") if eye is not None else None
         for member in members.get("members") or () if isinstance(members, dict) else ():

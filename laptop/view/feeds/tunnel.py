@@ -40,7 +40,7 @@ class Tunnel:
     """The connection to one robot."""
 
     def __init__(self, ssh: Ssh, host: Host, take: Callable[[list[object]], None], changed: Callable[[], None]) -> None:
-        """`take` gets each array that the robot's lookout tells, in a thread of ours; `changed()` is called when
+        """`take` gets each array that the robot's lookout tells, in a thread of ours. `changed()` is called when
         `connected` or `problem` change."""
         self.host = host
         self.connected = False
@@ -61,7 +61,8 @@ class Tunnel:
         self._thread.start()
 
     def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
-        """Say something on the robot's bus; lost where it cannot be reached or the network is full, as on a bus.
+        """Publish a message on the robot's bus. It is lost where the robot cannot be reached or the network is full, as
+        on a bus.
 
         The end of a stop goes with the robot's time, by which the robot sees how long it was under way; without that it
         is lost, too.
@@ -80,7 +81,7 @@ class Tunnel:
                     os.write(self._process.stdin.fileno(), data)
 
     def close(self) -> None:
-        """End the connection; the robot's end of it ends by that."""
+        """End the connection, by which the lookout on the robot ends, too."""
         self._closing.set()
         with self._lock:
             if self._process is not None:
@@ -142,7 +143,8 @@ class Tunnel:
         return heard
 
     def _read(self, stream: IO[bytes]) -> tuple[bool, str]:
-        """Take what the robot says until it ends; whether there was anything, and what was wrong with it."""
+        """Take what the robot says until the stream ends. Return whether there was anything, and what was wrong with
+        it."""
         heard = False
         try:
             for said in unpacked(iter(partial(stream.read, 1 << 16), b""), _LARGEST):

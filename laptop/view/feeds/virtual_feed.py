@@ -46,7 +46,7 @@ class VirtualFeed:
     kind = "virtual"
 
     def __init__(self, world: VirtualWorld, config: Config, speed: float) -> None:
-        """`speed`: s of virtual time a second; infinity: as fast as it computes."""
+        """`speed`: seconds of virtual time in a second; infinity: as fast as the simulation computes."""
         self.picture = Picture()
         self.lock = threading.Lock()
         """The lock that protects the picture."""
@@ -79,15 +79,16 @@ class VirtualFeed:
         return self._now
 
     def check_control(self) -> None:
-        """Nobody can be told anything."""
+        """Do nothing: the page of a virtual run has no actions that could be refused."""
 
     def pace(self) -> dict[str, object]:
-        """Return how fast time passes: the wish (None: as fast as it computes), and the actual speed."""
+        """Return the speed that the page wishes (None: as fast as the simulation computes), and the actual speed."""
         wished = self._speed if math.isfinite(self._speed) else None
         return {"speed": wished, "actual": round(self._actual, 3), "paused": self._paused}
 
     def set_pace(self, speed: float | None, paused: bool) -> None:
-        """Another speed (None: as fast as it computes), or a pause. Raises `ValueError` for one that cannot be."""
+        """Set another speed (None: as fast as the simulation computes), or pause. Raises `ValueError` for a speed that
+        cannot be."""
         if speed is not None and not SLOWEST <= speed <= FASTEST:
             raise ValueError(f"speed {speed:g}: expected {SLOWEST:g} to {FASTEST:g}")
         with self._turn:
@@ -96,7 +97,7 @@ class VirtualFeed:
             self._turn.notify_all()
 
     def ended(self) -> None:
-        """The run is over; the page goes on showing its end. To be called in the thread of the simulation."""
+        """Show the end of the run, which the page then keeps. To be called in the thread of the simulation."""
         with self._turn:
             self._speed, self._paused = math.inf, False
         if not self._closing:
@@ -145,7 +146,7 @@ class VirtualFeed:
                 self._time.stop()
 
     def _ahead(self) -> float:
-        """s of real time until the present moment is due."""
+        """Return the seconds of real time until the present moment is due."""
         virtual, real = self._anchor
         if math.isinf(self._speed):
             return 0.0

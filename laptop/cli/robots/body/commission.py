@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Lead through all steps; code 1 where not all of them have passed."""
+    """Lead through all steps. Return 1 where not all of them have passed."""
     if not robot_command.is_far(args):
         return command.run(args)
     host, ssh = far(args)

@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Drive; code 1 where the robot was stopped or went silent."""
+    """Drive. Return 1 where the robot was stopped or went silent."""
     if not robot_command.is_far(args):
         return drive.run(args)
     host, ssh = far(args)

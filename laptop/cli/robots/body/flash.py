@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 where the firmware runs everywhere it was to, 1 where a robot failed."""
+    """Flash the robots. Return 0 where the firmware runs on all of them, 1 where a robot failed."""
     args.firmware = args.firmware or str(FIRMWARE)
     if args.here or args.port:
         return flash.run(args)

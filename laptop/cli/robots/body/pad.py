@@ -40,7 +40,7 @@ RELEASE, STOP = ".", " "
 
 
 class PadKeys:
-    """Which key the state of a pad stands for."""
+    """The key that the state of a pad stands for."""
 
     def __init__(self) -> None:
         self._axes: dict[int, int] = {}
@@ -48,13 +48,13 @@ class PadKeys:
 
     @property
     def key(self) -> str:
-        """The direction that is held down; empty where none is, or no shoulder button."""
+        """Return the key of the direction that is held; empty where none is held, or no shoulder button."""
         if not self._held.intersection(SHOULDERS):
             return ""
         return KEYS.get((-self._way(UPRIGHT), -self._way(SIDEWAYS)), "")
 
     def take(self, event: bytes) -> str:
-        """Take an event; returns `STOP` where it asks for that, else an empty text."""
+        """Take an event of the pad. Return `STOP` where the event asks for a stop, else an empty text."""
         _, value, kind, number = EVENT.unpack(event)
         if kind & ~AT_START == AXIS:
             self._axes[number] = value
@@ -64,7 +64,7 @@ class PadKeys:
         return ""
 
     def _way(self, axes: tuple[int, ...]) -> int:
-        """1, 0 or -1: as the first of these axes says that is not in its middle."""
+        """Return 1, 0 or -1 as the first of these axes says that is not in its middle."""
         values = (self._axes.get(axis, 0) for axis in axes)
         return next((1 if value > 0 else -1 for value in values if abs(value) >= THRESHOLD), 0)
 
