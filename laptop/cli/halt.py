@@ -35,7 +35,7 @@ _SLACK_S = 15.0
 _HANGS_S = 12.0
 """Seconds after which a robot's own command counts as hanging, and its balancer is stopped by systemd."""
 _SYSTEMD_S = 15.0
-"""Seconds that systemd has for it."""
+"""Seconds that systemd has to stop a balancer."""
 _USAGE = 2
 """Exit code of a command line that is not understood."""
 _BREAKS_S = 8.0
@@ -92,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
     thread.start()
     try:
         rows = halt.stop_or_arm(found, stop=stop, reason=args.reason, timeout=args.timeout) if found else []
-    except LocalError as error:  # such as a simulation that is just starting or ending
+    except LocalError as error:  # the simulation may be just starting or ending
         rows = []
         sys.stderr.write(f"note: {error}\n")
     finally:
@@ -167,11 +167,11 @@ def command(robots: tuple[Host, ...], ssh: Ssh, *, stop: bool, reason: str, bega
         except TimeoutError:
             return "", f"its own command has not ended within {_HANGS_S:g} s"
         except HostError as error:
-            if not stop or clock.now() > started + _BREAKS_S:  # it is away: another try would take as long
+            if not stop or clock.now() > started + _BREAKS_S:  # the robot is away: another try would take as long
                 raise
             return "", str(error)
         if later and done.code == _USAGE and "--since" in done.err:
-            # Without the time it would take back stops that came after the command.
+            # Without the time the robot would take back stops that came after the command.
             raise HostError("its release is older than this program: swarm deploy, or swarm arm on the robot")
         return done.out, last_words(done.err)
 

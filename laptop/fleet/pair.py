@@ -11,7 +11,7 @@ from laptop.fleet.ssh.ssh import Host, HostError, Ssh
 from swarm.core.graph import Edge
 
 INQUIRY_S = 25.0
-"""An inquiry of 10.24 s finds most devices, two of them find those that were missed."""
+"""Seconds of inquiry: one of 10.24 s finds most devices, a second one finds those that were missed."""
 
 LISTENS_S = 20.0
 """Seconds within which the called robot must have its agent and be found."""
@@ -95,7 +95,7 @@ class Pairing:
                 me, peer = (a, b) if end == "a" else (b, a)
                 await self._ask(me, do, peer)
         if todo:
-            # By what both say now, not by what they were told.
+            # The check goes by what both robots say, not by what they were told.
             looks = await asyncio.gather(look(self._ssh, self._hosts[a]), look(self._ssh, self._hosts[b]))
             first, second = self._bonds(edge, *looks)
             if plan(first, second):

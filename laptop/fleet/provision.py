@@ -199,7 +199,9 @@ class Provisioning:
             return {**change, "words": [word.replace(packages.CACHE, self._cache) for word in change["words"]]}
 
         pairs = [(name, [here(change) for change in verdict.changes]) for name, verdict in wanted.items()]
-        if any(verdict.reboot for verdict in wanted.values()):  # first: whatever ends this run leaves the mark
+        if any(
+            verdict.reboot for verdict in wanted.values()
+        ):  # the mark comes first, so that it stays whatever ends this run
             pairs.insert(0, ("reboot", [{"do": "write", "path": steps.REBOOT, "text": boot_id, "mode": "0644"}]))
         said = await remote.call(self._ssh, self._host, "changes", {"root": self._rig.root, "steps": pairs})
         if said["problem"]:

@@ -35,7 +35,7 @@ def leds(figure: Any, run: Run) -> None:
     periods = sorted(b - a for times in flashes.values() for a, b in pairwise(times))
     period = periods[len(periods) // 2] if periods else 1.0
     end = max(times[-1] for times in flashes.values())
-    first = next(name for name in robots if flashes[name][-1] > end - 2 * period)  # one that has not stopped
+    first = next(name for name in robots if flashes[name][-1] > end - 2 * period)  # it has not stopped
     begin = max(0.0, end - PERIODS * period)
     farthest = 0.0
     for index, name in enumerate(robots):
@@ -61,7 +61,7 @@ def leds(figure: Any, run: Run) -> None:
         xlabel=style.TIME,
         ylabel=f"flash after that of {first} / ms",
     )
-    if farthest > FAR_MS:  # before they are together; afterwards milliseconds are to be seen
+    if farthest > FAR_MS:  # before the robots flash together; afterwards milliseconds are to be seen
         bottom.set_yscale("symlog", linthresh=NEAR_MS, linscale=2.0)
         far = [10.0**power for power in range(2, 5) if 10.0**power < 3 * farthest]
         ticks = [*(-tick for tick in far), -NEAR_MS, -NEAR_MS / 2, 0.0, NEAR_MS / 2, NEAR_MS, *far]

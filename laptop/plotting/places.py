@@ -93,7 +93,7 @@ def draw_map(figure: Any, run: Run, references: Mapping[str, Sequence[Place]] | 
         if track := estimates.get(name):
             axes.plot(*zip(*(it.place for it in track), strict=True), "-", color=colour, linewidth=0.7, alpha=0.6)
             _, t, place, spread = track[-1]
-            if len(way) > 1:  # it goes on after the last estimate
+            if len(way) > 1:  # the target goes on after the last estimate
                 there = _at(way, t)
                 axes.plot(*zip(place, there, strict=True), ":", color=colour, linewidth=0.9, zorder=5)
                 axes.plot(

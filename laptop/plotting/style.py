@@ -115,7 +115,12 @@ def name_points(
             ha=("center", "left", "right")[dx],
             va=("center", "bottom", "top")[dy],
             zorder=7,
-            bbox={"facecolor": "white", "alpha": 0.7, "edgecolor": "none", "pad": 0.5},  # stroked, it is no text in SVG
+            bbox={
+                "facecolor": "white",
+                "alpha": 0.7,
+                "edgecolor": "none",
+                "pad": 0.5,
+            },  # a stroked name would be no text in SVG
         )
 
 

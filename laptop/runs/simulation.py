@@ -139,7 +139,7 @@ def arguments_of(
     if options.get("config") is None:
         robots = ROBOTS if robots is None else robots
         topology = "line" if topology is None else topology
-    if robots is not None and not isinstance(robots, Integral):  # numpy's integers are such
+    if robots is not None and not isinstance(robots, Integral):  # numpy's integers are integral numbers
         raise ConfigError(f"robots: expected a whole number, got {shown(robots)}")
     if not isinstance(topology, str | Path | None):
         raise ConfigError(

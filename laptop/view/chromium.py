@@ -116,7 +116,9 @@ async def opened(address: str, size: tuple[int, int], scale: float = 1.0) -> Asy
             "--hide-scrollbars",
             "--mute-audio",
             "--no-first-run",
-            *(["--no-sandbox"] if os.geteuid() == 0 else []),  # root's does not start otherwise; it sees our page only
+            *(
+                ["--no-sandbox"] if os.geteuid() == 0 else []
+            ),  # a browser of root does not start otherwise; it sees our page only
         ]
         pid, our_in, our_out = _spawn([program, *options])
         loop = asyncio.get_running_loop()
@@ -131,7 +133,7 @@ async def opened(address: str, size: tuple[int, int], scale: float = 1.0) -> Asy
             reading.close()
             writing.close()
             with contextlib.suppress(ProcessLookupError):
-                os.killpg(pid, signal.SIGKILL)  # it has children, and nothing to keep
+                os.killpg(pid, signal.SIGKILL)  # the browser has children, and nothing to keep
             await asyncio.to_thread(os.waitpid, pid, 0)
 
 
@@ -139,7 +141,7 @@ def _spawn(command: list[str]) -> tuple[int, int, int]:
     """Start a browser in a process group of its own. Return its pid, and the descriptors from which and to which we
     read and write."""
     (its_in, our_out), (our_in, its_out) = os.pipe(), os.pipe()
-    high = [fcntl.fcntl(descriptor, fcntl.F_DUPFD_CLOEXEC, 10) for descriptor in (its_in, its_out)]  # none is 3 or 4
+    high = [fcntl.fcntl(descriptor, fcntl.F_DUPFD_CLOEXEC, 10) for descriptor in (its_in, its_out)]  # neither is 3 or 4
     os.close(its_in)
     os.close(its_out)
     actions: list[Any] = [(os.POSIX_SPAWN_OPEN, number, os.devnull, os.O_RDWR, 0) for number in (0, 1, 2)]

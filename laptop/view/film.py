@@ -101,7 +101,7 @@ async def shoot(address: str, film: Film, path: Path, tell: Callable[[int, int],
                     tell(number, len(instants))
             process.stdin.close()
             code = await process.wait()
-        except ConnectionError:  # it has ended
+        except ConnectionError:  # the encoder has ended
             code = await process.wait()
         if code != 0:
             said = (await errors).decode(errors="replace").strip().splitlines()

@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def open_feed(args: argparse.Namespace) -> "tuple[SimulationFeed | Robots, Control]":
     """Return the feed, and what may be done to its robots: something only with `args.control`. The caller closes both.
     Raises `LocalError` where no such simulation runs, and `HostError` where no robot is reached."""
-    # Here, since the command line shows its help without the bus.
+    # These are imported here, since the command line shows its help without the bus.
     from laptop.view.actions.control import Control
     from laptop.view.actions.remote_actions import RemoteActions
     from laptop.view.actions.simulated_actions import SimulatedActions

@@ -29,7 +29,9 @@ async def take(address: str, path: Path, at: float | None, charts: Sequence[str]
         await asyncio.sleep(SETTLE_S if at is None else DRAWN_S)
         await page.evaluate("swarmView.settled()")
         await asyncio.sleep(DRAWN_S)
-        await page.until("document.querySelector('#connection').textContent !== 'server lost'")  # on a busy machine
+        await page.until(
+            "document.querySelector('#connection').textContent !== 'server lost'"
+        )  # a busy machine may lose it for a while
         picture = await page.picture()
     try:
         path.write_bytes(picture)

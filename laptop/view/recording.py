@@ -59,7 +59,7 @@ class ViewedRecording:
     def step(self, since: float | None, t: float) -> dict[str, Any]:
         """Return what a page that shows the instant `since` (None: nothing yet) needs to show the instant `t`, s."""
         if since is not None and not since <= t <= since + JUMP_S:
-            since = None  # with the trails of that instant: the way between is not drawn
+            since = None  # the page has jumped: it gets the trails of that instant, and the way between is not drawn
         robots: dict[str, dict[str, object]] = {}
         for robot, topics in self._rows.items():
             new = {}
@@ -72,7 +72,7 @@ class ViewedRecording:
                     new[topic] = value
             if new:
                 robots[robot] = new
-        # Of a jump only the last: a page keeps no more.
+        # After a jump only the last events are told: a page keeps no more.
         events = [event for event in self._events if (since is None or event.t > since) and event.t <= t][-MAX_EVENTS:]
         step: dict[str, Any] = {"t": t, "live": True, "fresh": since is None, "robots": robots}
         if events:

@@ -14,7 +14,7 @@ MOST_IN_ALL = 24_000
 """The most points of all robots together. A chart of hundreds of robots has bands, not lines."""
 
 LARGEST = 1e300
-"""Numbers beyond are left out: the page computes with differences of numbers, which must be finite."""
+"""Numbers of this size are left out: the page computes with differences of numbers, which must be finite."""
 
 MAX_FIELDS = 8
 MAX_DEPTH = 6

@@ -121,7 +121,7 @@ async def _index(_: web.Request) -> web.StreamResponse:
 
 
 async def _live(request: web.Request) -> web.StreamResponse:
-    # Not compressed: it is this machine, and a page that has gone away would leave a task behind.
+    # Nothing is compressed: the page is on this machine, and one that has gone away would leave a task behind.
     socket = web.WebSocketResponse(heartbeat=HEARTBEAT_S, max_msg_size=_MAX_REQUEST, compress=False)
     await socket.prepare(request)
     feed, control, layouts = request.app[_FEED], request.app[_CONTROL], request.app[_LAYOUTS]
@@ -131,7 +131,7 @@ async def _live(request: web.Request) -> web.StreamResponse:
         return socket
     loop, halts = asyncio.get_running_loop(), request.app[_HALTS]
     questions = Questions(
-        # In threads: a simulation takes its time to obey, and the page's pictures go on.
+        # Threads do the work: a simulation takes its time to obey, and the page's pictures go on.
         lambda asked: loop.run_in_executor(halts, _told, feed, control, layouts, asked),
         lambda asked: asyncio.to_thread(_told, feed, control, layouts, asked),
         socket.send_str,

@@ -14,7 +14,7 @@ from swarm.errors import MissingPackageError
 
 
 def watched(run: VirtualRun, plan: Scenario, options: Options, tell: Callable[[RunOutcome], int]) -> int:
-    """Run, and serve the page until interrupted. `tell(outcome)` reports the end of the run and returns an exit code."""
+    """Run, and serve the page until interrupted. `tell(outcome)` reports the end of the run, and returns its code."""
     try:
         from laptop.view import server
     except ModuleNotFoundError as error:

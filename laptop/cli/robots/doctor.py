@@ -129,7 +129,9 @@ async def _ask(ssh: Ssh, host: Host, robot: ExaminedRobot, rig: Rig) -> Examined
     bus = None
     if system["current"]:
         python = f"{rig.root.rstrip('/')}{CURRENT}/bin/python"
-        with contextlib.suppress(HostError, PayloadError):  # an old release, or none that runs: `services` says so
+        with contextlib.suppress(
+            HostError, PayloadError
+        ):  # the check `services` tells of an old release, or of one that does not run
             said = await ssh.check(host, f"sudo -n {python} -P -m swarm.onboard.listen {shlex.quote(robot.name)}")
             bus = read_json(said)
     return replace(robot, system=system, bus=bus, now=now, key=system.get("key"))

@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     for name in found:
         apps.check_settings(settings[name], config, name)
     if not args.force:
-        # Who is not there is told by the start.
+        # The start tells which robots are not there.
         _, versions = everyone.gather(
             robots, lambda host: apps.ask_versions(ssh, host), min(args.timeout, everyone.ASK_S)
         )

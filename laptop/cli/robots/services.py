@@ -16,7 +16,7 @@ from swarm.process.arguments import show
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what is to be done, and to which services."""
-    # An option: with two positional arguments, argparse takes no names of services after --robots.
+    # This is an option: with two positional arguments, argparse takes no names of services after --robots.
     parser.add_argument("--action", choices=("start", "stop", "restart"), required=True, help=argparse.SUPPRESS)
     parser.add_argument(
         "services", nargs="*", metavar="SERVICE", help="bus, mesh, balancer, dwm or an app (default: all services)"

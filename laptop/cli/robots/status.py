@@ -117,7 +117,9 @@ async def _look(ssh: Ssh, host: Host) -> StatusRow:
 
 def question(robot: str) -> str:
     """Return the command for the robot's shell; `parse` reads its answer."""
-    units = " ".join(f"swarm-{name}.service" for name in SERVICES)  # a pattern here, so with its ending
+    units = " ".join(
+        f"swarm-{name}.service" for name in SERVICES
+    )  # systemctl takes a pattern here, so the ending is needed
     return sections.ask(
         {
             "release": f"readlink {CURRENT}",
@@ -170,7 +172,7 @@ def _row(robot: str, parts: Mapping[str, str]) -> StatusRow:
         for key, value in newest.items()
         if key.startswith("app/") and value.keys() >= {"phase", "k"}
     }
-    # What is there has the types of its message; fields may be missing.
+    # Fields that are there have the types of their message; some may be missing.
     return StatusRow(
         release=parts.get("release", "").rpartition("/")[2],
         firmware=f"{atmega['layout']}.{atmega['revision']}" if atmega.keys() >= {"layout", "revision"} else None,

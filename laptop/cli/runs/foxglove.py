@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
             )
             signal.signal(signal.SIGTERM, signal.default_int_handler)
             while feed.kind == "robots" or feed.live:
-                time.sleep(0.5)  # the signal ends it
+                time.sleep(0.5)  # the signal ends the loop
         finally:
             server.close()
     finally:

@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
             _put(recording, name, kinds[name], text, topics[name], str(args.source / name))
     except RecordingError:
         recording.close()
-        file.unlink()  # or the next attempt would find it
+        file.unlink()  # the next attempt would find it otherwise
         if is_new:
             about.unlink()
         raise

@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
             drawing(made, recorded)
             if args.between:
                 _cut(made, *args.between)
-    except LocalError as error:  # what is damaged may be what it lacks
+    except LocalError as error:  # the damaged part may be what the picture needs
         raise LocalError("; ".join([str(error), *recorded.damage])) from None
     damage = list(recorded.damage)
     show(args, {"picture": str(path), "damage": damage}, [*(f"note: {each}" for each in damage), str(path)])
@@ -142,6 +142,6 @@ def _label(text: str) -> tuple[str, str]:
 
 def _of(recorded: Run) -> str:
     kind = OF_APP.get(recorded.app, "states")
-    # Imported from the thesis' files there are states alone.
+    # A run that was imported from the thesis' files has states alone.
     needed = {"leds": "/leds", "standup": "/balancer/state", "floods": "/asked", "unicasts": "/asked"}.get(kind, "")
     return kind if any(topic.endswith(needed) for topic in recorded.topics) else "states"

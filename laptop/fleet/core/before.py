@@ -32,9 +32,9 @@ def disk(facts: Facts, wish: DesiredRobot) -> Verdict:
     """Check that there is room for packages and releases."""
     need = dict(MIN_FREE)
     if wish.bundle is not None:
-        need["/"] += 5 * sum(wish.bundle.files.values())  # the file, and what it unpacks to
+        need["/"] += 5 * sum(wish.bundle.files.values())  # a package's file, and what it unpacks to
     if facts["current"]:
-        need["/"] -= 200_000_000  # the releases are there
+        need["/"] -= 200_000_000  # the releases are there already
     for path, least in need.items():
         free = facts["free"].get(path)
         if free is not None and free < least:

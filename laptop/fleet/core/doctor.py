@@ -43,7 +43,7 @@ def _compared(value: Callable[[ExaminedRobot], str | None], robot: ExaminedRobot
     try:
         return value(robot)
     except MISUNDERSTOOD:
-        return None  # a check of the robot alone says so
+        return None  # a check of the robot alone tells of that
 
 
 def _release(robot: ExaminedRobot) -> str | None:

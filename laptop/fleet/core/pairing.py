@@ -61,7 +61,7 @@ def plan(a: Bond | None, b: Bond | None) -> list[str]:
     """
     paired = [end is not None and end.paired for end in (a, b)]
     if not all(paired):
-        # Whatever else an end knows of the other is from before: an inquiry begins with nothing.
+        # Other knowledge of an end about the other is from earlier pairings: an inquiry begins with none.
         return [*(f"forget-{end}" for end, its in zip("ab", (a, b), strict=True) if its is not None), "pair"]
     return [f"trust-{end}" for end, its in zip("ab", (a, b), strict=True) if its is not None and not its.trusted]
 

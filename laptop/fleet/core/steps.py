@@ -33,7 +33,7 @@ FIRST = (
     ProvisioningStep("packages", packages.packages),
     ProvisioningStep("kernel", packages.kernel),
 )
-"""All of these are judged before anything is changed."""
+"""Steps that are all judged before anything is changed."""
 
 THEN = (
     ProvisioningStep("boot", settings.boot),
@@ -45,4 +45,4 @@ THEN = (
     ProvisioningStep("network", settings.network),
     ProvisioningStep("name", settings.name),
 )
-"""These are judged when the packages are there."""
+"""Steps that are judged when the packages are there."""

@@ -17,7 +17,7 @@ def with_block(text: str, lines: Sequence[str]) -> str:
     rest = re.sub(rf"(?ms)^{begin}\n(?:(?!^{begin}\n).)*?^{end}(?:\n|\Z)", "", text)
     if rest and not rest.endswith("\n"):
         rest += "\n"
-    for stray in (BEGIN, END):  # of a block that somebody has edited
+    for stray in (BEGIN, END):  # they are left of a block that somebody has edited
         rest = re.sub(rf"(?m)^{re.escape(stray)}\n", "", rest)
     return "".join([rest, *(line + "\n" for line in (BEGIN, *lines, END))])
 

@@ -93,7 +93,7 @@ def wish(
 
 Facts = Mapping[str, Any]
 Change = dict[str, Any]
-"""As `swarm.onboard.bootstrap.changes` takes it."""
+"""A change in the form that `swarm.onboard.bootstrap.changes` takes."""
 
 
 @frozen

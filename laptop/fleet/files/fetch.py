@@ -104,7 +104,7 @@ class RecordingFetch:
         elif not same:
             _set_aside(path)
         elif path != common:
-            # What all robots have is kept once; where another robot has something else under that name, both are.
+            # A file that all robots have is kept once. Other data of another robot under that name are kept, too.
             try:
                 os.link(path, common)
             except FileExistsError:
@@ -117,7 +117,7 @@ class RecordingFetch:
                 path.unlink()
 
     async def _bring(self, files: list[File]) -> None:
-        # Settled now: meanwhile the copy of another robot may come to lie there.
+        # The places are settled here: meanwhile the copy of another robot may come to lie there.
         places = {file: self._local(file) for file in files}
         have = {file.path: place.stat().st_size for file, place in places.items() if place.is_file()}
         wanted = collect.plan(files, have)
@@ -151,7 +151,7 @@ class RecordingFetch:
         with text.open("ab") as file:
             if file.tell() < mark.size:
                 mark = JournalMark()  # the text was taken away: begin anew
-            file.truncate(mark.size)  # what came after it has no cursor
+            file.truncate(mark.size)  # text behind the mark has no cursor
             file.seek(mark.size)
             cursor = mark.cursor
 
@@ -166,7 +166,7 @@ class RecordingFetch:
             try:
                 done = await self._ssh.run(self._host, command, on_line=line)
             finally:
-                # What has come stays, whatever happened: the next time goes on behind it.
+                # The entries that have come stay, whatever happened: the next transfer goes on behind them.
                 file.flush()
                 os.fsync(file.fileno())
                 atomic_write(place, JournalMark(file.tell(), cursor).text.encode())

@@ -34,7 +34,7 @@ def run(ssh: Ssh, host: Host, command: str, on_line: Callable[[str], None]) -> i
                 on_line(line.decode(errors="replace").rstrip("\n"))
             code = process.wait()
     finally:
-        process.kill()  # where this was interrupted: the far command ends with its input
+        process.kill()  # this may have been interrupted: the far command ends with its input
         process.wait()
         process.stdout.close()
         errors.join()

@@ -214,8 +214,7 @@ async def _write(stream: asyncio.StreamWriter, feed: Sequence[bytes], hold: asyn
 
 
 async def _closed(stream: asyncio.StreamWriter) -> None:
-    """Wait until it is closed; what came of it is asked for in any case, or asyncio logs it as an error that nobody has
-    seen."""
+    """Wait until a stream is closed. Its error is asked for, or asyncio would log one that nobody has seen."""
     with contextlib.suppress(*_BROKEN):
         await stream.wait_closed()
 

@@ -31,7 +31,7 @@ ANSWER_S = 5.0
 """Seconds for which a request to set a parameter, or the end of a stop, is repeated: the app may be starting, and a bus
 may lose a request."""
 START_S = 60.0
-"""The same for an app that is started first, over ssh on a slow robot."""
+"""Seconds for which a request to an app is repeated that is started before, over ssh on a slow robot."""
 
 
 class _Halt:
@@ -41,9 +41,9 @@ class _Halt:
         """`version`: the version of the picture when the command was given."""
         self.stop = stop
         self.since = clock.now()
-        """The time at which it was given, s."""
+        """The time at which the command was given, s."""
         self.confirmed: set[str] = set()
-        """Robots that have said so. They are not told again: somebody else may give another command meanwhile."""
+        """Robots that have confirmed. They are not told again: somebody else may give another command meanwhile."""
         self.overruled = False
         """Whether somebody else has given a later command: this one is not told to robots that come later."""
         self._opposed: dict[str, int | None] = {}
@@ -130,14 +130,14 @@ class Control:
         wanted = self._wanted
         if wanted is None:
             return
-        # Before the other lock: a stop does not wait for a picture that is being drawn.
-        buses = self._feed.buses  # the same ones below: a robot may leave the simulation meanwhile
+        # This comes before the other lock, so that a stop does not wait for a picture that is being drawn.
+        buses = self._feed.buses  # the loop below needs the same ones: a robot may leave the simulation meanwhile
         with self._feed.lock:
             for name, bus in buses.items():
                 wanted.look(name, bus, *self._feed.picture.versioned(name, "mesh/stopped"))
         with self._halting:
             if self._wanted is not wanted:
-                return  # a later one has gone out meanwhile
+                return  # a later command has gone out meanwhile
             late = [name for name in buses if name not in wanted.confirmed]
             given_up = not wanted.stop and clock.now() > wanted.since + ANSWER_S
             if not late or wanted.overruled or given_up:
@@ -155,7 +155,7 @@ class Control:
     def _halt(self, *, stop: bool) -> str:
         self._feed.check_control()
         with self._halting:
-            # Not under the feed's lock: a stop does not wait for a picture that is being drawn.
+            # The feed's lock is not held, so that a stop does not wait for a picture that is being drawn.
             self._wanted = wanted = _Halt(stop, self._feed.picture.version)
             for name, bus in self._feed.buses.items():
                 wanted.give(name, bus)
@@ -205,7 +205,7 @@ class Control:
             raise LocalError(f"start: {' '.join(silent)} cannot be given parameters: no bus is reached there")
         values = on_top(AppConfig(), settings, robots)
         app = str(asked["app"])
-        # What an earlier run has not answered is not for this one.
+        # Requests that an earlier run has not answered are not for this one.
         earlier = {(robot, app): self._asked.pop((robot, app)) for robot in robots if (robot, app) in self._asked}
         try:
             done = self._actions.acts["start"](asked)
@@ -237,11 +237,11 @@ class Control:
         unanswered, until = self._asked.get((robot, app), (None, 0.0))
         before = {} if unanswered is None else unanswered.parameters
         request = SetAppParameters(new_ticket(), {**before, **values})
-        self._ask(robot, app, request)  # first: what the way there does not take is not asked again
+        self._ask(robot, app, request)  # this comes first: a request that cannot be sent is not repeated
         self._asked[robot, app] = request, max(until, clock.now() + seconds)
 
     def _ask(self, robot: str, app: str, request: SetAppParameters) -> None:
-        if (bus := self._feed.buses.get(robot)) is not None:  # else it is no robot of the simulation any more
+        if (bus := self._feed.buses.get(robot)) is not None:  # a robot may have left the simulation
             bus.publish(key(robot, f"app/{app}", "set", "parameters"), request, urgent=True)
 
     def _ask_again(self) -> None:
@@ -254,7 +254,7 @@ class Control:
                     self._feed.picture.note(self._feed.now(), robot, "warning", f"app/{app} has not answered: {said}")
             if not answered and not late:
                 self._ask(robot, app, request)
-            elif self._asked.get((robot, app), (None,))[0] is request:  # none newer came meanwhile
+            elif self._asked.get((robot, app), (None,))[0] is request:  # no newer request came meanwhile
                 self._asked.pop((robot, app), None)
 
 

@@ -173,7 +173,9 @@ class RemoteActions:
 
     def _ended(self, task: asyncio.Task[None]) -> None:
         self._tasks.discard(task)
-        if not task.cancelled() and (error := task.exception()) is not None:  # a defect, or none would come here
+        if (
+            not task.cancelled() and (error := task.exception()) is not None
+        ):  # other errors than defects are told before
             _log.error("what was to be done has failed", exc_info=error)
 
     async def _cancel(self) -> None:
@@ -230,7 +232,7 @@ class RemoteActions:
                 self._check_newest(app, host, number)
                 if anew:
                     await start.on(self._ssh, host)
-                else:  # not waited for: an app is ready when it has its first measurement
+                else:  # without waiting: an app is ready when it has its first measurement
                     await apps.systemctl(self._ssh, host, "start --no-block", [start.unit])
             self._launch(self._expect(app, host, number))
             return f"app/{app} was started" + ("" if anew else ": it goes on where it was")
@@ -254,7 +256,7 @@ class RemoteActions:
                 async with asyncio.timeout(TIMEOUT_S):
                     self._tell_apps(host.robot, await apps.ask_known(self._ssh, host))
             except (SwarmError, TimeoutError, *MISUNDERSTOOD):
-                return  # whoever is not there is told of by the feed
+                return  # the feed tells which robots are not there
 
         await _all(map(one, self._hosts.values()))
 

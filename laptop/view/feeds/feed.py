@@ -119,7 +119,7 @@ class SimulationFeed(RealTimeFeed):
         self.config: Config | None = None
         """The swarm's configuration; None until it is known."""
         self._config_time = 0
-        """When its file was written, ns."""
+        """The time at which the configuration's file was written, ns."""
         self.buses: dict[str, Bus] = {}
         """The bus of each robot."""
         self._traffic: dict[str, Traffic] = {}
@@ -160,7 +160,7 @@ class SimulationFeed(RealTimeFeed):
         try:
             written = (self.directory / CONFIG).stat().st_mtime_ns
         except OSError:
-            return  # between two runs
+            return  # there is none between two runs
         if written == self._config_time or (config := config_in(self.directory)) is None:
             return
         self._config_time, self.config = written, config
@@ -175,7 +175,7 @@ class SimulationFeed(RealTimeFeed):
         for name, runtime in robots(self.directory).items():
             if name not in self.buses and (not self._only or name in self._only):
                 bus = Bus(bus_endpoint(runtime))
-                self.buses = {**self.buses, name: bus}  # others may be going through it
+                self.buses = {**self.buses, name: bus}  # other threads may go through the old one
                 watch(bus, name, self._taker(name), self._alive)
                 self._traffic[name] = Traffic(bus, name, self._counter(name))
 

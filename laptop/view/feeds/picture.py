@@ -187,7 +187,7 @@ class Picture:
             except PayloadError as error:
                 with lock:
                     if _kind(topic) is None:
-                        self.refused += 1  # an app's own bytes
+                        self.refused += 1  # these are an app's own bytes
                     else:
                         self.refuse(robot, topic, error)
             else:

@@ -28,7 +28,8 @@ second."""
 
 VIEW_SILENT_S = 5.0
 SHARE_S = 0.8
-"""The same over the mesh, and the seconds that each robot of the swarm adds: large swarms report less often."""
+"""Seconds without a message over the mesh after which a robot counts as silent, and the seconds that each robot of the
+swarm adds: large swarms report less often."""
 
 GRACE_S = 5.0
 """Seconds after the start before a robot counts as out of reach if the mesh has carried nothing of it."""
@@ -188,7 +189,7 @@ class Robots(RealTimeFeed):
         if robot == bus:
             self._heard[robot] = now
         elif self._speaks_for_itself(robot):
-            return  # another one might say that it has stopped
+            return  # on another bus somebody might say that this robot has stopped
         elif (service, topic) == ("mesh", "view"):
             self._view(robot, name, payload, now)
             return

@@ -46,7 +46,7 @@ class Tunnel:
         self.connected = False
         """Whether the robot's lookout is connected."""
         self.problem = ""
-        """Why it is not connected, in words; empty if it is, or if nobody has tried yet."""
+        """Why the lookout is not connected, in words; empty if it is, or if nobody has tried yet."""
         self._arguments = ssh.arguments(host, f"{PROGRAM} {host.robot}")
         self._take = take
         self._changed = changed
@@ -102,10 +102,10 @@ class Tunnel:
 
     def _once(self) -> bool:
         """Run one connection to its end; return whether the robot has said anything."""
-        # To a file: nobody has to read it meanwhile, and a connection that ssh shares may keep it open.
+        # Errors go to a file, since nobody has to read it meanwhile, and a connection that ssh shares may keep it open.
         with tempfile.TemporaryFile() as errors:
             try:
-                # Of its own session: Ctrl-C ends us, and we end it.
+                # The process has a session of its own: Ctrl-C ends us, and we end the process.
                 process = subprocess.Popen(
                     self._arguments,
                     stdin=subprocess.PIPE,
