@@ -29,7 +29,7 @@ _ACTIVE = "systemctl list-units --plain --no-legend --state=active,activating,re
 
 
 @dataclass
-class Got:
+class FetchedRecordings:
     """The result of fetching one robot's recordings."""
 
     files: int = 0
@@ -47,11 +47,11 @@ class RecordingFetch:
 
     def __init__(self, ssh: Ssh, host: Host, folder: Path, tell: ReportProgress) -> None:
         self._ssh, self._host, self._folder, self._tell = ssh, host, folder, tell
-        self._got = Got()
+        self._got = FetchedRecordings()
         self._differs: set[File] = set()
         """Files that differ from another robot's file of the same name."""
 
-    async def recordings(self, runs: list[str]) -> Got:
+    async def recordings(self, runs: list[str]) -> FetchedRecordings:
         """Bring what is missing here of the wanted runs, of all where none is named. Raises `HostError`."""
         try:
             found, self._got.strange = collect.parse_list(await self._run(collect.LIST))
@@ -179,7 +179,11 @@ class _Sink:
     """Writes parts of the stream to files, and compares each whole file with the robot's sum."""
 
     def __init__(
-        self, places: Mapping[File, Path], settle: Callable[[File, Path, bool], None], got: Got, report: "_Progress"
+        self,
+        places: Mapping[File, Path],
+        settle: Callable[[File, Path, bool], None],
+        got: FetchedRecordings,
+        report: "_Progress",
     ) -> None:
         self._places, self._settle, self._got, self._report = places, settle, got, report
         self._file: BinaryIO | None = None

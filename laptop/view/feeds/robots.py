@@ -111,9 +111,9 @@ class Robots(RealTimeFeed):
         """Ask for views where it is time, and find out how each robot is seen."""
         seen = self._bus.keys() | self._viewed.keys()
         every = WATCH_EVERY_S if seen >= set(self.config.names) else SEEK_EVERY_S
-        if now >= self._watched_at + every and (eye := self._eye()) is not None:
+        if now >= self._watched_at + every and (viewpoint := self._viewpoint()) is not None:
             self._watched_at = now
-            self.buses[eye].publish(key(eye, "mesh", "set", "watch"), Watch(now, WATCH_S))
+            self.buses[viewpoint].publish(key(viewpoint, "mesh", "set", "watch"), Watch(now, WATCH_S))
         with self.lock:
             for name in self.config.names:
                 by, why = self._reach(name, now)
@@ -124,7 +124,7 @@ class Robots(RealTimeFeed):
                 if before != value:
                     self.picture.put(name, REACH, value, now - self.began)
 
-    def _eye(self) -> str | None:
+    def _viewpoint(self) -> str | None:
         """Return the robot through which the others are seen."""
         return next((name for name, tunnel in self.buses.items() if tunnel.connected), None)
 
@@ -152,8 +152,8 @@ class Robots(RealTimeFeed):
 
     def _gone(self, name: str) -> str:
         """Return why the mesh of the robot that shows all others does not have this robot; empty where it has."""
-        eye = self._eye()
-        members = self.picture.newest(eye, "mesh/members") if eye is not None else None
+        viewpoint = self._viewpoint()
+        members = self.picture.newest(viewpoint, "mesh/members") if viewpoint is not None else None
         for member in members.get("members") or () if isinstance(members, dict) else ():
             if isinstance(member, dict) and member.get("robot") == name:
                 return _LOST.get(str(member.get("state")), "")
