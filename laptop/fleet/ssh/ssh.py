@@ -88,7 +88,7 @@ class Ssh:
     """Runs commands on robots."""
 
     def __init__(self, config_file: Path | None = None, *, alone: bool = False) -> None:
-        """`config_file` is read in place of the user's ~/.ssh/config. `alone`: each command has a connection of its own.
+        """`config_file` is read in place of the user's ~/.ssh/config. `alone`: each command has its own connection.
         One that ssh shares may be dead, and nobody has noticed."""
         self._config_file = config_file
         self._alone = alone
