@@ -9,7 +9,7 @@ from typing import Any
 from laptop.view import series
 from laptop.view.feeds.picture import MAX_EVENTS, TRAIL_S, Event, Picture, pose_topic, track
 from laptop.view.series import dig
-from swarm.errors import RecordingError, SwarmError
+from swarm.errors import LocalError, RecordingError, SwarmError
 from swarm.messages.json_values import json_value
 from swarm.messages.keys import parse as parse_key
 from swarm.recording.core import foxglove, json_text
@@ -91,6 +91,17 @@ class ViewedRecording:
             chosen = sorted({*range(0, len(times), step), *((last,) if times else ())})
             found[robot] = series.rows(((times[index], self._message(data[index])) for index in chosen), fields)
         return {robot: rows for robot, rows in found.items() if rows}
+
+    def check_charts(self, charts: Sequence[str]) -> None:
+        """Raise `LocalError` where a chart, TOPIC:FIELD or TOPIC:FIELD.FIELD, would have no number."""
+        for chart in charts:
+            topic, _, field = chart.partition(":")
+            if not self.series(topic, [tuple(field.split("."))]):
+                there = ", ".join(sorted({topic for topics in self._rows.values() for topic in topics}))
+                raise LocalError(
+                    f"--chart {chart}: no robot has such a number; expected TOPIC:FIELD, e.g. "
+                    f"app/consensus/state:state.value, and the topics are {there}"
+                )
 
     def marks(self) -> list[tuple[float, str, str]]:
         """Return time, level and text of events in the whole run, for a strip of its time. Of too many, return the

@@ -114,9 +114,7 @@ def _plan(args: argparse.Namespace, feed: "ViewedRecording") -> "Film":
         raise LocalError(
             f"--from and --to: nothing between them, the recording is from {feed.first:g} to {feed.last:g} s"
         )
-    for chart in args.chart:
-        if not re.fullmatch(r"[^:]+:[^:]+", chart):
-            raise LocalError(f"--chart {chart}: expected TOPIC:FIELD, e.g. app/consensus/state:state.value")
+    feed.check_charts(args.chart)
     theme = "dark" if args.dark else "light"
     return Film(begin, end, (width, height), args.fps, args.speed, tuple(args.chart), theme)
 

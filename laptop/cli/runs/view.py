@@ -67,6 +67,7 @@ def run(args: argparse.Namespace) -> int:
         feed = ViewedRecording(args.recording)
         for damage in feed.damage:
             print(f"swarm: {damage}", file=sys.stderr)
+        feed.check_charts(args.chart)
     else:
         feed, control = live.open_feed(args)
 

@@ -200,7 +200,7 @@ def test_periodic_apps_and_channels_are_runs_too() -> None:
         ({"faults": [1]}, r"faults: expected a list of texts, got \[1\]"),
         ({"faults": None}, "faults: expected a list of texts, got None"),
         ({"robots": "6"}, "robots: expected a whole number, got '6'"),
-        ({"robots": 0}, "--robots: '0': expected 1 or more"),
+        ({"robots": 0}, "--robots: '0': expected a whole number from 1 to 100000"),
         ({"topology": np.ones((3, 3))}, r'numpy.savetxt\("graph.txt"'),
         ({"config": "swarm.toml", "robots": 4}, "--config names robots and topology itself"),
         ({"config": "swarm.toml", "topology": "loop"}, "--config names robots and topology itself"),

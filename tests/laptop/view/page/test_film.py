@@ -88,6 +88,8 @@ def arguments(*words: object) -> Any:
         (["x.mp4", "--from", "5", "--to", "4"], "nothing between"),
         (["x.mp4", "--from", "1e6"], "nothing between"),
         (["x.mp4", "--chart", "value"], "TOPIC:FIELD"),
+        (["x.mp4", "--chart", "app/consensus/state:state.valu"], "no robot has such a number"),
+        (["x.mp4", "--chart", "app/consensus/states:k"], "the topics are .*app/consensus/state"),
     ],
 )
 def test_bad_wishes_are_refused_before_anything_is_drawn(
