@@ -62,7 +62,8 @@ def add_robot(
     robots.script(name, "sed", f'case $2 in s/^SWARM_ROBOT*) echo {own} ;; *) exec /usr/bin/sed "$@" ;; esac')
     robots.script(name, "readlink", f"echo /opt/swarm/releases/{release}")
     # The config of the others is the one here, which is complete when all robots are added.
-    robots.script(name, "sha256sum", f"[ -s $HOME/config ] || exec /usr/bin/sha256sum {robots.config}; echo {'0' * 64}")
+    told = f"[ -s $HOME/config ] || exec /usr/bin/sha256sum {robots.config}; echo {'0' * 64}"
+    robots.script(name, "sha256sum", f'case $1 in /etc/*) {told} ;; *) exec /usr/bin/sha256sum "$@" ;; esac')
     firmware = f'{{"key": "k", "value": {{"layout": 1, "revision": {revision}}}}}'
     text = f"shift; case $1 in */z_sub) echo '{firmware}' ;; "
     text += f'*) exec "$1" "$2" "$(printf \'%s\\n\' "$3" | sed \'{PATHS}\')" ;; esac'
