@@ -42,7 +42,7 @@ r2 = [1.1, 1.7, 0.0]
 POWERED = """
 for i in $(seq 200); do timeout 10 bluetoothctl show | grep -q 'Powered: yes' && exit 0; sleep 0.3; done; exit 1
 """
-LATE = re.compile(r"^  \w+ +FAILED .*has no first state after", re.MULTILINE)
+LATE = re.compile(r"^\w+ +FAILED .*has no first state after", re.MULTILINE)
 """What `swarm run` says of a robot whose processes a busy host does not start within 20 s."""
 SLOW = ("swarm run ", "swarm status")
 """Commands for which a robot needs minutes where two of them share a processor of the host, as three do on two."""
@@ -50,8 +50,8 @@ STAND = (documented_path.TUTORIAL, "swarm status --watch")
 UNTIL = {STAND: re.compile("balancing")}
 """What each robot's row has before the person ends the table by Ctrl-C."""
 DONE = re.compile(r"descent:done@500 ")
-FAILED = re.compile(r"^  (\w+) +FAILED ", re.MULTILINE)
-FALLEN = re.compile(r"^  (\w+) +FAILED .*this one is fault", re.MULTILINE)
+FAILED = re.compile(r"^(\w+) +FAILED ", re.MULTILINE)
+FALLEN = re.compile(r"^(\w+) +FAILED .*this one is fault", re.MULTILINE)
 """What `swarm balance lie` says of a robot that has fallen. A simulated body falls where its loop, in a virtual
 machine, does not get its 100 Hz from a busy host for long enough."""
 FELL = "swarm balance stand"
