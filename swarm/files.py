@@ -70,6 +70,12 @@ def sync_folder(path: Path) -> None:
         os.close(folder)
 
 
+def free_space(place: str | Path | int) -> int:
+    """Return the bytes that may still be written to the disk of a path or of an open file. Raises `OSError`."""
+    disk = os.statvfs(place)
+    return disk.f_bavail * disk.f_frsize
+
+
 def open_reserved(path: Path, size: int, mode: int) -> int:
     """Open a file for reading and writing, and reserve its first `size` bytes: a disk that is full later cannot fail a
     write to them, nor end the process with SIGBUS where they are mapped. Raises `OSError`, on a full disk above all."""

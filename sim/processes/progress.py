@@ -85,8 +85,8 @@ def _write(out: TextIO, line: str) -> None:
 
 
 def _fit(lines: list[str], terminal: TextIO) -> list[str]:
-    """Return lines that take one line of the screen each, and fit on it together: what is longer is never erased whole.
-    A terminal that does not tell its size gets all."""
+    """Return the lines cut to the width and height of the terminal, since a longer block cannot be erased as a whole. A
+    terminal that does not tell its size gets all lines."""
     width, height = 0, 0
     with contextlib.suppress(OSError, ValueError):
         width, height = os.get_terminal_size(terminal.fileno())

@@ -276,13 +276,15 @@ def _check_end(config: Config, app: loader.LoadedApp, options: Options) -> None:
 
 
 def _check_measured(config: Config, apps: Sequence[loader.LoadedApp], options: Options) -> None:
-    """Raise `ConfigError` for measurements that no app takes. Real processes of dwm tell them to event apps, too."""
+    """Raise `ConfigError` if measurements are given and no app takes any. With real processes event apps hear them from
+    the dwm service, too."""
+    if options.noise is None and options.replay is None:
+        return
     kinds = [each.kind_on(config, robot) for each in apps for robot in config.names]
     hears = EventApp if not options.virtual else ()
     if not any(issubclass(kind, hears) or getattr(kind, "measured", False) for kind in kinds):
-        for given, name in ((options.noise, "--noise"), (options.replay, "--replay")):
-            if given is not None:
-                raise ConfigError(f"{name}: {apps[0].name} takes no measurements: its class says no `measured = True`")
+        name = "--replay" if options.noise is None else "--noise"
+        raise ConfigError(f"{name}: {apps[0].name} takes no measurements: its class has no `measured = True`")
 
 
 def _reacts_only(kind: type[BaseApp]) -> bool:

@@ -57,19 +57,17 @@ def on_top(app: AppConfig, settings: Iterable[Setting], robots: Iterable[str]) -
 
     Raises `ConfigError` for a robot that there is not.
     """
-    common: dict[str, Value] = dict(app.parameters)
-    single: dict[str, dict[str, Value]] = {robot: dict(values) for robot, values in app.robots.items()}
+    common, single = common_and_single(settings)
     names = tuple(robots)
-    for setting in sorted(settings, key=lambda each: each.robot is not None):
-        if setting.robot is None:
-            common[setting.name] = setting.value
-            for values in single.values():
-                values.pop(setting.name, None)
-        elif setting.robot in names:
-            single.setdefault(setting.robot, {})[setting.name] = setting.value
-        else:
-            raise ConfigError(f"--set {setting.robot}.{setting.name}: the robots are {', '.join(names)}")
-    return AppConfig(common, single)
+    for robot, values in single.items():
+        if robot not in names:
+            raise ConfigError(f"--set {robot}.{next(iter(values))}: the robots are {', '.join(names)}")
+    kept = {
+        robot: {name: value for name, value in values.items() if name not in common}
+        for robot, values in app.robots.items()
+    }
+    both = {robot: kept.get(robot, {}) | single.get(robot, {}) for robot in (*kept, *single)}
+    return AppConfig({**app.parameters, **common}, both)
 
 
 def with_settings(config: Config, app: str, settings: Iterable[Setting]) -> Config:

@@ -18,6 +18,7 @@ from pathlib import Path
 
 from swarm import __version__
 from swarm.errors import LocalError, RecordingError
+from swarm.files import free_space
 from swarm.recording.budget import hold
 from swarm.recording.core import mcap
 from swarm.recording.core.writer import ExistingContent, Writer
@@ -38,15 +39,14 @@ MAX_WAITING = 1024 * 1024
 LIBRARY = f"balboa-swarm {__version__}"
 
 UNRECORDED = "nothing is recorded"
-"""How an app's status begins while that is so."""
+"""The first words of an app's status while nothing can be recorded."""
 
 _log = logging.getLogger("record")
 
 
 def check_room(folder: Path) -> None:
     """Raise `LocalError` where the disk of a folder has so little room that no file in it would be written."""
-    space = os.statvfs(folder)
-    if space.f_bavail * space.f_frsize < MIN_FREE:
+    if free_space(folder) < MIN_FREE:
         raise LocalError(
             f"{folder}: less than {MIN_FREE >> 20} MiB are free on its disk, so nothing could be recorded: make room, "
             "or name a folder on another disk"
@@ -263,8 +263,7 @@ class RecordingFile:
         if not data or self._file is None:
             return
         try:
-            space = os.fstatvfs(self._file)
-            if space.f_bavail * space.f_frsize < self._min_free:
+            if free_space(self._file) < self._min_free:
                 self._lose(f"less than {self._min_free >> 20} MiB are free on its disk")
                 return
             count = os.pwrite(self._file, data, self._written)

@@ -3,7 +3,6 @@
 import argparse
 import contextlib
 import hashlib
-import os
 import shlex
 import time
 from collections.abc import Mapping, Sequence
@@ -18,6 +17,7 @@ from laptop.fleet.ssh import everyone, remote, robot_command
 from laptop.fleet.ssh.ssh import CURRENT, Host, HostError, Ssh
 from swarm.config import Config, load
 from swarm.errors import PayloadError
+from swarm.files import free_space
 from swarm.messages.json_input import read_json
 from swarm.onboard.bootstrap.facts import key_facts
 from swarm.onboard.listen import newest_messages
@@ -91,8 +91,7 @@ def _simulated(there: Mapping[str, Path]) -> dict[str, ExaminedRobot]:
 
 def _free(path: Path) -> int | None:
     with contextlib.suppress(OSError):
-        disk = os.statvfs(path)
-        return disk.f_bavail * disk.f_frsize
+        return free_space(path)
     return None
 
 

@@ -40,7 +40,7 @@ Job = Callable[[Host, ReportProgress], Awaitable[str]]
 
 
 ASK_S = 30.0
-"""Seconds that a robot has for a question whose answer all others wait for, as what it is, or what runs on it."""
+"""Seconds that a robot has to answer a question on which all other robots wait, such as which release it runs."""
 
 FAILURES = (TimeoutError, *MISUNDERSTOOD)
 """Errors that end the job of one robot and not those of the others; `HostError` is one of them."""

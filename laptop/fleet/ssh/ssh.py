@@ -29,8 +29,8 @@ _ALIVE = ("-o", "ServerAliveInterval=5", "-o", "ServerAliveCountMax=3")
 """Options of ssh by which a robot that disappears during a command is noticed after 15 s."""
 
 _PLAIN = ("-T", "-o", "RemoteCommand=none", "-o", "LogLevel=INFO")
-"""Options of ssh against settings of the user's that suit a shell: a terminal or another program there would change
-what comes back, no messages would hide why a connection failed, and more of them what the robot said."""
+"""Options of ssh that overrule the user's own settings. A terminal or another command would change the robot's answer.
+With fewer messages the reason of a failed connection would be missing, with more of them the answer hard to find."""
 
 CLIENT_FAILED = 255
 """Exit code of `ssh` itself, where no command has run or its end was not seen."""

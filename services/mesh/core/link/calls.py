@@ -262,7 +262,7 @@ class Local:
     robots: frozenset[str]
     """All robots of the swarm."""
     times: MeshConfig = MeshConfig()
-    """Seconds between heartbeats and until a link is suspect or dead; its other settings play no part here."""
+    """Holds `heartbeat`, `suspect`, `dead`, `handshake` and `patience` of the links. No other setting of it is used."""
     pages: bool = False
     """Whether a call keeps the radio from other links, as a page of Bluetooth does; then callers are known by their
     addresses, too."""
