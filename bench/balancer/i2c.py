@@ -20,7 +20,7 @@ from services.balancer import realtime
 from services.balancer.balancer import Balancer
 from services.balancer.core.control.body import body_model
 from services.balancer.core.devices.display import ScreenText
-from services.balancer.drivers import Balboa
+from services.balancer.device_drivers import Balboa
 from services.balancer.measure_i2c import measure
 from services.balancer.slack_tasks import SlackTasks
 from sim.core.balboa import BalboaBody

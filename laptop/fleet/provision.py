@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 from typing import Any
 
-from laptop.fleet.core import before, packages, steps
+from laptop.fleet.core import packages, provision_checks, steps
 from laptop.fleet.core.wish import (
     FIRMWARE_PACKAGE,
     KERNEL_PACKAGE,
@@ -182,7 +182,7 @@ class Provisioning:
         if "clock" in wanted:  # to resolve and send packages may have taken minutes
             passed = time.time() - self._wish.now
             self._wish = replace(self._wish, now=self._wish.now + passed)
-            wanted["clock"] = before.clock({**facts, "time": facts["time"] + passed}, self._wish)
+            wanted["clock"] = provision_checks.clock({**facts, "time": facts["time"] + passed}, self._wish)
         await self._change(wanted, facts["boot_id"])
         facts = await self.look()
         for step in stage:

@@ -22,7 +22,7 @@ from services.balancer.core.devices.battery import EMPTY, LOW, OK, BatteryGuard
 from services.balancer.core.devices.leds import LedClaim, Shown, shown
 from services.balancer.core.faults import MotorFault
 from services.balancer.core.slack.wire_time import WireTime
-from services.balancer.drivers import Balboa, Imu
+from services.balancer.device_drivers import Balboa, Imu
 from services.balancer.i2c import I2CBus
 from swarm.config.types import Balancing
 from swarm.errors import LocalError, RemoteError

@@ -13,7 +13,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from services.balancer.core.devices.rates import RateMeter, longest
-from services.balancer.drivers import Balboa
+from services.balancer.device_drivers import Balboa
 from services.balancer.i2c import RETRY_S, BusInUseError, I2CBus, KernelBus
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus

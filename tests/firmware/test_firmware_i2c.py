@@ -7,7 +7,7 @@ import struct
 import pytest
 from firmware_layout import CONSTANTS, FIELDS
 
-from services.balancer.drivers import Balboa
+from services.balancer.device_drivers import Balboa
 
 pytest_plugins = ("firmware_fixtures",)
 

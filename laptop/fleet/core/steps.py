@@ -5,7 +5,7 @@ they cannot be helped. The same judgement, of facts gathered anew, verifies the 
 while any step that comes before packages (`FIRST`) cannot be helped.
 """
 
-from laptop.fleet.core import before, packages, settings
+from laptop.fleet.core import packages, provision_checks, settings
 from laptop.fleet.core.wish import MIN_FREE, ProvisioningStep
 
 REBOOT = "/run/swarm-reboot-needed"
@@ -24,12 +24,12 @@ LOOK = {
 """The request for the facts that the steps need."""
 
 FIRST = (
-    ProvisioningStep("board", before.board),
-    ProvisioningStep("system", before.system),
-    ProvisioningStep("disk", before.disk),
-    ProvisioningStep("key", before.key),
-    ProvisioningStep("address", before.address),
-    ProvisioningStep("clock", before.clock),
+    ProvisioningStep("board", provision_checks.board),
+    ProvisioningStep("system", provision_checks.system),
+    ProvisioningStep("disk", provision_checks.disk),
+    ProvisioningStep("key", provision_checks.key),
+    ProvisioningStep("address", provision_checks.address),
+    ProvisioningStep("clock", provision_checks.clock),
     ProvisioningStep("packages", packages.packages),
     ProvisioningStep("kernel", packages.kernel),
 )

@@ -15,7 +15,7 @@ from services.balancer.core.devices.mailbox import Mailbox
 from services.balancer.core.devices.tune import Player
 from services.balancer.core.devices.uwb import UwbReader
 from services.balancer.core.slack.wire_time import LONGEST
-from services.balancer.drivers import Balboa
+from services.balancer.device_drivers import Balboa
 from services.dwm.core.module.tlv import LOC_GET, AnchorRange, Location, Position, encode_location
 from swarm.messages import ModuleRequest, Note, SetNotes
 

@@ -4,7 +4,7 @@ import random
 
 from balancer_rig import CONFIGURED, NO_ERRORS
 
-from services.balancer.drivers import Balboa, Imu
+from services.balancer.device_drivers import Balboa, Imu
 from sim.core.balboa import BalboaBody
 from sim.core.devices import ImuErrors, SimulatedRobot
 from sim.devices.i2c import SimulatedBus

@@ -8,7 +8,7 @@ from balancer_rig import Rig, upright
 
 from services.balancer.balancer import LEDS_AGAIN_S
 from services.balancer.core.devices import balboa, imu
-from services.balancer.drivers import Balboa, Imu
+from services.balancer.device_drivers import Balboa, Imu
 from services.balancer.slack_tasks import SlackTasks
 
 KINDS = (errno.EREMOTEIO, errno.ETIMEDOUT, errno.EIO)

@@ -18,7 +18,7 @@ from services.balancer.bridge import child
 from services.balancer.bridge.link import pack, pack_command, unpack, unpack_command
 from services.balancer.core.control.estimation.gyro import Zero
 from services.balancer.core.devices import requests
-from services.balancer.drivers import Balboa
+from services.balancer.device_drivers import Balboa
 from swarm.errors import LocalError, PayloadError
 from swarm.messages import (
     BalancerFault,

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.balancer.core.devices import balboa, imu
-from services.balancer.drivers import Balboa, Imu
+from services.balancer.device_drivers import Balboa, Imu
 from services.balancer.i2c import PATIENCE_S, RETRY_S, BusInUseError, KernelBus, open_patiently
 from sim.core.devices import SimulatedRobot, draw_errors
 from swarm.errors import LocalError, RemoteError
