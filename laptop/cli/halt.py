@@ -75,9 +75,7 @@ def run(args: argparse.Namespace) -> int:
         config = load(args.config, addressed=False)
     except LocalError as error:
         return _without_config(args, error)
-    if unknown := [name for name in args.robots or () if name not in found and name not in config.names]:
-        there = ", ".join({**dict.fromkeys(config.names), **found})
-        raise LocalError(f"{unknown[0]} is no robot of {config.path} or of a simulation; there are {there}")
+    unknown = halt.take_unknown(args, {**dict.fromkeys(config.names), **found})
     real = [name for name in args.robots or config.names if name in config.names]
     found = {name: place for name, place in found.items() if not args.robots or name in args.robots}
     far = hosts(config, real) if real else (), Ssh(args.ssh_config, alone=True)
@@ -104,8 +102,8 @@ def run(args: argparse.Namespace) -> int:
     lines = simulated if not how else real_ones
     if rows and how:
         lines = ["simulated robots", "", *simulated, "", "real robots", "", *real_ones]
-    show(args, {**halt.report(args, rows, done), "ssh": told}, lines)
-    return 0 if done else 1
+    show(args, {**halt.report(args, rows, unknown, done=done), "ssh": told}, lines)
+    return halt.ended(unknown, done=done)
 
 
 def _simulated() -> dict[str, Path]:

@@ -11,7 +11,7 @@ import contextlib
 import os
 import subprocess
 import sys
-from collections.abc import Container, Mapping
+from collections.abc import Collection, Container, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -106,10 +106,13 @@ def _refuse(parser: argparse.ArgumentParser, message: str) -> NoReturn:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Stop or arm over the buses that can be reached; code 1 where a robot has not confirmed in time."""
+    """Stop or arm over the buses that can be reached; code 1 where a robot has not confirmed in time or has an unknown
+    name."""
     try:
+        there = buses.directories_of(argparse.Namespace(robots=None, run_dir=args.run_dir))
+        unknown = take_unknown(args, there)
         rows = stop_or_arm(
-            buses.directories_of(args),
+            {name: place for name, place in there.items() if not args.robots or name in args.robots},
             stop=args.act == "stop",
             reason=args.reason,
             timeout=args.timeout,
@@ -120,8 +123,27 @@ def run(args: argparse.Namespace) -> int:
             raise
         raise LocalError(f"{error}; {_end_balancer()}") from None
     done = all(row.confirmed for row in reached(rows))
-    show(args, report(args, rows, done), table(rows, stop=args.act == "stop"))
-    return 0 if done else 1
+    show(args, report(args, rows, unknown, done=done), table(rows, stop=args.act == "stop"))
+    return ended(unknown, done=done)
+
+
+def take_unknown(args: argparse.Namespace, there: Collection[str]) -> list[str]:
+    """Take the names that are not in `there` out of `args.robots`, and return them: a stop reaches the other robots all
+    the same. Raises `LocalError` where no robot is left, and for any such name of `swarm arm`."""
+    unknown = [name for name in args.robots or () if name not in there]
+    if unknown and (args.act != "stop" or len(unknown) == len(args.robots)):
+        text = f"there is no robot {', '.join(unknown)}, but {', '.join(there)}"
+        raise LocalError(f"{text}; NO ROBOT WAS STOPPED OR ARMED")
+    args.robots = [name for name in args.robots or () if name in there] or None
+    return unknown
+
+
+def ended(unknown: Sequence[str], *, done: bool) -> int:
+    """Return the exit code, and name the robots that nobody knows where everyone sees it."""
+    if unknown:
+        sys.stdout.flush()
+        sys.stderr.write(f"swarm: there is no robot {', '.join(unknown)}: NOBODY WAS STOPPED BY THAT NAME\n")
+    return 0 if done and not unknown else 1
 
 
 def reached(rows: list[Row]) -> list[Row]:
@@ -129,9 +151,10 @@ def reached(rows: list[Row]) -> list[Row]:
     return [row for row in rows if row.state not in (*AWAY, "no bus")]
 
 
-def report(args: argparse.Namespace, rows: list[Row], done: bool) -> dict[str, object]:
+def report(args: argparse.Namespace, rows: list[Row], unknown: Sequence[str], *, done: bool) -> dict[str, object]:
     """Return what programs read."""
-    return {"stop": args.act == "stop", "confirmed": done, "robots": [asdict(row) for row in rows]}
+    found: dict[str, object] = {"stop": args.act == "stop", "confirmed": done and not unknown}
+    return found | {"robots": [asdict(row) for row in rows], "unknown": list(unknown)}
 
 
 def stop_or_arm(

@@ -172,12 +172,28 @@ def test_robots_that_are_named_are_told_real_and_simulated(
     assert simulation == simulated
 
 
-def test_a_robot_that_nobody_knows_is_named(
-    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], simulation: list[str]
+@pytest.mark.parametrize("way", [(), ("--no-ssh",)])
+def test_a_name_that_nobody_knows_keeps_no_other_robot_from_its_stop_and_is_told(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], simulation: list[str], way: tuple[str, ...]
 ) -> None:
     home = add(robots, "r0", answer("r0"))
-    assert run("estop", "--robots", "r0,r7") == 2
-    assert "r7 is no robot of" in capsys.readouterr().err
+    assert run("estop", "--robots", "r7,r0", "--json", *way) == 1
+    shown = capsys.readouterr()
+    assert "there is no robot r7: NOBODY WAS STOPPED BY THAT NAME" in shown.err
+    found = json.loads(shown.out)
+    assert (found["confirmed"], found["unknown"]) == (False, ["r7"])
+    assert simulation == ["r0"]
+    assert (home / "asked").exists() is (way == ())
+
+
+@pytest.mark.parametrize(("act", "names"), [("estop", "r7,r8"), ("arm", "r0,r7,r8")])
+def test_a_stop_of_unknown_robots_alone_and_a_rearm_of_any_are_refused(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], simulation: list[str], act: str, names: str
+) -> None:
+    home = add(robots, "r0", answer("r0"))
+    assert run(act, "--robots", names) == 2
+    assert "there is no robot r7, r8, but r0, r1, s0; NO ROBOT WAS STOPPED OR ARMED" in capsys.readouterr().err
+    assert not simulation
     assert not (home / "asked").exists()
 
 
