@@ -4,7 +4,7 @@
 """
 
 import argparse
-from collections.abc import Awaitable, Sequence
+from collections.abc import Sequence
 
 from laptop.fleet.core.answers import misunderstood
 from laptop.fleet.ssh import everyone, robot_command
@@ -54,8 +54,9 @@ def run(name: str, words: Sequence[str]) -> int | None:
         args.robots = (args.robots or named or list(config.names))[:1]
     ssh, command = Ssh(args.ssh_config), [*name.split(), *rest, *(["--json"] if args.json else [])]
 
-    def ask(host: Host) -> Awaitable[Done]:
-        return ssh.run(host, robot_command.words(host, command))
+    async def ask(host: Host) -> Done:
+        await everyone.check_answer(ssh, host)
+        return await ssh.run(host, robot_command.words(host, command))
 
     return _show(args, *everyone.gather(hosts(config, args.robots), ask, TIMEOUT_S))
 

@@ -15,9 +15,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from laptop.fleet.release.versions import OWN_NAME
 from laptop.fleet.ssh import everyone, robot_command
-from laptop.fleet.ssh.ssh import Host, HostError, Ssh, hosts, last_words
+from laptop.fleet.ssh.ssh import OWN_NAME, Host, HostError, Ssh, hosts, last_words
 from swarm import clock
 from swarm.config import find, load
 from swarm.errors import LocalError, PayloadError
@@ -78,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     unknown = halt.take_unknown(args, {**dict.fromkeys(config.names), **found})
     real = [name for name in args.robots or config.names if name in config.names]
     found = {name: place for name, place in found.items() if not args.robots or name in args.robots}
-    far = hosts(config, real) if real else (), Ssh(args.ssh_config, alone=True)
+    far = hosts(config, real) if real else (), Ssh(args.ssh_config, alone=True, named=False)
     stop: bool = args.act == "stop"
     answers, began = _Answers(), clock.now()
 

@@ -33,8 +33,9 @@ def open_feed(args: argparse.Namespace) -> "tuple[SimulationFeed | Robots, Contr
     from laptop.view.feeds.robots import Robots
 
     if robot_command.is_meant(args):
-        config, ssh = load(args.config, addressed=False), Ssh(args.ssh_config)
-        robots = Robots(config, hosts(config, args.robots), ssh)
-        return robots, Control(robots, RemoteActions(robots, ssh) if args.control else None)
+        config = load(args.config, addressed=False)
+        # A stop that the page gives must reach the robot at each address, whatever its name is.
+        robots = Robots(config, hosts(config, args.robots), Ssh(args.ssh_config, named=False))
+        return robots, Control(robots, RemoteActions(robots, Ssh(args.ssh_config)) if args.control else None)
     simulation = SimulationFeed((args.run_dir or default_run_dir()).absolute(), args.robots or ())
     return simulation, Control(simulation, SimulatedActions(simulation) if args.control else None)

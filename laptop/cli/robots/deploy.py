@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from laptop.fleet.files.calibrations import with_calibration
-from laptop.fleet.release.install import Release, ask_kind, check_name, install, read_files, read_release
+from laptop.fleet.release.install import Release, ask_kind, install, read_files, read_release
 from laptop.fleet.release.release import build
 from laptop.fleet.ssh import everyone
 from laptop.fleet.ssh.ssh import Host, Ssh
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Install the release that fits each robot. Return 0 where it runs on every one."""
-    config, robots, ssh = everyone.recipients(args, addressed=True)
+    config, robots, ssh = everyone.recipients(args, addressed=True, named=not args.rename)
     files = read_files(config, args.key)
     whole = {host.robot: with_calibration(files, config, host.robot) for host in robots}
     releases = [read_release(path) for path in args.releases] or _made(config, robots, ssh, args.timeout)
@@ -49,8 +49,7 @@ def run(args: argparse.Namespace) -> int:
             )
 
     async def job(host: Host, tell: everyone.ReportProgress) -> str:
-        if not args.rename:
-            await check_name(ssh, host)
+        await everyone.check_answer(ssh, host)
         said, sent = await install(ssh, host, releases, whole[host.robot], tell)
         return f"{said} ({sent} bytes sent)"
 

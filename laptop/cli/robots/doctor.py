@@ -103,7 +103,7 @@ def _addresses(config: Config) -> dict[str, str]:
 
 
 def _real(args: argparse.Namespace, rig: Rig) -> tuple[dict[str, ExaminedRobot], dict[str, str]]:
-    config, wanted, ssh = everyone.recipients(args)
+    config, wanted, ssh = everyone.recipients(args, named=False)
     digest = hashlib.sha256(config.path.read_bytes()).hexdigest()
     common = ExaminedRobot("", config, None, None, digest=digest, addresses=_addresses(config))
     outcomes, found = everyone.gather(

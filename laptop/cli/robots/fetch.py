@@ -38,6 +38,7 @@ def run(args: argparse.Namespace) -> int:
     found: set[str] = set()
 
     async def job(host: Host, tell: everyone.ReportProgress) -> str:
+        await everyone.check_answer(ssh, host)
         fetch = RecordingFetch(ssh, host, args.into, tell)
         got = await fetch.recordings(args.runs)
         found.update(got.runs, (run.rpartition("-")[0] for run in got.runs))

@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
         raise LocalError("--check changes nothing and --again does: give only one of the two")
     config, robots, ssh = everyone.recipients(args)
     began = time.monotonic()
-    found, looks = everyone.gather(robots, lambda host: look(ssh, host), args.timeout)
+    found, looks = everyone.gather(robots, lambda host: look(ssh, host), min(args.timeout, everyone.ASK_S))
     wrong = check(config, {name: answer["address"] for name, answer in looks.items()})
     outcomes = [
         everyone.RobotOutcome(each.robot, False, wrong[each.robot], each.seconds) if each.robot in wrong else each

@@ -79,7 +79,7 @@ def _chosen(args: argparse.Namespace) -> tuple[Config, tuple[Host, ...], Ssh]:
         raise LocalError("a robot is named twice")
     args.which = list(addresses)
     everyone.named(args)
-    config, robots, ssh = everyone.recipients(args)
+    config, robots, ssh = everyone.recipients(args, named=False)
     whole = tuple(replace(host, address=addresses.get(host.robot) or host.address) for host in robots)
     there: dict[str, str] = {}
     for host in whole:

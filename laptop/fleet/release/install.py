@@ -14,7 +14,6 @@ import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from laptop.fleet.release.versions import OWN_NAME
 from laptop.fleet.ssh.everyone import ReportProgress
 from laptop.fleet.ssh.ssh import Host, HostError, Ssh, last_words
 from swarm.config import Config
@@ -165,16 +164,6 @@ def read_files(config: Config, key: Path | None) -> dict[str, bytes]:
     except OSError as error:
         raise LocalError(f"{error.filename} cannot be read: {error.strerror}") from None
     return files
-
-
-async def check_name(ssh: Ssh, host: Host) -> None:
-    """Raise `HostError` where the robot at this address was installed under another name."""
-    found = (await ssh.check(host, OWN_NAME)).strip()
-    if found not in ("", host.robot):
-        raise HostError(
-            f"the robot at {host.address} says that it is {found}: correct `host` in swarm.toml, "
-            f"or --rename makes it {host.robot}"
-        )
 
 
 async def install(

@@ -4,14 +4,10 @@ import re
 from collections.abc import Mapping
 
 from laptop.fleet.ssh import sections
-from laptop.fleet.ssh.ssh import CURRENT
+from laptop.fleet.ssh.ssh import CURRENT, OWN_NAME
 from swarm.errors import PayloadError, RemoteError
 from swarm.frozen import frozen
 from swarm.messages.json_input import read_json
-
-ROBOT_ENV = "/etc/swarm/robot.env"
-OWN_NAME = f"sed -n s/^SWARM_ROBOT=//p {ROBOT_ENV} 2>/dev/null; true"
-"""A command for the robot's shell that prints the name under which the robot was installed."""
 
 _SUM = re.compile(r"[0-9a-f]{64}")
 

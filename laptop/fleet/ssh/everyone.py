@@ -49,7 +49,7 @@ FAILURES = (TimeoutError, *MISUNDERSTOOD)
 def failure(error: BaseException, timeout_s: float) -> str:
     """Return in words why a job has failed on a robot."""
     if isinstance(error, TimeoutError):
-        return f"not done within {timeout_s:g} s (--timeout)"
+        return f"not done within {timeout_s:g} s"
     return str(error) if isinstance(error, HostError) else misunderstood(error)
 
 
@@ -73,13 +73,15 @@ def add_config(parser: argparse.ArgumentParser, text: str) -> None:
     parser.add_argument("--ssh-config", type=Path, metavar="FILE", help="ssh configuration, in place of ~/.ssh/config")
 
 
-def recipients(args: argparse.Namespace, *, addressed: bool = False) -> tuple[Config, tuple[Host, ...], Ssh]:
+def recipients(
+    args: argparse.Namespace, *, addressed: bool = False, named: bool = True
+) -> tuple[Config, tuple[Host, ...], Ssh]:
     """Return the config and robots that the arguments name, and the way to them.
 
-    With `addressed` the config must have all Bluetooth addresses, as robots need it.
+    With `addressed` the config must have all Bluetooth addresses, as robots need it. `named`: see `Ssh`.
     """
     config = load(args.config, addressed=addressed)
-    return config, hosts(config, args.robots), Ssh(args.ssh_config)
+    return config, hosts(config, args.robots), Ssh(args.ssh_config, named=named)
 
 
 def named(args: argparse.Namespace) -> None:
@@ -87,6 +89,15 @@ def named(args: argparse.Namespace) -> None:
     if args.which and args.robots:
         raise LocalError("name the robots by --robots or as arguments, not by both")
     args.robots = args.which or args.robots
+
+
+async def check_answer(ssh: Ssh, host: Host) -> None:
+    """Raise `HostError` where a robot that hangs does not answer within `ASK_S`, before work that may take longer."""
+    try:
+        async with asyncio.timeout(ASK_S):
+            await ssh.check(host, "true")
+    except TimeoutError:
+        raise HostError(f"it has not answered within {ASK_S:g} s") from None
 
 
 async def each(

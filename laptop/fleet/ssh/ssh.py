@@ -9,6 +9,7 @@ import codecs
 import contextlib
 import os
 import re
+import shlex
 import signal
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -21,6 +22,9 @@ from swarm.process.text import printable
 
 CURRENT = "/opt/swarm/current"
 """The folder of the release that a robot runs. Its programs are in `bin`."""
+
+OWN_NAME = "sed -n s/^SWARM_ROBOT=//p /etc/swarm/robot.env 2>/dev/null; true"
+"""A command for the robot's shell that prints the name under which the robot was installed."""
 
 CONNECT_TIMEOUT_S = 10
 """Seconds after which a robot that does not answer is given up."""
@@ -87,16 +91,19 @@ def hosts(config: Config, only: Sequence[str] | None = None) -> tuple[Host, ...]
 class Ssh:
     """Runs commands on robots."""
 
-    def __init__(self, config_file: Path | None = None, *, alone: bool = False) -> None:
+    def __init__(self, config_file: Path | None = None, *, alone: bool = False, named: bool = True) -> None:
         """`config_file` is read in place of the user's ~/.ssh/config. `alone`: each command has its own connection.
-        One that ssh shares may be dead, and nobody has noticed."""
+        One that ssh shares may be dead, and nobody has noticed. `named`: a robot that was installed under another name
+        carries out no command, since its address in swarm.toml is that of another robot."""
         self._config_file = config_file
         self._alone = alone
+        self._named = named
 
     def arguments(self, host: Host, command: str) -> list[str]:
         """Return the command line that runs `command` (for the robot's shell) on `host`."""
         own = [] if self._config_file is None else ["-F", str(self._config_file)]
         own += ["-o", "ControlPath=none"] * self._alone
+        command = _if_named(host) + command if self._named else command
         options = ("-o", "BatchMode=yes", "-o", f"ConnectTimeout={CONNECT_TIMEOUT_S}", *_ALIVE, *_PLAIN)
         return ["ssh", *own, *options, host.address, "--", command]
 
@@ -170,6 +177,15 @@ class Ssh:
         if done.code != 0:
             raise CommandError(done.code, last_words(done.err) or last_words(last))
         return count
+
+
+def _if_named(host: Host) -> str:
+    """Return the beginning of a command that ends it as a failed connection, with the reason, on a robot that was
+    installed under another name."""
+    begin = shlex.quote(f"the robot at {host.address} says that it is")
+    end = shlex.quote(f": correct `host` in swarm.toml, or swarm deploy --rename makes it {host.robot}")
+    says = f'echo {begin} "$({OWN_NAME})"{end} >&2; exit {CLIENT_FAILED}'
+    return f"case $({OWN_NAME}) in ''|{host.robot}) ;; *) {says};; esac; "
 
 
 async def _spawn(arguments: Sequence[str]) -> asyncio.subprocess.Process:

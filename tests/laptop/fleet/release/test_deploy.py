@@ -116,7 +116,7 @@ def test_another_deploy_changes_nothing_of_what_is_installed(
     """Two laptops bring two releases to the folder of one robot. Its install takes a minute, and names what it has
     unpacked by the release."""
     other = "(cd ~/.cache/balboa-swarm && rm wheels/a.whl && echo other >wheels/a.whl && echo other >wheels/b.whl)"
-    home = robots.add("r0", hook=f"case $SSH_ORIGINAL_COMMAND in robot=*) [ ! -e early ] || {other} ;; esac")
+    home = robots.add("r0", hook=f"case $SSH_ORIGINAL_COMMAND in *robot=*) [ ! -e early ] || {other} ;; esac")
     add_python(home)
     install = f"#!/bin/sh\n{other}\ncat wheels/* >$HOME/installed\necho done\n"
     release = make_release(robots.folder / "a.tar.gz", "1-a", {"wheels/a.whl": b"ours"}, install)
@@ -205,7 +205,7 @@ def test_a_host_that_is_another_robot_is_named(
     found = outcomes(capsys)
     assert (found["r0"]["ok"], found["r1"]["ok"]) == (True, False)
     assert found["r1"]["text"] == (
-        "the robot at r1 says that it is r4: correct `host` in swarm.toml, or --rename makes it r1"
+        "the robot at r1 says that it is r4: correct `host` in swarm.toml, or swarm deploy --rename makes it r1"
     )
     assert not (homes[1] / "installed").exists()
     assert run("deploy", str(release), "--rename") == 0

@@ -4,6 +4,7 @@ import re
 from typing import Any
 
 import pytest
+from fake_releases import make_release
 from fake_robots import FakeRobots, Run, outcomes
 from needs import needs_ssh
 
@@ -66,7 +67,47 @@ def test_what_is_wrong_is_named_and_the_others_go_on(
     assert found["r2"].startswith("its host key has changed; if set up anew: ssh-keygen -")
     assert "in the middle of it" in found["r3"]
     assert run("command", "echo here", "--robots", "r4", "--timeout", "5", "--json") == 1
-    assert outcomes(capsys)["r4"]["text"] == "not done within 5 s (--timeout)"
+    assert outcomes(capsys)["r4"]["text"] == "not done within 5 s"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("command", "touch done"),
+        ("services", "restart", "dwm"),
+        ("app", "stop", "consensus", "--real"),
+        ("status",),
+        ("fetch",),
+        ("flash",),
+        ("measure", "i2c"),
+    ],
+)
+def test_a_robot_of_another_name_at_an_address_carries_out_no_command(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], words: tuple[str, ...]
+) -> None:
+    home = robots.add("r0")
+    robots.script("r0", "sed", 'case $2 in s/^SWARM_ROBOT*) echo r7 ;; *) exec /usr/bin/sed "$@" ;; esac')
+    robots.script("r0", "sudo", "touch done")
+    assert run(*words) == 1
+    said = capsys.readouterr().out
+    assert "the robot at r0 says that it is r7: correct `host` in swarm.toml, or swarm deploy --rename" in said
+    assert not (home / "done").exists()
+
+
+@pytest.mark.parametrize("words", [("fetch",), ("pair",), ("measure", "i2c"), ("deploy", "release.tar.gz")])
+def test_a_robot_that_hangs_is_given_up_after_its_first_question(
+    robots: FakeRobots,
+    run: Run,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    words: tuple[str, ...],
+) -> None:
+    monkeypatch.chdir(robots.folder)
+    monkeypatch.setattr(everyone, "ASK_S", 0.3)
+    make_release(robots.folder / "release.tar.gz", "1-a", {})
+    robots.add("r0", hook="echo $$ >> hung; exec sleep 1000")
+    assert run(*words) == 1
+    assert "within 0.3 s" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -86,7 +127,7 @@ def test_a_robot_without_a_bluetooth_address_is_reached_all_the_same(
     assert ("(swarm pair writes it)" in capsys.readouterr().err) == bool(code)
 
 
-HANGS = """case "$SSH_ORIGINAL_COMMAND" in uname*|*release*) echo $$ >>hung; exec sleep 1000 ;; esac; exit 3"""
+HANGS = """case "$SSH_ORIGINAL_COMMAND" in *uname*|*release*) echo $$ >>hung; exec sleep 1000 ;; esac; exit 3"""
 """Hangs at the question that comes first, and fails at what follows."""
 
 
