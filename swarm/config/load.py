@@ -39,7 +39,9 @@ _TABLES = (
 
 _NAME = "a name: a lower-case letter, then up to 15 lower-case letters, digits, _ or -"
 _NETWORK = re.compile(r"[A-Za-z0-9._-]{1,32}")
-_HOST = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.:%@-]*")
+HOST = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.:%@-]*")
+"""A host as ssh knows it. One that begins with a dash would be an option of ssh."""
+HOST_EXAMPLE = "a host as ssh knows it: r0.local or pi@192.168.1.15"
 _ADDRESS = re.compile(r"([0-9A-Fa-f]{2}:){5}[0-9A-Fa-f]{2}")
 _KEY_CHUNK = re.compile(r"[A-Za-z0-9_.:-]+|\*\*?")
 _LINK = "tcp:HOST:PORT, sim:SOCKET or rfcomm:ADDRESS"
@@ -167,7 +169,7 @@ def _robot(table: Table) -> RobotConfig:
     board = table.choice("board", "zero2w", ("zero2w", "pi4"))
     uwb = sections.uwb_address(table, "uwb") if "uwb" in table else None
     role = table.choice("uwb_role", "tag", ("tag", "anchor"))
-    host = table.text("host", None, expected="a host as ssh knows it: r0.local or pi@192.168.1.15", pattern=_HOST)
+    host = table.text("host", None, expected=HOST_EXAMPLE, pattern=HOST)
     if (i2c_clock := table.count("i2c_clock", 100, low=1)) not in (100, 400):
         raise table.wrong("i2c_clock", "100 or 400, in kHz")
     return RobotConfig(name, board, bluetooth.upper() if bluetooth else None, link, host, uwb, role, i2c_clock)

@@ -14,6 +14,7 @@ from laptop.fleet.release.install import install, read_files, read_release
 from laptop.fleet.ssh import everyone
 from laptop.fleet.ssh.ssh import Host, Ssh
 from swarm.config import Config, load
+from swarm.config.load import HOST, HOST_EXAMPLE
 from swarm.errors import ConfigError, LocalError
 
 HELP = "turn fresh Raspberry Pis into robots, over ssh"
@@ -77,6 +78,8 @@ def _chosen(args: argparse.Namespace) -> tuple[Config, tuple[Host, ...], Ssh]:
     addresses = dict(text.partition("=")[::2] for text in args.which)
     if len(addresses) < len(args.which):
         raise LocalError("a robot is named twice")
+    if wrong := [address for address in addresses.values() if address and not HOST.fullmatch(address)]:
+        raise LocalError(f"{wrong[0]!r}: expected {HOST_EXAMPLE}")
     args.which = list(addresses)
     everyone.named(args)
     config, robots, ssh = everyone.recipients(args, named=False)

@@ -105,7 +105,7 @@ class Ssh:
         own += ["-o", "ControlPath=none"] * self._alone
         command = _if_named(host) + command if self._named else command
         options = ("-o", "BatchMode=yes", "-o", f"ConnectTimeout={CONNECT_TIMEOUT_S}", *_ALIVE, *_PLAIN)
-        return ["ssh", *own, *options, host.address, "--", command]
+        return ["ssh", *own, *options, "--", host.address, command]
 
     async def run(
         self,

@@ -52,6 +52,14 @@ def test_one_computer_is_not_made_two_robots(robots: FakeRobots, run: Run, capsy
     assert run("provision", "r0=r1", "r1=R1", "--check") == 2
 
 
+def test_a_host_that_ssh_would_take_for_an_option_is_refused(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robots.add("r0", up=False)
+    assert run("provision", "r0=-oProxyCommand=id", "--check") == 2
+    assert "'-oProxyCommand=id': expected a host as ssh knows it" in capsys.readouterr().err
+
+
 def test_what_is_wrong_is_named_and_the_others_go_on(
     robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
 ) -> None:
