@@ -7,6 +7,8 @@ from swarm.messages.keys import is_name
 
 SERVICES = ("bus", "mesh", "balancer", "dwm")
 TARGET = "swarm.target"
+JOURNAL_OF_ALL = f"--unit=swarm-{SERVICES[0]}.service --unit='swarm*'"
+"""Options of journalctl for all services and apps. It fails where it is given a pattern alone and no unit matches."""
 
 
 def unit(name: str) -> str:

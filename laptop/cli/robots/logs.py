@@ -13,7 +13,7 @@ from pathlib import Path
 
 from laptop.fleet.ssh import everyone, robot_command
 from laptop.fleet.ssh.ssh import Host
-from laptop.fleet.units import SERVICES, unit
+from laptop.fleet.units import JOURNAL_OF_ALL, SERVICES, unit
 from sim.processes.progress import said
 from swarm.config.find import find
 from swarm.errors import LocalError
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
         return _simulated(args, there)
     _known(args)
     _, robots, ssh = everyone.recipients(args)
-    which = " ".join(f"--unit={name}" for name in map(unit, args.services)) or "--unit='swarm*'"
+    which = " ".join(f"--unit={name}" for name in map(unit, args.services)) or JOURNAL_OF_ALL
     command = f"sudo -n journalctl --no-pager --output=short-iso --lines={args.lines} {which}"
     if args.follow:
         command, args.timeout = command + " --follow", FOREVER_S

@@ -17,6 +17,7 @@ from laptop.fleet.core.collect import File, FileData, FileEnd, Stream
 from laptop.fleet.files.journal import FIELDS, JournalMark, entry
 from laptop.fleet.ssh.everyone import ReportProgress
 from laptop.fleet.ssh.ssh import Host, HostError, Ssh, last_words
+from laptop.fleet.units import JOURNAL_OF_ALL
 from swarm.errors import RemoteError
 from swarm.files import atomic_write, make_folder, sync_folder
 
@@ -162,7 +163,7 @@ class RecordingFetch:
                     file.write(found[1].encode() + b"\n")
 
             after = f" --after-cursor={shlex.quote(cursor)}" if cursor else ""
-            command = f"sudo -n journalctl --no-pager --output=json --output-fields={FIELDS} --unit='swarm*'{after}"
+            command = f"sudo -n journalctl --no-pager --output=json --output-fields={FIELDS} {JOURNAL_OF_ALL}{after}"
             try:
                 done = await self._ssh.run(self._host, command, on_line=line)
             finally:

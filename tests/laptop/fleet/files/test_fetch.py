@@ -18,7 +18,7 @@ exec /usr/bin/head "$@"
 """
 """In place of `head`: a robot that is switched off after a megabyte."""
 
-JOURNAL = """case "$*" in *--after-cursor=*) from=${5#*i=} ;; *) from=0 ;; esac
+JOURNAL = """case "$*" in *--after-cursor=*) from=${6#*i=} ;; *) from=0 ;; esac
 for n in 1 2 3 4 5; do
     [ $n -le $from ] || [ $n -gt $(cat $HOME/entries) ] ||
         { printf '{"__CURSOR":"s=a;i=%s","__REALTIME_TIMESTAMP":"%s000000","MESSAGE":"entry %s",' $n $n $n &&
@@ -161,6 +161,18 @@ def test_no_room_here_is_told_for_each_robot(robots: FakeRobots, run: Run, capsy
     assert "cannot be kept here" in str(outcomes(capsys)["r0"]["text"])
     assert (home / "runs/goto-1/r0.a").exists()
     assert run("fetch", "--into", str(into / "goto-1" / "x")) == 2
+
+
+@pytest.mark.parametrize("command", [("fetch",), ("logs",)])
+def test_a_robot_whose_journal_has_no_entry_of_ours_yet_is_no_failure(
+    robots: FakeRobots, run: Run, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
+) -> None:
+    """journalctl fails where it is given a pattern alone and no unit matches."""
+    monkeypatch.chdir(robots.folder)
+    add(robots, "r0", {"goto-1/r0.goto.mcap": b"r0"})
+    no_data = "echo 'Failed to add filter for units: No data available' >&2; exit 1"
+    robots.script("r0", "journalctl", f'case "$*" in *--unit=swarm-bus.service*) ;; *) {no_data} ;; esac')
+    assert run(*command) == 0
 
 
 def test_a_journal_that_broke_has_nothing_twice(robots: FakeRobots, run: Run) -> None:
