@@ -59,6 +59,8 @@ class RunOutcome:
     """One sentence for each disturbance that did not happen, with the reason."""
     radio: Mapping[str, float] = field(default_factory=dict)
     """The lateness of the radio process (`sim.processes.radio`), by name; empty without one."""
+    ended_by: int = 0
+    """Number of the signal that ended the run before its own end; 0: it came to that."""
 
     def target(self, t: float) -> tuple[float, float]:
         """Return the target's place at a time of the trajectories, m."""

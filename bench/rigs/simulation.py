@@ -1,6 +1,7 @@
 """Runs `swarm sim` as a user does: start it, lay hands on it, read what it found."""
 
 import json
+import signal
 import subprocess
 import sys
 import time
@@ -80,17 +81,18 @@ class Simulation:
                 raise SimulationError(f"{robot} did not reach iteration {k}, but {last}: {self.said()}")
             time.sleep(POLL_S)
 
-    def kill(self, robot: str, service: str, signal: str = "KILL") -> None:
+    def kill(self, robot: str, service: str, name: str = "KILL") -> None:
         """`swarm hand kill`, at once: a command takes a second to start. Raises `SimulationError`."""
         try:
-            end_service(self.run_dir / robot, service, signal)
+            end_service(self.run_dir / robot, service, name)
         except LocalError as error:
             raise SimulationError(f"{error}: {self.said()}") from None
 
     def finish(self, timeout_s: float = 180.0) -> dict[str, object]:
-        """Wait for the end; the object of `--json`. Raises `SimulationError` when it failed."""
+        """Wait for the end, which may have come by Ctrl-C; the object of `--json`. Raises `SimulationError` when it
+        failed."""
         output, _ = self.process.communicate(timeout=timeout_s)
-        if self.process.returncode != 0:
+        if self.process.returncode not in (0, 128 + signal.SIGINT):
             raise SimulationError(f"code {self.process.returncode}\n{output[-500:]}\n{self.said()}")
         result: dict[str, object] = json.loads(output.splitlines()[-1])
         return result

@@ -76,6 +76,7 @@ class ProcessRun:
         self._problems: list[str] = []
         self._moves_from = math.inf
         self._stop = False
+        self._signal = 0
         names = scenario.config.names
         folder.make_empty(self._records)
         check_room(self._records)
@@ -282,8 +283,8 @@ class ProcessRun:
                 return
             time.sleep(TICK_S)
 
-    def _interrupted(self, *_: object) -> None:
-        self._stop = True
+    def _interrupted(self, number: int, _: object) -> None:
+        self._signal, self._stop = number, True
 
     def _trajectories(self, app: str) -> dict[str, trajectory.Trajectory]:
         """Return the trajectories by robot. They are whole only where another run is compared: those of a day take
@@ -333,6 +334,7 @@ class ProcessRun:
             moves_from=self._moves_from,
             beside=beside,
             radio=late,
+            ended_by=self._signal,
             never=(*self._impossible, *never(left, 0.0 if started is None else now - started)),
         )
 

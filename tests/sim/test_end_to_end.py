@@ -145,6 +145,7 @@ def test_a_second_simulation_is_refused_nothing_survives_a_killed_one_and_the_ne
             again.wait_for("r0", 10)
             again.process.send_signal(signal.SIGINT)
             assert again.finish()["iterations"] >= 9
+            assert again.process.returncode == 128 + signal.SIGINT
         assert not processes_of(first.run_dir)
 
 

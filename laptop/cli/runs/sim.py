@@ -23,7 +23,7 @@ from swarm.recording import folder
 
 
 def main() -> int:
-    """Run one simulation; the exit code is 0 only when it did what was asked."""
+    """Run one simulation; the exit code is 0 only when it did what was asked, 130 after Ctrl-C."""
     log.setup("sim")
     return run_simulation(arguments.parse(sys.argv[1:]))
 
@@ -85,7 +85,9 @@ def _tell(options: Options, plan: Scenario, records: Path, outcome: report.RunOu
         print(f"plot        {options.plot}")
     if options.json:
         print(json.dumps(found))
-    return 1 if found["problems"] else 0
+    if found["problems"]:
+        return 1
+    return 128 + outcome.ended_by if outcome.ended_by else 0
 
 
 def _clear(run_dir: Path) -> None:
