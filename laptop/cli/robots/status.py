@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from laptop.fleet.core.checkup import STAND, recovery
 from laptop.fleet.core.collect import RUNS
 from laptop.fleet.ssh import everyone, robot_command, sections
 from laptop.fleet.ssh.ssh import CURRENT, Host, Ssh
@@ -192,11 +193,8 @@ def _row(robot: str, parts: Mapping[str, str]) -> StatusRow:
 
 
 def _next(body: dict[str, Any], fault: dict[str, Any], stopped: dict[str, Any]) -> str | None:
-    """Return what a person does to have the robot stand, by its messages; a stop that is taken back needs no `arm`."""
-    name = fault.get("name")
-    if body.get("mode") == "idle" or (name == "stopped" and not stopped.get("stopped")):
-        return "swarm balance stand"
-    return fault.get("recovery") or None if name else None
+    """Return what a person does to have the robot stand, by its messages."""
+    return STAND if body.get("mode") == "idle" else recovery(fault, stopped) or None
 
 
 def _body(row: StatusRow) -> str:

@@ -1,6 +1,6 @@
 """Checks of a robot's devices and radio, by what its services say of them."""
 
-from laptop.fleet.core.checkup import SIMULATED, Check, ExaminedRobot, Finding, bad, ok, skipped, warning
+from laptop.fleet.core.checkup import SIMULATED, Check, ExaminedRobot, Finding, bad, ok, recovery, skipped, warning
 from laptop.fleet.core.pairing import bluetooth_links
 from services.balancer.core.devices import balboa, imu
 from services.mesh.core.routing.physical_links import calls_of
@@ -186,9 +186,9 @@ def body(robot: ExaminedRobot) -> Finding:
     if not state:
         return bad("the balancer says nothing", "swarm logs balancer")
     if fault.get("name") or state.get("fault"):
-        text = fault.get("reason") or state.get("fault")
-        recovery = str(fault.get("recovery") or "docs/reference/robot/balancer.md, faults")
-        return bad(f"{fault.get('name') or 'fault'}: {text}", recovery)
+        name, text = str(fault.get("name") or "fault"), str(fault.get("reason") or state.get("fault"))
+        remedy = recovery(fault, robot.said("mesh/stopped")) or "docs/reference/robot/balancer.md, faults"
+        return bad(text if text.startswith(name) else f"{name}: {text}", remedy)
     return ok(str(state.get("mode") or "it does not tell its mode"))
 
 

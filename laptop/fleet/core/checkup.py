@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import field
 from typing import Any
 
+from services.balancer.core import faults
 from swarm.config.types import Config
 from swarm.frozen import frozen
 
@@ -89,3 +90,14 @@ def skipped(text: str) -> Finding:
 
 SIMULATED = skipped("a simulated robot has none")
 """The answer of a check that would examine a simulated robot's own computer."""
+
+
+STAND = "swarm balance stand"
+
+
+def recovery(fault: Mapping[str, Any], stopped: Mapping[str, Any]) -> str:
+    """Return what a person does about a robot's fault, empty where there is none. `stopped`: its `mesh/stopped`, by
+    which a stop may have been taken back."""
+    if fault.get("name") == faults.STOPPED and stopped.get("stopped") is False:
+        return STAND
+    return str(fault.get("recovery") or "") if fault.get("name") else ""

@@ -90,8 +90,7 @@ def test_the_status_says_what_makes_a_robot_stand(mode: str, fault: str, stopped
         {"key": "swarm/r0/balancer/state", "value": {"mode": mode, "fault": fault}},
         {"key": "swarm/r0/balancer/fault", "value": {"name": fault, "recovery": faults.RECOVERY.get(fault, "")}},
     ]
-    if stopped:
-        said.append({"key": "swarm/r0/mesh/stopped", "value": {"stopped": True}})
+    said.append({"key": "swarm/r0/mesh/stopped", "value": {"stopped": stopped}})
     answer = "== bus\n" + "\n".join(map(json.dumps, said))
     rows = {"r0": status.parse("r0", answer)}
     assert body in re.split("  +", status.table([RobotOutcome("r0", True, "", 1.0)], rows, 2e9)[1])

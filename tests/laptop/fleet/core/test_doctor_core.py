@@ -10,6 +10,7 @@ from examined_robots import FILES, RUNS, SERVICES, TEXT, WELL, bus, system
 from laptop.fleet.core import doctor
 from laptop.fleet.core.checkup import ExaminedRobot
 from laptop.fleet.core.texts import with_block
+from services.balancer.core import faults
 from swarm.config import parse
 
 ROBOTS_FIND_LINKS = parse(
@@ -114,6 +115,22 @@ def test_one_thing_is_wrong_and_named(check: str, state: str, part: str, robot: 
     found = doctor.examine(robot)[check]
     assert (found.state, part in found.text) == (state, True), found
     assert found.remedy
+
+
+@pytest.mark.parametrize(
+    ("stopped", "remedy"),
+    [
+        ({"stopped": True}, faults.RECOVERY["stopped"]),
+        ({}, faults.RECOVERY["stopped"]),
+        ({"stopped": False}, "swarm balance stand"),
+    ],
+)
+def test_a_robot_that_was_stopped_is_told_to_be_armed_only_while_the_stop_holds(
+    stopped: dict[str, bool], remedy: str
+) -> None:
+    fault = {"name": "stopped", "reason": "stopped: smoke", "recovery": faults.RECOVERY["stopped"]}
+    found = doctor.examine(replace(WELL, bus=bus(balancer_fault=fault, mesh_stopped=stopped)))["body"]
+    assert (found.text, found.remedy) == ("stopped: smoke", remedy)
 
 
 def test_a_robot_of_which_nothing_is_known() -> None:
