@@ -16,6 +16,7 @@ from swarm.core.graph import Graph
 from swarm.errors import LocalError
 from swarm.messages import AppLog
 from swarm.process.simulations import claim
+from swarm.recording.reader import SUFFIX
 
 TALKS = """
 from swarm import {kind}
@@ -115,7 +116,7 @@ def test_a_name_that_is_nothing_here_names_the_runs_that_are(tmp_path: Path, mon
 
 
 def test_logs_beside_a_simulation_say_when_there_is_nothing_and_refuse_a_name_that_no_robot_has(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     parser = argparse.ArgumentParser()
     logs.add_arguments(parser)
@@ -126,6 +127,10 @@ def test_logs_beside_a_simulation_say_when_there_is_nothing_and_refuse_a_name_th
         (tmp_path / "run" / "r0").mkdir()
         for name, text in (("mesh.log", "link up\n"), ("app.talks.log", "")):
             (tmp_path / "run" / "r0" / name).write_text(text)
+        monkeypatch.chdir(tmp_path)
+        (tmp_path / "talks").mkdir()  # as that of the app's source
+        (tmp_path / "mesh").mkdir()
+        (tmp_path / "mesh" / f"r0.talks{SUFFIX}").touch()
         for name, line in (("mesh", "r0: link up"), ("talks", "nothing is logged yet by talks of r0")):
             assert logs.run(parser.parse_args([name, "--run-dir", str(tmp_path / "run")])) == 0
             assert capsys.readouterr().out == f"{line}\n"
@@ -150,8 +155,9 @@ def test_an_app_that_never_stops_talking_is_cut_short_and_says_so() -> None:
     speaker = Speaker(robot, Bus(), told.append)  # type: ignore[arg-type]
     for _ in range(2 * MOST_LINES_S):
         speaker("info", "again \x1b[2J")
-    assert len(told) == MOST_LINES_S
+    assert len(told) == MOST_LINES_S + 1
+    assert told[-1].text == "more than 100 lines within a second: the others of this second are left out"
     assert "\x1b" not in told[0].text
     now = 1.0
     speaker("info", "later")
-    assert [line.text for line in told[-2:]] == ["100 lines more within a second were left out", "later"]
+    assert [line.text for line in told[MOST_LINES_S + 1 :]] == ["later"]

@@ -18,6 +18,7 @@ from sim.processes.progress import said
 from swarm.config.find import find
 from swarm.errors import LocalError
 from swarm.messages import AppLog
+from swarm.messages.keys import is_name
 from swarm.process.arguments import show, whole
 from swarm.process.terminal import write_lines
 from swarm.process.text import printable
@@ -51,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print lines as they come, each with its robot's name."""
-    if args.services and Path(args.services[0]).exists():
+    if args.services and _is_run(args.services[0]):
         return _of_run(args)
     args.lines = LINES if args.lines is None else args.lines
     if args.services and "/" in args.services[0]:
@@ -71,6 +72,14 @@ def run(args: argparse.Namespace) -> int:
         return f"{await ssh.follow(host, command, tell)} lines"
 
     return everyone.run(args, robots, job)
+
+
+def _is_run(word: str) -> bool:
+    """Return whether a word means a run: a path that is there or, of what can be an app, a folder with recordings.
+    `./mesh` is a run in the folder mesh."""
+    if is_name(word):
+        return word not in SERVICES and any(Path(word).glob(f"*{SUFFIX}"))
+    return Path(word).exists()
 
 
 def _known(args: argparse.Namespace) -> None:

@@ -20,7 +20,7 @@ from swarm.process.log import MAX_LINE
 from swarm.process.text import printable
 
 MOST_LINES_S = 100
-"""Lines of one app and robot that are told in a second; how many were more is said in the next one."""
+"""Lines of one app and robot that are told in a second. Behind the last one stands that there were more."""
 
 PRINTED = "print"
 """The level of printed text."""
@@ -43,14 +43,14 @@ class Speaker:
         """Tell a text: `debug`, `info`, `warning`, `error` or `print`."""
         now = self._robot.now
         if int(now) != self._second:
-            left_out = self._count - MOST_LINES_S
             self._second, self._count = int(now), 0
-            if left_out > 0:
-                self._tell(AppLog(now, "warning", f"{left_out} lines more within a second were left out"))
         for line in text.splitlines():
             self._count += 1
             if self._count <= MOST_LINES_S:
                 self._tell(AppLog(now, level, printable(line, MAX_LINE)))
+            elif self._count == MOST_LINES_S + 1:  # at once: the app may end, and nothing comes after it
+                text = f"more than {MOST_LINES_S} lines within a second: the others of this second are left out"
+                self._tell(AppLog(now, "warning", text))
 
     def _tell(self, line: AppLog) -> None:
         self._bus.publish(self._key, line)
