@@ -73,14 +73,10 @@ SECTIONS: Sections = {
         "services": CommandGroup(
             "act on services and apps",
             {
-                "start": Command(
-                    "laptop.cli.robots.services", ("--action=start",), "start services or apps of all robots"
-                ),
-                "stop": Command(
-                    "laptop.cli.robots.services", ("--action=stop",), "stop services or apps of all robots"
-                ),
+                "start": Command("laptop.cli.robots.services", ("start",), "start services or apps of all robots"),
+                "stop": Command("laptop.cli.robots.services", ("stop",), "stop services or apps of all robots"),
                 "restart": Command(
-                    "laptop.cli.robots.services", ("--action=restart",), "restart services or apps of all robots"
+                    "laptop.cli.robots.services", ("restart",), "restart services or apps of all robots"
                 ),
             },
         ),

@@ -19,6 +19,7 @@ from typing import NamedTuple, NoReturn
 
 from swarm import __version__
 from swarm.errors import LocalError, SwarmError
+from swarm.process.arguments import CommandParser
 from swarm.process.end import leave
 from swarm.process.terminal import guard
 
@@ -162,7 +163,7 @@ def help_of(command: Command | CommandGroup) -> str:
 def parser_of(name: str, command: Command) -> argparse.ArgumentParser:
     """Return the parser of a command whose module has `add_arguments`."""
     epilog = FAR_OPTIONS if command.far else None
-    parser = argparse.ArgumentParser(prog=f"swarm {name}", description=sentence(help_of(command)), epilog=epilog)
+    parser = CommandParser(prog=f"swarm {name}", description=sentence(help_of(command)), epilog=epilog)
     importlib.import_module(command.module).add_arguments(parser)
     return parser
 

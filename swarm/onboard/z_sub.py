@@ -23,7 +23,7 @@ from swarm.messages.keys import EVERYTHING
 from swarm.messages.keys import key as key_of
 from swarm.onboard.buses import buses, samples
 from swarm.onboard.command_line import complain, end_with
-from swarm.process.arguments import add_robots, add_run_dir, number, whole
+from swarm.process.arguments import CommandParser, add_robots, add_run_dir, number, whole
 from swarm.process.paths import DEFAULT_RUNTIME, bus_endpoint, runtime_dir
 from swarm.process.simulations import default_run_dir, is_live, robots
 
@@ -63,7 +63,7 @@ def main(argv: Sequence[str] | None = None, over_ssh: Callable[[argparse.Namespa
 
 
 def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
+    parser = CommandParser(
         prog="z_sub",
         usage="z_sub [options] [KEY ...]",
         description="Print the messages on the bus of a robot, or of all simulated robots.",

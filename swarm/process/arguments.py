@@ -3,14 +3,38 @@
 import argparse
 import json
 import math
-from collections.abc import Callable, Iterable
+import sys
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from swarm.messages.keys import is_name
 from swarm.process.terminal import write_lines
 
 PICTURES = (".png", ".pdf", ".svg")
 """Endings of pictures' names."""
+
+
+class CommandParser(argparse.ArgumentParser):
+    """A parser that takes words behind options, too, as in `swarm replay RUN --json KEY`, and refuses words that are
+    left. For the words of a verb argparse has the parser above it do so, with a usage that is not the verb's."""
+
+    _behind_options = False
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        words = sys.argv[1:] if args is None else list(args)
+        found, rest = super().parse_known_args(words, namespace)
+        if self._behind_options or not rest:
+            return found, rest
+        if self._subparsers is None and "--" not in words:
+            self._behind_options = True
+            try:
+                found, rest = self.parse_known_intermixed_args(words)
+            finally:
+                self._behind_options = False
+        if rest:
+            self.error(f"unrecognized arguments: {' '.join(rest)}")
+        return found, rest
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
@@ -39,20 +63,20 @@ def names(text: str) -> list[str]:
     return list(dict.fromkeys(found))
 
 
-def picture(text: str) -> Path:
+def picture(text: str, endings: Sequence[str] = PICTURES) -> Path:
     """Return the path of a picture that is to be drawn into a folder that is there, as `picture_name` does. What is
     wrong with it is said before anything is computed."""
-    path = picture_name(text)
+    path = picture_name(text, endings)
     if not path.parent.is_dir():
         raise argparse.ArgumentTypeError(f"{text!r}: there is no folder {path.parent}")
     return path
 
 
-def picture_name(text: str) -> Path:
-    """Return the path of a picture; a name without an ending gets that of PNG."""
+def picture_name(text: str, endings: Sequence[str] = PICTURES) -> Path:
+    """Return the path of a picture, whose name has one of these endings; a name without one gets that of PNG."""
     path = Path(text) if Path(text).suffix else Path(f"{text}.png")
-    if path.suffix.lower() not in PICTURES:
-        raise argparse.ArgumentTypeError(f"{text!r}: a picture is a file that ends in {', '.join(PICTURES)}")
+    if path.suffix.lower() not in endings:
+        raise argparse.ArgumentTypeError(f"{text!r}: a picture is a file that ends in {', '.join(endings)}")
     return path
 
 

@@ -5,6 +5,7 @@
 lines: a table whose cells others have named is written by `write_lines`, which keeps each row on its line.
 """
 
+import os
 import sys
 import typing
 from collections.abc import Iterable, Sequence
@@ -38,10 +39,24 @@ class Guarded:
 
 def guard() -> None:
     """Guard this process' standard output and error; once more does nothing."""
+    _open_closed()
     if not isinstance(sys.stdout, Guarded):
         sys.stdout = typing.cast(TextIO, Guarded(sys.stdout))
     if not isinstance(sys.stderr, Guarded):
         sys.stderr = typing.cast(TextIO, Guarded(sys.stderr))
+
+
+def _open_closed() -> None:
+    """Open each standard stream to nowhere that the process was started without, as by the shell's `>&-`. Else the next
+    file or socket takes its number, and gets what this process or a child prints."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest number that is free
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: SIM115
 
 
 def write_lines(lines: Iterable[str]) -> None:

@@ -15,9 +15,8 @@ from swarm.process.arguments import show
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what is to be done, and to which services."""
-    # This is an option: with two positional arguments, argparse takes no names of services after --robots.
-    parser.add_argument("--action", choices=("start", "stop", "restart"), required=True, help=argparse.SUPPRESS)
+    """Declare `start|stop|restart [SERVICE...]`. The action is part of the command's name."""
+    parser.add_argument("action", choices=("start", "stop", "restart"), help=argparse.SUPPRESS)
     parser.add_argument(
         "services", nargs="*", metavar="SERVICE", help="bus, mesh, balancer, dwm or an app (default: all services)"
     )

@@ -4,11 +4,12 @@ import argparse
 import asyncio
 import sys
 import webbrowser
+from functools import partial
 from pathlib import Path
 
 from laptop.view import live
 from swarm.errors import LocalError, MissingPackageError
-from swarm.process.arguments import number, whole
+from swarm.process.arguments import number, picture, whole
 
 HELP = "show the running swarm, or a recorded run, in the browser"
 
@@ -24,7 +25,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--control", action="store_true", help="allow commands from the page: stop, cut links, press buttons ..."
     )
-    parser.add_argument("--screenshot", type=Path, metavar="FILE.png", help="write a picture of the page, and end")
+    text = "write a picture of the page, and end"
+    parser.add_argument("--screenshot", type=partial(picture, endings=(".png",)), metavar="FILE.png", help=text)
     parser.add_argument("--at", type=number(), metavar="S", help="second of the recording for the picture (its end)")
     parser.add_argument(
         "--chart",

@@ -23,6 +23,7 @@ from swarm.files import atomic_write, make_folder
 from swarm.onboard.buses import buses
 from swarm.onboard.command_line import add_verb
 from swarm.process import log, service
+from swarm.process.arguments import CommandParser
 from swarm.process.simulations import CONFIG, default_run_dir, is_live
 from swarm.recording.thesis_ranges import read_recording
 
@@ -238,7 +239,7 @@ def _config(options: argparse.Namespace) -> Config:
 
 def options_of(argv: list[str], far: str = "") -> argparse.Namespace:
     """Return the arguments of one command; end the process where they are wrong. `far`: the help's last line."""
-    parser = argparse.ArgumentParser(
+    parser: argparse.ArgumentParser = CommandParser(
         prog="swarm calibrate",
         description=DESCRIPTION,
         epilog=f"{EPILOG}\n{far}",

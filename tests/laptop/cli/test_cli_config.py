@@ -12,7 +12,7 @@ import swarm
 from laptop.cli import main
 from laptop.cli.commands import SECTIONS
 from swarm.config.example import EXAMPLE
-from swarm.onboard.command_line import MORE, Command, CommandGroup, commands_of, help_of, names
+from swarm.onboard.command_line import MORE, Command, CommandGroup, commands_of, help_of, names, parser_of
 
 COMMANDS = commands_of(SECTIONS)
 
@@ -139,6 +139,36 @@ def test_a_number_that_is_none_of_its_kind_is_named(words, capsys):
     assert f"argument {words[-2]}: '{words[-1]}': expected a " in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("words", "name", "value"),
+    [
+        (("replay", "run", "--json", "swarm/r0/**", "swarm/r1/**"), "keys", ["swarm/r0/**", "swarm/r1/**"]),
+        (("app start", "start", "consensus", "--json", "r1"), "which", ["r1"]),
+        (("mesh epoch", "drop", "r1", "--app", "consensus", "r2"), "which", ["r1", "r2"]),
+        (("estop", "stop", "it", "--json", "burns"), "reason", "it burns"),
+    ],
+)
+def test_words_stand_behind_options_too(words, name, value):
+    group, _, sub = words[0].partition(" ")
+    command = COMMANDS[group].commands[sub] if sub else COMMANDS[group]
+    assert getattr(parser_of(words[0], command).parse_args(words[1:]), name) == value
+
+
+@pytest.mark.parametrize("words", [("config", "check"), ("key", "new"), ("calibrate", "samples")])
+def test_words_that_are_too_many_are_refused_with_the_usage_of_the_verb(words, capsys):
+    assert run(*words, "a", "b", "c") == 2
+    shown = capsys.readouterr().err
+    assert shown.startswith(f"usage: swarm {' '.join(words)} [-h]")
+    assert "unrecognized arguments: " in shown
+
+
+def test_a_picture_of_a_kind_that_is_not_written_is_refused_with_those_that_are(tmp_path, capsys):
+    assert run("view", "run", "--screenshot", str(tmp_path / "x.jpg")) == 2
+    assert "x.jpg': a picture is a file that ends in .png\n" in capsys.readouterr().err
+    assert run("plot", "run", "-o", str(tmp_path / "x.jpg")) == 2
+    assert "x.jpg': a picture is a file that ends in .png, .pdf, .svg\n" in capsys.readouterr().err
+
+
 def test_a_running_swarm_has_no_picture_of_the_past(tmp_path, capsys):
     assert run("view", "--run-dir", str(tmp_path), "--screenshot", str(tmp_path / "x.png"), "--at", "3") == 2
     assert capsys.readouterr().err == "swarm: --at is for a recording: a running swarm is shown as it is now\n"
@@ -187,6 +217,15 @@ def test_a_reader_that_leaves_is_no_fault():
         check=False,
     )
     assert done.stderr == ""
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_a_command_without_standard_streams_ends_quietly_with_its_code(closed):
+    for words, code in (("config --example", 0), ("no-such-command", 2)):
+        script = f'"$0" -c "$1" {words} {closed}'
+        done = subprocess.run(["sh", "-c", script, sys.executable, SWARM], capture_output=True, text=True, check=False)
+        assert done.returncode == code
+        assert "Traceback" not in done.stderr
 
 
 def test_a_full_disk_is_one_line():

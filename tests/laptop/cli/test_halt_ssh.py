@@ -321,7 +321,7 @@ def test_without_any_path_it_says_so(
     assert "swarm.toml" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("words", [["--timeut", "2"], ["fell", "--timeout", "2", "off"], ["--timeout", "soon"]])
+@pytest.mark.parametrize("words", [["--timeut", "2"], ["fell", "--off", "2"], ["--timeout", "soon"]])
 def test_a_mistyped_stop_says_that_no_robot_was_stopped(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         cli.main(["estop", *words])
