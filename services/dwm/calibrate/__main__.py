@@ -94,6 +94,8 @@ def check(options: argparse.Namespace, config: Config, robot: str) -> int:
 
 def offset(options: argparse.Namespace, config: Config, robot: str) -> int:
     """Take over by how much a robot's ranges are too long: from its commissioning, or a run at a known place."""
+    if not options.recording.exists():
+        raise LocalError(f"{options.recording}: there is no such report of swarm commission, and no such folder")
     learned = _commissioned(options, robot) if options.recording.is_file() else _of_run(options, config, robot)
     limits.check_offset(learned.offset)
     path = calibration_path(config, robot)

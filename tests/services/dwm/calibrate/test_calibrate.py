@@ -209,7 +209,7 @@ def test_the_end_of_the_answers_ends_the_session(processes, router, swarm, runti
         (["distance", "--places", "1;2"], '--places: expected "x,y x,y'),
         (["fit", "line.csv"], "all places lie within 0 cm of one line, 0 degrees from x: across it nothing is known"),
         (["check"], "of/r0.toml: ranges and places are corrected as [dwm] says only; make one by"),
-        (["offset", "nowhere", "--place", "0.5", "1.5"], "there is no such folder of recordings"),
+        (["offset", "nowhere.json"], "nowhere.json: there is no such report of swarm commission, and no such folder"),
     ],
 )
 def test_what_is_wrong_is_one_line(processes, swarm, runtime, arguments, words):
