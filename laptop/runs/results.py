@@ -119,8 +119,9 @@ class RunData:
 
     def __getitem__(self, name: str) -> Array:
         """Return a state or a result by name: of shape (iteration, robot), of a vector of n (iteration, robot, n),
-        of a matrix (iteration, robot, n, m). The type is float64; bool and int64 as long as no entry is missing;
-        texts (and members of an enum, by name) are objects. Raises `LocalError` with the names that there are."""
+        of a matrix (iteration, robot, n, m). The type is float64; bool and int64 as long as no entry is missing, since
+        numpy's have no nan: `x = run["n"][:, 0]; x[~np.isnan(x)].astype(int)` are those of the first robot in any
+        case. Texts (and members of an enum, by name) are objects. Raises `LocalError` with the names that there are."""
         if name not in self._columns:
             raise self._unknown(name)
         channel, places = self._columns[name]
