@@ -55,6 +55,7 @@ def run(args: argparse.Namespace, rig: Rig | None = None, architecture: str = "a
         return replace(whole, architecture=architecture)
 
     async def job(host: Host, tell: everyone.ReportProgress) -> str:
+        await everyone.check_answer(ssh, host)
         robot = Provisioning(ssh, host, asked(host), packages, tell, rig or Rig())
         if args.check:
             return await robot.check()

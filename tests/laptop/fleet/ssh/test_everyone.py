@@ -102,7 +102,9 @@ def test_a_robot_of_another_name_at_an_address_carries_out_no_command(
     assert not (home / "done").exists()
 
 
-@pytest.mark.parametrize("words", [("fetch",), ("pair",), ("measure", "i2c"), ("deploy", "release.tar.gz")])
+@pytest.mark.parametrize(
+    "words", [("fetch",), ("pair",), ("measure", "i2c"), ("deploy", "release.tar.gz"), ("provision",)]
+)
 def test_a_robot_that_hangs_is_given_up_after_its_first_question(
     robots: FakeRobots,
     run: Run,
