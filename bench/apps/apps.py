@@ -23,6 +23,7 @@ from services.apps.builtin.localization.leastsquares import refine
 from sim.core import noise
 from sim.rehearsal.scene import TARGET, rehearsal_config
 from sim.rehearsal.sync import SyncRehearsal
+from sim.scenario.options import DELAY
 from sim.scenario.scenario import PLACES
 from sim.virtual.run import run_virtually
 from swarm.messages import Measurement
@@ -137,7 +138,7 @@ def localization_rounds(scenes: int) -> Iterator[Row]:
             goal = None if algorithm in ("diging", "thesis") else 1.0
             yield Row(f"rounds to 1 cm, {shape} {count}: {algorithm}", rounds_to_place(swarm, TARGET), "", best, goal)
         app = loader.load(str(EXAMPLES / "find_target.py"))
-        swarm = SyncRehearsal(app, rehearsal_config(app, count, shape), measure=exact)
+        swarm = SyncRehearsal(app, rehearsal_config(app, count, shape), measure=exact, mesh=DELAY)
         swarm.run(120)
         yield Row("  examples/find_target.py", rounds_to_place(swarm, TARGET), "", best, None)
 
@@ -176,8 +177,8 @@ def recorded(count: int) -> Iterator[Row]:
         recordings = read_folder(folder)
         last = min(recording.steps for recording in recordings)
 
-        def measure(name: str, k: int, recordings: Sequence[Any] = recordings) -> Measurement:
-            row = recordings[int(name[1:])].rows[k]
+        def measure(name: str, k: int, recordings: Sequence[Any] = recordings, end: int = last - 1) -> Measurement:
+            row = recordings[int(name[1:])].rows[min(k, end)]  # the step behind the last one is begun, too
             return Measurement(0.0, k, row.distance, row.x, row.y)
 
         swarm = localization("thesis", 3, "line", last, measure, step_size=step)
@@ -239,6 +240,12 @@ def code_lines(path: Path) -> int:
 # What is run
 
 
+def exact(name: str, k: int) -> Measurement:
+    """The truth."""
+    here = PLACES[int(name[1:])]
+    return Measurement(0.0, k, math.dist(here, TARGET), *here)
+
+
 def consensus(algorithm: str, robots: int, shape: str, iterations: int) -> SyncRehearsal:
     """From the thesis' starting values."""
     values = {f"r{i}": {"value": x} for i, x in enumerate(STARTS[robots])}
@@ -257,19 +264,13 @@ def _rehearsed(
     iterations: int,
     parameters: Mapping[str, Any],
     values: Mapping[str, Mapping[str, Any]],
-    measure: Measure | None = None,
+    measure: Measure = exact,
 ) -> SyncRehearsal:
     app = loader.load(name)
     config = rehearsal_config(app, robots, shape, parameters, values)
-    swarm = SyncRehearsal(app, config) if measure is None else SyncRehearsal(app, config, measure=measure)
+    swarm = SyncRehearsal(app, config, measure=measure, mesh=DELAY)
     swarm.run(iterations)
     return swarm
-
-
-def exact(name: str, k: int) -> Measurement:
-    """The truth."""
-    here = PLACES[int(name[1:])]
-    return Measurement(0.0, k, math.dist(here, TARGET), *here)
 
 
 def biased(model: str, count: int, last: int, seed: int) -> tuple[Measure, list[Row3]]:

@@ -42,7 +42,7 @@ ELSEWHERE = {
     "services/apps/event_runner.py": "states of the size that `Asynchronous` has checked",
     "services/apps/host/event_host.py": "states of the size that the lockstep has checked",
     "services/apps/host/host.py": "makes a number of a hash of its own",
-    "sim/rehearsal/examine.py": "states that it has packed itself",
+    "sim/rehearsal/examine_sync.py": "states that it has packed itself",
     "services/apps/runner.py": "states of the size that the lockstep has checked",
     "services/apps/persistence/slots.py": "its own file: tests/services/apps/persistence/test_files.py",
     "services/balancer/bridge/link.py": "datagrams between the loop and its own second process",

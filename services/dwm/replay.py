@@ -5,6 +5,7 @@ on the recording alone: the same however often and by whomever it is asked. Past
 """
 
 import queue
+from collections.abc import Callable
 
 from swarm import clock
 from swarm.frozen import frozen
@@ -56,7 +57,7 @@ def serve(service: Service, recording: ThesisRecording) -> None:
         if k > newest:  # the bus calls us on one thread
             newest = k
             first_asked.put(k)
-        return row_of(recording, _, parameters)
+        return encode(_Row(recording, k).measurement())
 
     robot, target = service.robot, service.config.dwm.target or NOBODY
     service.bus.serve(key(robot, "dwm", "measurement"), answer)
@@ -73,10 +74,16 @@ def serve(service: Service, recording: ThesisRecording) -> None:
         service.bus.publish(key(robot, "dwm", "pose"), pose)
 
 
-def row_of(recording: ThesisRecording, key: str, parameters: dict[str, str]) -> bytes | None:
-    """Answer the query for a row; None where there is none."""
+def measured(recording: ThesisRecording, k: int) -> Measurement | None:
+    """Return the measurement of a row; None behind the last one."""
+    return None if k >= recording.steps else _Row(recording, k).measurement()
+
+
+def answer_row(rows: Callable[[int], Measurement | None], key: str, parameters: dict[str, str]) -> bytes | None:
+    """Answer the query for a row by `rows(k)`; None where there is none."""
     k = _asked(parameters)
-    return None if k is None or k >= recording.steps else encode(_Row(recording, k).measurement())
+    row = None if k is None else rows(k)
+    return None if row is None else encode(row)
 
 
 def _asked(parameters: dict[str, str]) -> int | None:

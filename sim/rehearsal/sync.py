@@ -1,42 +1,35 @@
-"""A swarm of one synchronous app, all robots in this process, step by step: no thread, no link.
+"""A rehearsal of one synchronous app, in which an iteration takes 0.1 s of virtual time."""
 
-What a robot has besides, its body, LEDs, poses and ranges, is that of virtual time, in which an iteration takes 0.1 s.
-"""
-
-import logging
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 
 from services.apps import loader
-from services.apps.equipment.equipment import equip
-from services.apps.equipment.speaker import let_speak, prints_heard
-from services.apps.runner import Runner
-from services.mesh.links.radio_model import AirModel
-from sim.rehearsal.messages import RehearsalOverlays
+from services.apps.equipment.speaker import prints_heard
+from services.apps.host.observer import Source, StepRecord
+from sim.rehearsal.rehearsal import Rehearsal, Said
 from sim.rehearsal.scene import measurement
-from sim.scenario.options import DELAY
+from sim.scenario.options import SETTLED
 from sim.virtual.bus import VirtualBus
-from sim.virtual.world import VirtualWorld
+from sim.virtual.world import MakeRunner
 from swarm.app.sync_app import SyncApp
 from swarm.config import Config
-from swarm.core.graph import Graph
 from swarm.errors import AppError
-from swarm.messages import AppLog, Clock, Measurement
+from swarm.messages import AppEpoch, AppParameters, Measurement, SetAppEpoch
 from swarm.messages.codec import Value
+from swarm.messages.keys import key
 
 Measure = Callable[[str, int], Measurement]
 
 ITERATION_S = 0.1
-"""Seconds of virtual time that an iteration takes."""
+"""Seconds of virtual time that an iteration takes, which is the latency of the links."""
 
-_SILENT = logging.getLogger("rehearsal")
-"""The logger of apps to whose lines nobody listens."""
-_SILENT.addHandler(logging.NullHandler())
-_SILENT.propagate = False
+STALLED_S = 20.0
+"""Seconds of virtual time without an iteration after which a rehearsal is given up."""
 
 
-class SyncRehearsal:
-    """`results[name][k]` is what a robot reports at iteration k, `states[name][k]` its packed shared state."""
+class SyncRehearsal(Rehearsal):
+    """`results[name][k]` is what a robot reports at iteration k."""
 
     @prints_heard()
     def __init__(
@@ -46,92 +39,82 @@ class SyncRehearsal:
         *,
         seed: int = 1,
         measure: Measure = measurement,
-        runner: type[Runner] = Runner,
-        said: Callable[[str, AppLog], None] | None = None,
+        runner: MakeRunner | None = None,
+        said: Said | None = None,
+        mesh: str = SETTLED,
     ) -> None:
-        """`measure(robot, k)` gives the measurement of step k to an app that wants one. `runner` drives the app of each
-        robot. `said(robot, line)` is called with what apps print and log."""
-        self.k = 0
+        """`measure(robot, k)` gives the measurement of step k to an app that wants one. `runner(app, source)` makes
+        what drives the app of each robot. `said(robot, line)` is called with what apps print and log. `mesh`: one of
+        `options.MESHES`."""
+        kind = app.kind_on(config, config.names[0])
+        if not issubclass(kind, SyncApp):
+            raise AppError(f"{app.source}: {kind.__name__} is no SyncApp")
         self.names = config.names
-        self.graph = config.graph
-        self._measure = measure
-        self._looks = 0
-        self.runners: dict[str, Runner] = {}
-        self.messages: dict[str, RehearsalOverlays] = {}
-        self._world = VirtualWorld(config, AirModel(0.0, 0.0, None, seed), seed, mesh=DELAY)
-        for name in self.names:
-            instance = app.make(config, name, seed)
-            if not isinstance(instance, SyncApp):
-                raise AppError(f"{app.source}: {type(instance).__name__} is no SyncApp")
-            self.messages[name] = RehearsalOverlays(
-                name, self.names, lambda to, message: self.messages[to].receive(message)
-            )
-            bus = VirtualBus(self._world.robots[name].router)
-            equip(instance.robot, bus, _SILENT, self._now)
-            if said is not None:
-                let_speak(instance.robot, bus, None, partial(said, name))
-            instance.robot.overlays = self.messages[name]  # type: ignore[assignment]
-            # All robots have the very same time.
-            instance.robot.clock.state = Clock(t=0.0, offset=0.0, rate=0.0, root=self.names[0], hop=0, error=0.0)
-            instance.robot.truth = self._world.truth(name, app.name, type(instance))
-            self.runners[name] = runner(instance, app.source)
-        self.private: dict[str, bytes] = {}
-        self.states: dict[str, list[bytes]] = {}
-        self.results: dict[str, list[dict[str, Value]]] = {}
-        for name, each in self.runners.items():
-            own, self.private[name] = each.start(self.measured(name))
-            self.states[name] = [own]
-            self.results[name] = [each.result()]
+        self.results: dict[str, list[Mapping[str, Value]]] = {name: [] for name in config.names}
+        self._app = app.name
 
-    def measured(self, name: str) -> Measurement | None:
-        """Return the measurement for a robot's next step."""
-        return self._measure(name, self.k) if type(self.runners[name].app).measured else None
+        def row(name: str, k: int) -> Measurement:
+            return replace(measure(name, k), sequence=k)
 
-    def around(self, name: str) -> dict[str, bytes]:
-        """Return the neighbours' states of this iteration."""
-        return {near: self.states[near][self.k] for near in self.graph.neighbours(name)}
+        super().__init__(
+            app, config, ITERATION_S, seed=seed, rows=lambda name: partial(row, name), observer=self, runner=runner,
+            said=said, mesh=mesh,
+        )  # fmt: skip
+        self.k = 0
+        """The present iteration."""
+        self._pass(ITERATION_S / 2)  # robots do an iteration where a look comes in the middle between two of them
+        self._run_until(lambda: self._reached >= 0)
 
     @prints_heard()
-    def run(
-        self, iterations: int = 1, step: "Callable[[SyncRehearsal, str], tuple[bytes, bytes]] | None" = None
-    ) -> None:
-        """Do so many iterations; `step(self, robot)` takes the place of the plain step."""
-        for _ in range(iterations):
-            done = {name: (step or SyncRehearsal.step)(self, name) for name in self.names}
-            self.k += 1
-            self._pass()
-            for name, (own, private) in done.items():
-                self.states[name].append(own)
-                self.private[name] = private
-                self.results[name].append(self.runners[name].result())
+    def run(self, iterations: int = 1) -> None:
+        """Do so many more iterations. Raises `AppError` where the app of a robot has failed, or waits for ever."""
+        last = self.k + iterations
+        self._run_until(lambda: self._reached >= last)
+        self.k = last
 
     @prints_heard()
-    def change(self, graph: Graph) -> None:
-        """Go over to other members and links now, as a swarm does that drops a robot: `on_epoch` of the app."""
-        self.graph, self.names = graph, graph.names
-        for name in self.names:
-            own, self.private[name] = self.runners[name].renew(
-                self.k, self.k, self.states[name][self.k], self.private[name], graph
-            )
-            self.states[name][self.k] = own
-
-    def step(self, name: str) -> tuple[bytes, bytes]:
-        """Compute one robot's step: its next state, shared and private."""
-        return self.runners[name].step(self.k, self.states[name][self.k], self.around(name), self.measured(name))
-
-    def _pass(self) -> None:
-        """Let the bodies do what they were told, until the next iteration."""
-        self._world.time.run(ITERATION_S * self.k)
-        for runner in self.runners.values():
-            devices = runner.app.robot.devices
-            if devices is not None and devices.next_deadline() is not None:
-                devices.handle_timer()
-
-    def _now(self) -> float:
-        """Return the time, later at each call, as on a robot."""
-        self._looks += 1
-        return ITERATION_S * self.k + 1e-6 * self._looks
+    def drop(self, robot: str) -> None:
+        """Have the others go on without a robot, as `swarm mesh epoch drop` does: `on_epoch` of their apps is called.
+        They do iterations anew that not all of them had done."""
+        left = tuple(name for name in self.names if name != robot)
+        order = SetAppEpoch(f"drop {robot}", (robot,), (), force=False)
+        VirtualBus(self.world.robots[left[0]].router).publish(key(left[0], f"app/{self._app}", "set", "epoch"), order)
+        self._run_until(lambda: self.names == left)
+        self.k = self._reached
 
     def result(self, name: str) -> Mapping[str, Value]:
-        """Return a robot's present result."""
-        return self.results[name][-1]
+        """Return a robot's result at iteration `k`."""
+        return self.results[name][self.k]
+
+    @property
+    def _reached(self) -> int:
+        """The iteration that all robots have done; -1 before all have begun."""
+        return min(len(self.results[name]) for name in self.names) - 1
+
+    def _run_until(self, there: Callable[[], bool]) -> None:
+        last, since = self._reached, self.now
+        while not there():
+            self._pass(self.now + ITERATION_S)
+            if self._reached > last:
+                last, since = self._reached, self.now
+            elif self.now - since > STALLED_S:
+                progress = next(unit.host.progress for unit in self.units.values())
+                raise AppError(f"no iteration for {STALLED_S:g} s: {progress.reason or progress.phase}")
+
+    # What an `Observer` hears
+
+    def advanced(self, source: Source, line: StepRecord) -> None:
+        self.results[source.robot][line.k :] = [line.result]
+
+    def progressed(self, source: Source) -> None:
+        """A robot has begun, or waits: its iterations tell."""
+
+    def ended(self, source: Source) -> None:
+        """A robot has failed: `_pass` raises why."""
+
+    def switched(self, source: Source, epoch: AppEpoch) -> None:
+        del self.results[source.robot][epoch.k :]
+        self.names = tuple(name for name in self.names if name in epoch.members)
+
+    def parameters(self, robot: str, parameters: AppParameters) -> None:
+        """Parameters are those of the configuration."""

@@ -104,16 +104,16 @@ APP = Path(__file__).with_name("@FILE@")
 def test_the_light_goes_through_the_swarm():
     swarm = rehearse(APP, robots=4, topology="line", values={"r0": {"first": True}})
     swarm.run(3.0)  # until this time, s
-    assert all(robot.result()["lit"] for robot in swarm.units.values())
+    assert all(swarm.result(name)["lit"] for name in swarm.units)
 
 
 def test_it_stays_dark_until_a_button_is_pressed():
     swarm = rehearse(APP, robots=4, topology="line")
     swarm.run(3.0)
-    assert not any(robot.result()["lit"] for robot in swarm.units.values())
+    assert not any(swarm.result(name)["lit"] for name in swarm.units)
     swarm.units["r2"].press("a")
     swarm.run(6.0)
-    assert all(robot.result()["lit"] for robot in swarm.units.values())
+    assert all(swarm.result(name)["lit"] for name in swarm.units)
 '''
 
 EVENT = '''"""@NAME@: say here what it does.
@@ -159,7 +159,7 @@ def test_every_robot_counts_every_press():
     swarm.run(2.0)
     swarm.units["r2"].press("a")
     swarm.run(3.0)
-    assert [robot.result()["presses"] for robot in swarm.units.values()] == [2, 2, 2]
+    assert [swarm.result(name)["presses"] for name in swarm.units] == [2, 2, 2]
 '''
 
 KINDS = {"sync": (SYNC, SYNC_TEST), "periodic": (PERIODIC, PERIODIC_TEST), "event": (EVENT, EVENT_TEST)}

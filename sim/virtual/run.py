@@ -14,6 +14,7 @@ from services.apps import loader
 from services.apps.equipment.speaker import prints_heard
 from services.apps.host.event_host import EventHost
 from services.apps.host.observer import Observer, Source, StepRecord
+from services.dwm.replay import measured
 from services.mesh.core.routing.physical_links import links_of
 from services.mesh.links.radio_model import AirModel
 from sim import scene
@@ -150,10 +151,10 @@ class VirtualRun:
                 launches.append(self._launch(each.loaded, f" {each.app}", scenario.run_options_beside, records, beside))
             for name, seconds in self._late.items():
                 world.switch_off(name, seconds, falls=False)
+            rows = {name: partial(measured, recording) for name, recording in scenario.recordings.items()}
             for launch in launches:
                 for name in scenario.config.names:
-                    mine = launch._replace(recording=scenario.recordings.get(name))
-                    world.start_app(name, mine, after=self._late.get(name, 0.0))
+                    world.start_app(name, launch._replace(rows=rows.get(name)), after=self._late.get(name, 0.0))
         else:
             self._first_done()
         self._watch()

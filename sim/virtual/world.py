@@ -5,7 +5,7 @@ import random
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from services.apps import loader
 from services.apps.equipment.equipment import equip
@@ -17,8 +17,8 @@ from services.apps.host import topology
 from services.apps.host.event_host import EventHost
 from services.apps.host.host import LockstepHost, Part
 from services.apps.host.observer import Observer
-from services.apps.runner import Runner, metrics_of
-from services.dwm.replay import row_of
+from services.apps.runner import AppRunner, Runner, metrics_of
+from services.dwm.replay import answer_row
 from services.mesh.core.routing.link_state import AdvertisedLinks
 from services.mesh.core.routing.topology import Advertisement
 from services.mesh.links.radio_model import AirModel
@@ -46,10 +46,9 @@ from swarm.app.sync_app import BaseApp, SyncApp
 from swarm.app.truth import RobotTruth, told
 from swarm.config import Config
 from swarm.errors import LocalError
-from swarm.messages import Target
+from swarm.messages import Measurement, Target
 from swarm.messages.codec import Value
 from swarm.messages.keys import key
-from swarm.recording.thesis_ranges import ThesisRecording
 
 TARGET_PERIOD_S = 0.1
 """Seconds between two messages of where a target that moves is, as the real simulation has it."""
@@ -92,7 +91,11 @@ class VirtualRobot:
         return self.sent_before + self.mesh.sent
 
 
-MakeRunner = Callable[[EventApp, str], EventRunner]
+Rows = Callable[[int], Measurement | None]
+"""The measurement of each step, in place of what the module reports; None behind the last one."""
+
+MakeRunner = Callable[[Any, str], AppRunner]
+"""What makes the runner of an app, of its instance and the path of its file."""
 
 
 class Launch(NamedTuple):
@@ -101,11 +104,11 @@ class Launch(NamedTuple):
     app: loader.LoadedApp
     run: int
     run_options: RunOptions
-    recording: ThesisRecording | None
-    """The recording that the app replays."""
+    rows: Rows | None
+    """The measurements that the app replays."""
     observer: Observer | None
     runner: MakeRunner | None = None
-    """What makes the runner of an event-driven app, in place of `EventRunner`."""
+    """What makes the runner, in place of `EventRunner` or `Runner`."""
 
 
 class VirtualWorld:
@@ -269,7 +272,7 @@ class VirtualWorld:
 
     def _begin(self, robot: str, launch: Launch) -> None:
         """Start an app on a robot, or look again later."""
-        app, run, run_options, recording, observer, make_runner = launch
+        app, run, run_options, rows, observer, make_runner = launch
         config, epoch, there = self.config, topology.CONFIGURED, self.robots[robot]
         if not there.balancer.powered or app.name in there.apps:
             return  # the robot was switched off meanwhile, and starts its apps when it is on again
@@ -299,14 +302,17 @@ class VirtualWorld:
         host: LockstepHost | EventHost
         if isinstance(instance, EventApp):
             events = (make_runner or EventRunner)(instance, app.source)
+            assert isinstance(events, EventRunner)
             host = EventHost(
                 *(runtime, app.name, events, place, self.config, there.storage, observer), links_change=config.auto
             )
         else:
             assert isinstance(instance, SyncApp)
             overlays.collect()
-            measurements = self._measurements(runtime, recording, run_options.last) if instance.measured else None
-            parts = [Part("", Runner(instance, app.source, run_options.tolerance), measurements)]
+            measurements = self._measurements(runtime, rows, run_options.last) if instance.measured else None
+            runner = (make_runner or partial(Runner, tolerance=run_options.tolerance))(instance, app.source)
+            assert isinstance(runner, Runner)
+            parts = [Part("", runner, measurements)]
             host = LockstepHost(
                 *(runtime, app.name, parts, place, there.storage, observer),
                 links_change=run_options.drop,  # else nobody asks which links are in force
@@ -327,13 +333,11 @@ class VirtualWorld:
 
         return look
 
-    def _measurements(
-        self, runtime: VirtualRuntime, recording: ThesisRecording | None, last: int | None
-    ) -> Measurements:
-        if recording is None:
+    def _measurements(self, runtime: VirtualRuntime, rows: Rows | None, last: int | None) -> Measurements:
+        if rows is None:
             return source_of(runtime, self.config, last)
         bus = VirtualBus(self.robots[runtime.robot].router)
-        bus.serve(key(runtime.robot, "dwm", "measurement"), partial(row_of, recording))
+        bus.serve(key(runtime.robot, "dwm", "measurement"), partial(answer_row, rows))
         return Replayed(runtime, last)
 
     def _tell_target(self) -> None:

@@ -141,7 +141,7 @@ def test_without_a_simulation_there_is_no_error(tmp_path: Path) -> None:
 
 def test_a_process_hears_the_truth_from_its_bus() -> None:
     swarm = rehearse("consensus", robots=2, values={"r1": {"value": 3.0}})
-    config, kind = swarm._world.config, type(swarm.runners["r1"].app)
+    config, kind = swarm.world.config, type(swarm.units["r1"].app)
     heard: dict[str, object] = {}
 
     class Bus:

@@ -3,6 +3,7 @@
 import pytest
 
 from swarm import EventApp, SyncApp, rehearse
+from swarm.errors import AppError
 
 
 class Speaks(SyncApp):
@@ -31,8 +32,10 @@ def test_lines_of_steps_are_seen_with_their_robots(capsys: pytest.CaptureFixture
     swarm = rehearse(Speaks, robots=2, values={"x": [3.0, 4.0]})
     swarm.run(1)
     lines = [line.split(" s  ")[1] for line in capsys.readouterr().out.splitlines()]
-    begun = ["r0  begins", "r1  begins"]
-    assert lines == [*begun, "r0  at 0 now", "r0  warning: x is 3", "r1  at 0 now", "r1  warning: x is 4"]
+    for robot, x in (("r0", 3), ("r1", 4)):
+        mine = [line for line in lines if line.startswith(robot)]
+        assert mine == [f"{robot}  begins", f"{robot}  at 0 now", f"{robot}  warning: x is {x}"]
+    assert len(lines) == 6
 
 
 def test_lines_of_handlers_are_seen_with_their_robots(capsys: pytest.CaptureFixture[str]) -> None:
@@ -43,3 +46,52 @@ def test_lines_of_handlers_are_seen_with_their_robots(capsys: pytest.CaptureFixt
     swarm.run(2.0)
     lines = [line.split(" s  ")[-1] for line in capsys.readouterr().out.splitlines()]
     assert lines == ["r0  begins", "r1  begins", "mine", "r1  b"]
+
+
+class Heard(SyncApp):
+    """Counts messages and changes of the members."""
+
+    heard: int = 0
+    changes: int = 0
+
+    def step(self, neighbours: object) -> None:
+        if self.k == 0 and self.robot.name == "r0":
+            self.robot.flood(b"hello")
+        self.heard += len(self.robot.messages())
+
+    def on_epoch(self, members: object) -> None:
+        self.changes += 1
+
+
+def test_a_flood_of_a_rehearsed_app_takes_the_time_of_its_way() -> None:
+    swarm = rehearse(Heard, robots=4)
+    swarm.run(3)
+    assert [swarm.result(f"r{index}")["heard"] for index in range(4)] == [0, 1, 1, 0]
+    swarm.run(3)
+    assert [swarm.result(f"r{index}")["heard"] for index in range(4)] == [0, 1, 1, 1]
+
+
+def test_a_robot_that_is_taken_out_is_gone_on_without() -> None:
+    swarm = rehearse(Heard, robots=4, topology="loop")
+    swarm.run(5)
+    swarm.drop("r2")
+    assert swarm.names == ("r0", "r1", "r3")
+    assert swarm.k == 5
+    swarm.run(10)
+    assert [swarm.result(name)["changes"] for name in swarm.names] == [1, 1, 1]
+
+
+class Breaks(EventApp):
+    on: bool
+
+    def on_button(self, button: str) -> None:
+        raise ValueError(button)
+
+
+def test_an_error_of_a_handler_is_raised() -> None:
+    swarm = rehearse(Breaks, robots=2)
+    swarm.run(1.0)
+    swarm.units["r1"].press("b")
+    with pytest.raises(AppError, match=r"Breaks on r1, .*ValueError: b"):
+        swarm.run(2.0)
+    assert "ValueError: b" in swarm.units["r1"].fault

@@ -9,8 +9,8 @@ from services.apps import loader
 from services.apps.builtin.localization.leastsquares import refine
 from sim.rehearsal.scene import TARGET, rehearsal_config
 from sim.rehearsal.sync import SyncRehearsal
+from sim.scenario.options import DELAY
 from sim.scenario.scenario import PLACES
-from swarm.core.graph import Graph
 from swarm.messages import Measurement
 
 ALL = tuple(f"r{i}" for i in range(6))
@@ -25,12 +25,12 @@ def biased(name: str, k: int) -> Measurement:
 
 
 def run(app: str, algorithm: str, before: int, after: int, **parameters: object) -> SyncRehearsal:
-    """`before` iterations on thesis-d, then r2 is gone and the others are in a line."""
+    """`before` iterations on a loop, then r2 is gone and the others are in a line."""
     found = loader.load(app)
-    config = rehearsal_config(found, 6, "thesis-d", {"algorithm": algorithm, **parameters})  # type: ignore[arg-type]
-    swarm = SyncRehearsal(found, config, measure=biased)
+    config = rehearsal_config(found, 6, "loop", {"algorithm": algorithm, **parameters})  # type: ignore[arg-type]
+    swarm = SyncRehearsal(found, config, measure=biased, mesh=DELAY)
     swarm.run(before)
-    swarm.change(Graph.of_shape("line", LEFT))
+    swarm.drop("r2")
     swarm.run(after)
     return swarm
 
@@ -77,6 +77,6 @@ def test_as_if_the_member_had_never_been_there(algorithm: str, iterations: int) 
 def test_a_place_that_stands_still_has_converged(algorithm: str) -> None:
     parameters = {"step_size": 0.02} if algorithm in ("diging", "thesis") else {}
     swarm = run("localization", algorithm, 3, 1, **parameters)
-    assert not any(swarm.runners[name].content() for name in LEFT)
+    assert not any(swarm.units[name].host.runner.content() for name in LEFT)
     swarm.run(500)
-    assert all(swarm.runners[name].content() for name in LEFT)
+    assert all(swarm.units[name].host.runner.content() for name in LEFT)
