@@ -10,6 +10,8 @@ import os
 import subprocess
 import sys
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 from services.apps.loader import BUILT_IN
@@ -56,7 +58,8 @@ def main() -> int:
     options = parser.parse_args()
     if options.robots < 1 or options.iterations < 4:
         raise LocalError("--robots is at least 1, --iterations at least 4")
-    found = judge(*(_rehearse(options, seed) for seed in SEEDS))
+    with ThreadPoolExecutor() as both:
+        found = judge(*both.map(partial(_rehearse, options), SEEDS))
     sys.stdout.write(json.dumps(found) + "\n" if options.json else text(found))
     return 0 if found["ok"] else 1
 
