@@ -57,9 +57,16 @@ class SyncRehearsal(Rehearsal):
             return replace(measure(name, k), sequence=k)
 
         super().__init__(
-            app, config, ITERATION_S, seed=seed, rows=lambda name: partial(row, name), observer=self, runner=runner,
-            said=said, mesh=mesh,
-        )  # fmt: skip
+            app,
+            config,
+            ITERATION_S,
+            seed=seed,
+            rows=lambda name: partial(row, name),
+            observer=self,
+            runner=runner,
+            said=said,
+            mesh=mesh,
+        )
         self.k = 0
         """The present iteration."""
         self._pass(ITERATION_S / 2)  # robots do an iteration where a look comes in the middle between two of them
