@@ -255,7 +255,8 @@ class LockstepRun:
             awaited = self._awaited()
             self.epochs.stalled = bool(awaited) and now >= self._stalled_at
             silent = {n for n, at in awaited if now >= at}
-            silent |= {n for n in self.epochs.deaf if now - self._heard.get(n, float("-inf")) > FRESH}
+            quiet = min(self.terms.after, FRESH)
+            silent |= {n for n in self.epochs.deaf if now - self._heard.get(n, float("-inf")) > quiet}
             self.epochs.suspect(tuple(sorted(silent)), now)
         self.epochs.handle_timer(now)
 
@@ -329,10 +330,11 @@ class LockstepRun:
         """Neighbours that this robot waits for, and when they are to be given up, sorted."""
         if self._lockstep is None or self._changing or self.phase != "running":
             return []
-        # Who has stopped for a ballot waits for all: they repeat what they have to say.
-        frozen = self.epochs.frozen and self.epochs.member
-        waiting = self._graph.neighbours(self._me) if frozen else self._lockstep.waiting_for
-        return [(n, max(self.progress_at, self._heard.get(n, 0.0)) + self.terms.after) for n in waiting]
+        waiting, after = self._lockstep.waiting_for, self.terms.after
+        if self.epochs.frozen and self.epochs.member:
+            # A robot that has stopped for a ballot waits for all neighbours. They repeat their notes once a second.
+            waiting, after = self._graph.neighbours(self._me), max(after, FRESH)
+        return [(n, max(self.progress_at, self._heard.get(n, 0.0)) + after) for n in waiting]
 
     def _answer(self, own: bytes, private: bytes) -> AppAnswer:
         return AppAnswer(own, private, self._program.told())

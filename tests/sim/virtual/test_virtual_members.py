@@ -58,6 +58,14 @@ def test_a_robot_that_is_cut_off_for_ever_is_named_at_the_end():
     assert report["iterations"] == 60
 
 
+@pytest.mark.parametrize("drop_after", ["0.3", "0.6"])
+def test_a_robot_is_taken_in_again_where_robots_are_dropped_sooner_than_they_repeat_their_notes(drop_after):
+    away = ("--absent", "drop", "--drop-after", drop_after, "--off", "r0@1s,1.6s")
+    report, _ = run_virtually("consensus", "--robots", "3", "--iterations", "60", *away)
+    assert report["problems"] == []
+    assert report["missing"] == []
+
+
 def test_a_robot_that_comes_back_is_taken_in_with_its_value(tmp_path):
     report, outcome = run_virtually(*LOOP, "--seconds", "20", *DROP, *AWAY, "--record", str(tmp_path), rows=True)
     assert report["problems"] == []
