@@ -99,6 +99,13 @@ def sweep(
         raise ConfigError(f"jobs: expected a number of processes above zero, got {jobs}")
     if jobs > 1 and by_class:
         raise ConfigError("jobs: a class cannot go to other processes; put it into a file, and give its path")
+    if not within >= 0.0:
+        raise ConfigError(f"within: expected a distance of 0 or more, got {within}")
+    if not isinstance(over, Mapping):
+        raise ConfigError(f'over: expected lists by name, such as {{"topology": ["line", "loop"]}}, got {over!r}')
+    given = {"robots": robots, "topology": topology, "algorithm": options.get("algorithm")}
+    fixed = {name for name, value in (values or {}).items() if not isinstance(value, Mapping)}
+    fixed |= {name for name, value in given.items() if value is not None}
     kinds = found.algorithms.values()
     own = {name for kind in kinds for name in (*kind.spec.parameters, *kind.spec.schema.names)}
     for name, choices in over.items():
@@ -111,12 +118,14 @@ def sweep(
             )
         if isinstance(choices, str) or not hasattr(choices, "__iter__"):
             raise ConfigError(f"over: {name}: expected a list of values, got {choices!r}")
+        if name in fixed:
+            raise ConfigError(f"over: {name} has one value for all runs, too: leave that out, or the list")
     points = points_of([(name, [_text(value) for value in choices]) for name, choices in over.items()])
     if not points:
         empty = ", ".join(name for name, choices in over.items() if not choices)
         raise ConfigError(f"over: {empty}: a list is empty, expected values")
     numbers = range(1, seeds + 1) if isinstance(seeds, int) else seeds
-    if not numbers or min(numbers) < 0:
+    if isinstance(numbers, str) or not isinstance(numbers, Sequence) or not numbers or min(numbers) < 0:
         raise ConfigError(f"seeds: {seeds!r}: expected a number of seeds above zero, or a list of seeds of 0 or more")
     planned: list[Job] = []
     for index, point in enumerate(points):

@@ -12,7 +12,7 @@ from services.apps import loader
 from services.apps.event_runner import EventRunner
 from services.apps.runner import metrics_of
 from sim.rehearsal import rehearse
-from sim.sweep.measure import measure, summarize
+from sim.sweep.measure import SweptRun, measure, summarize
 from sim.sweep.plan import Job, SweepPoint
 from sim.virtual.run import run_virtually
 from swarm import sweep
@@ -172,6 +172,21 @@ def test_a_sweep_has_the_apps_error_and_says_so_where_there_is_nothing(tmp_path:
     found = [run.__class__(run.point, run.seed, 5, None, None, 0.1, None, 0.1, "") for run in found]
     with pytest.raises(LocalError, match="nothing to draw: no result settled"):
         sweep_results.draw("mine", points, found, tmp_path / "none.png")
+
+
+def test_the_picture_of_a_sweep_shows_where_runs_failed_or_did_not_settle(tmp_path: Path) -> None:
+    points = [SweepPoint((("gain", text),)) for text in ("0.5", "1.0", "2.0")]
+    runs = [
+        SweptRun(0, 1, 9, None, 0.5, 0.1, None, 0.1, ""),
+        SweptRun(1, 1, 9, 7, 0.5, 0.1, None, 0.1, ""),
+        SweptRun(2, 1, 9, None, None, 0.1, None, 0.1, "diverges"),
+    ]
+    with style.figure(tmp_path / "sweep.png") as made:
+        sweep_results.draw_on(made, "mine", points, runs)
+    crosses = [
+        [float(x) for line in axes.lines if line.get_marker() == "x" for x in line.get_xdata()] for axes in made.axes
+    ]
+    assert crosses == [[0.5, 2.0], [2.0]]  # iterations to settle, error
 
 
 def test_a_sweep_has_each_metric_of_the_app(tmp_path: Path) -> None:

@@ -86,7 +86,7 @@ def draw(app: str, points: Sequence[SweepPoint], found: Sequence[SweptRun], path
 
 def draw_on(made: Any, app: str, points: Sequence[SweepPoint], found: Sequence[SweptRun]) -> None:
     """Draw iterations to settle and error over the first list of numbers, with a line for each combination of the
-    others."""
+    others, and a cross at the top where a run has neither."""
     sums = [summarize(runs) for runs in by_point(points, found)]
     along = _along(points)
     lines: dict[str, list[tuple[float, Summary]]] = {}
@@ -104,6 +104,7 @@ def draw_on(made: Any, app: str, points: Sequence[SweepPoint], found: Sequence[S
         )
     made.set_size_inches(4.5 * len(kinds), 4)
     zeros = {name: zero for name in kinds if name != "settled" and (zero := _zero(sums, name)) is not None}
+    marked = False
     panels = dict(zip(kinds, made.subplots(1, len(kinds), squeeze=False)[0], strict=True))
     for index, (label, each_line) in enumerate(lines.items()):
         look = {"color": style.colour(index, len(lines)), "marker": style.mark(index), "markersize": 4}
@@ -114,6 +115,9 @@ def draw_on(made: Any, app: str, points: Sequence[SweepPoint], found: Sequence[S
                 ys, tops = ([max(y, zeros.get(name, y)) for y in each] for each in both)
                 axes.plot(xs, ys, "-", label=label or None, **look)
                 axes.plot(xs, tops, ":", color=look["color"], marker="_")  # a point alone has no line
+            if amiss := [x for x, each in each_line if each.failed or (name == "settled" and each.unsettled)]:
+                axes.plot(amiss, [0.97] * len(amiss), "x", color=look["color"], transform=axes.get_xaxis_transform())
+                marked = True
     for name, axes in panels.items():
         if along is None:  # nothing to be drawn along an axis of numbers
             ticks = [", ".join(value for _, value in point.choices) for point in points]
@@ -123,6 +127,8 @@ def draw_on(made: Any, app: str, points: Sequence[SweepPoint], found: Sequence[S
         what = along or ", ".join(each for each, _ in points[0].choices)
         axes.set(xlabel=what, ylabel=kinds[name], title=f"{app}: median, and worst (dotted)")
         axes.grid(alpha=0.3)
+    if marked:
+        style.say_below(made, "× at the top: a run failed there, or did not settle")
     for name, axes in panels.items():
         numbers = [value for each in sums for value in _drawn(each, name)]
         if numbers and not any(numbers):

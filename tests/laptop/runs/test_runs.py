@@ -2,6 +2,7 @@
 
 import asyncio
 import io
+import math
 import re
 import sys
 import types
@@ -288,9 +289,14 @@ def test_a_sweep_refuses_what_no_run_can_be_made_of() -> None:
         sweep(Mean, {"gain": [1.0]}, jobs=0)
     with pytest.raises(ConfigError, match="a list is empty"):
         sweep(Mean, {"gain": []})
-    for none in (0, -2, [], [1, -1]):
+    for none in (0, -2, [], [1, -1], "3-5", 2.0):
         with pytest.raises(ConfigError, match=f"seeds: {re.escape(repr(none))}: expected a number of seeds above zero"):
-            sweep(Mean, {"gain": [1.0]}, seeds=none)
+            sweep(Mean, {"gain": [1.0]}, seeds=none)  # type: ignore[arg-type]
+    for none in (-0.1, math.nan):
+        with pytest.raises(ConfigError, match=f"within: expected a distance of 0 or more, got {none}"):
+            sweep(Mean, {"gain": [1.0]}, within=none)
+    with pytest.raises(ConfigError, match=r"over: expected lists by name, .* got \['line'\]"):
+        sweep(Mean, ["line"])  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match=r"over: gain: expected a list of values, got 0.5"):
         sweep(Mean, {"gain": 0.5})  # type: ignore[dict-item]
     for name in ("latency", "jitter"):
@@ -302,6 +308,15 @@ def test_a_sweep_refuses_what_no_run_can_be_made_of() -> None:
         sweep(Mean, {"topology": "line"})
     with pytest.raises(ConfigError, match="there is no option 'sped'"):
         sweep(Mean, {"gain": [1.0]}, sped=3)
+
+
+@pytest.mark.parametrize(
+    "fixed", [{"values": {"gain": 0.5}}, {"values": {"gain": [0.5, 1.0]}}, {"topology": "line"}, {"robots": 2}]
+)
+def test_a_sweep_over_values_refuses_another_value_for_all_its_runs(fixed: dict[str, object]) -> None:
+    over = {"gain": [0.1, 0.9], "topology": ["loop"], "robots": [3]}
+    with pytest.raises(ConfigError, match=r"over: \w+ has one value for all runs, too"):
+        sweep(Mean, over, **fixed)  # type: ignore[arg-type]
 
 
 def test_a_robot_says_that_it_carries_no_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
