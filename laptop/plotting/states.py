@@ -44,7 +44,8 @@ def states(
     if columns:  # in the order in which they are asked for
         panels = [panel for name in columns for panel in _named(run, name, every)]
     elif every:
-        panels = _marked(run, every) or _chosen(every)
+        once = _once(every)
+        panels = _marked(run, once) or _chosen(once)
         _say_left_out(figure, run, every, panels[PANELS:])
         panels = panels[:PANELS]
     else:
@@ -104,9 +105,17 @@ def _named(run: Run, name: str, panels: Sequence[_Panel]) -> list[_Panel]:
 
 def _marked(run: Run, panels: Sequence[_Panel]) -> list[_Panel]:
     """Return the panels that the author's `plotted` names, in that order: a vector or an entry of it."""
-    shared = {panel[0] for panel in panels if not panel[1].startswith("result.")}
-    once = [panel for panel in panels if panel[0].removeprefix("result.") not in shared or panel[0] in shared]
-    return [panel for name in _plotted(run) for panel in once if _is_named(panel, name)]
+    return [panel for name in _plotted(run) for panel in panels if _is_named(panel, name)]
+
+
+def _once(panels: Sequence[_Panel]) -> list[_Panel]:
+    """Return the panels without results that repeat a shared state under its name."""
+    shared = {panel[0] for panel in panels if not _is_result(panel)}
+    return [panel for panel in panels if not _is_result(panel) or panel[0].replace("result.", "", 1) not in shared]
+
+
+def _is_result(panel: _Panel) -> bool:
+    return panel[1].startswith("result.")
 
 
 def _plotted(run: Run) -> list[str]:
@@ -137,15 +146,9 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _chosen(panels: Sequence[_Panel]) -> list[_Panel]:
-    """Choose panels where none is named: errors, single values, then vectors entry by entry."""
-    errors = [panel for panel in panels if is_metric(panel[1])]
-    shared = [panel for panel in panels if not panel[1].startswith("result.")]
-    results = [panel for panel in panels if panel[1].startswith("result.") and not is_metric(panel[1])]
-    single = [panel for panel in shared if "[" not in panel[1]]
-    rest = [panel for panel in shared if "[" in panel[1]]
-    if not single and not errors:  # what the app reports says more than the first entries of its vectors
-        rest = results + rest
-    return errors + single + rest or list(panels)
+    """Return the panels in their order where none is named: errors, single values, then vectors entry by entry, those
+    of results first."""
+    return sorted(panels, key=lambda panel: (not is_metric(panel[1]), "[" in panel[1] and 2 - _is_result(panel)))
 
 
 def iterations(figure: Any, run: Run) -> None:
@@ -262,23 +265,17 @@ def _truth(axes: Any, label: str, column: str, paths: Mapping[str, Trajectory]) 
     end = max((t for path in paths.values() for t in path.times.values()), default=0.0)
     for index, path in enumerate(paths.values()):
         at = path.columns.index(column)
-        ks = sorted(path.rows)
+        ks = _with_gaps(sorted(path.rows), gaps(path))
         times = [path.times[k] for k in ks] + [end]
-        values = [path.rows[k][at] == "True" for k in ks]
-        values.append(values[-1])
+        bottom = index + 0.32
+        tops = [
+            math.nan if again else bottom - 0.64 * (path.rows[k][at] == "True")
+            for k, again in zip(ks, _again(ks), strict=True)
+        ]
+        tops.append(tops[-1])
         colour = style.colour(index, len(paths))
-        axes.fill_between(
-            times,
-            index + 0.32,
-            [index + 0.32 - 0.64 * value for value in values],
-            step="post",
-            color=colour,
-            alpha=0.85,
-            linewidth=0,
-        )
-        axes.plot(
-            times, [index + 0.32 - 0.64 * value for value in values], drawstyle="steps-post", color=colour, linewidth=1
-        )
+        axes.fill_between(times, bottom, tops, step="post", color=colour, alpha=0.85, linewidth=0)
+        axes.plot(times, tops, drawstyle="steps-post", color=colour, linewidth=1)
     style.rows_of_robots(axes, list(paths))
     axes.set(xlabel=style.TIME, title=f"{label}: filled = true")
 

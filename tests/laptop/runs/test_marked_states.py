@@ -48,6 +48,37 @@ def test_what_the_author_marks_comes_first_and_counts_are_steps(skew: str | None
     assert [axes.lines[0].get_drawstyle() for axes in left] == ["default", "steps-post"]
 
 
+class Ratio(SyncApp):
+    """Has single values, a vector, and results of which one repeats the vector."""
+
+    v: Annotated[Vector, 2] = (1.0, 2.0)
+    weight: float = 1.0
+
+    def step(self, neighbours: object) -> None:
+        """Change nothing."""
+
+    def result(self) -> dict[str, object]:
+        """Something that no shared state has, and the vector again."""
+        return {"v": self.v, "ratio": self.v[0] / self.weight}
+
+
+def test_a_picture_shows_errors_single_values_and_vectors_of_states_and_results_once() -> None:
+    made = simulate(Ratio, robots=2, iterations=5, progress=False).plot()
+    assert [axes.get_ylabel() for axes in made.axes[::2]] == ["weight", "ratio", "v[0]", "v[1]"]
+
+
+class Lit(Steady):
+    """Shares a truth value."""
+
+    x: float
+    lit: bool = True
+
+
+def test_a_truth_value_has_a_gap_where_its_robot_was_off() -> None:
+    axes, *_ = simulate(Lit, robots=2, seconds=6, faults=["off r1@2s,2s"], progress=False).plot("lit").axes
+    assert [int(isnan(line.get_ydata()).sum()) for line in axes.lines] == [0, 1]
+
+
 class ManyMarked(Marked):
     """Names an entry of its vector, and something that is not there."""
 
