@@ -2,6 +2,7 @@
 
 import argparse
 import importlib.util
+import keyword
 import shutil
 import sys
 from pathlib import Path
@@ -46,8 +47,10 @@ def main() -> int:
 def write(path: Path, kind: str) -> tuple[Path, Path]:
     """Write an app and its test, and return both files. Raises `LocalError` where one cannot be written, or exists."""
     name = path.stem
-    if path.suffix != ".py" or not is_name(name) or not name.isidentifier():
-        raise LocalError(f"{path}: expected NAME.py, NAME a lower-case letter, then up to 15 letters, digits or _")
+    if path.suffix != ".py" or not is_name(name) or not name.isidentifier() or keyword.iskeyword(name):
+        raise LocalError(
+            f"{path}: expected NAME.py, NAME a lower-case letter, then up to 15 letters, digits or _, no keyword"
+        )
     if name in BUILT_IN:
         raise LocalError(f"{path}: there is a built-in app of that name; take another one")
     if name in packages.NAMES:
@@ -56,6 +59,11 @@ def write(path: Path, kind: str) -> tuple[Path, Path]:
     for file in files:
         if file.exists():
             raise LocalError(f"{file}: is there already; it is not written over")
+    known = importlib.util.find_spec(name)
+    if known is not None and known.origin is not None:
+        raise LocalError(
+            f"{path}: programs in this folder would import it in place of Python's {name}; take another name"
+        )
     if not path.parent.is_dir():
         raise LocalError(f"{path.parent}: there is no such folder")
     for file, text in zip(files, KINDS[kind], strict=True):

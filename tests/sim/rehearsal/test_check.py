@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from importlib.machinery import ModuleSpec
 from pathlib import Path
 
 import pytest
@@ -65,7 +66,8 @@ def test_new_says_what_its_test_needs(
 ) -> None:
     for there, said in ((True, "; pytest "), (False, "; pip install pytest; pytest ")):
         monkeypatch.setattr(sys, "argv", ["swarm new", str(tmp_path / f"app_{there}.py".lower())])
-        monkeypatch.setattr(new.importlib.util, "find_spec", lambda name, there=there: there or None)
+        known = {"pytest": ModuleSpec("pytest", None) if there else None}
+        monkeypatch.setattr(new.importlib.util, "find_spec", known.get)
         assert new.main() == 0
         assert said in capsys.readouterr().out
 
@@ -451,6 +453,9 @@ def test_a_new_app_passes_its_test_and_the_check(tmp_path: Path, kind: str, shor
         ("app.txt", "expected NAME.py"),
         ("consensus.py", "a built-in app of that name"),
         ("none/app.py", "there is no such folder"),
+        ("class.py", "no keyword"),
+        ("random.py", "in place of Python's random"),
+        ("numpy.py", "in place of Python's numpy"),
     ],
 )
 def test_a_name_no_app_can_have_is_refused(tmp_path: Path, name: str, message: str) -> None:
