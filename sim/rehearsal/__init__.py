@@ -10,6 +10,7 @@ swarm.result("r0")["value"]
 import sys
 from collections.abc import Mapping
 from functools import partial
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from sim.rehearsal.sync import SyncRehearsal
 from sim.scenario.values import settings_from_values
 from swarm.app.settings import common_and_single
 from swarm.app.sync_app import BaseApp, SyncApp
+from swarm.errors import AppError
 from swarm.messages.codec import Value
 
 __all__ = ["EventRehearsal", "SyncRehearsal", "rehearse"]
@@ -41,6 +43,8 @@ def rehearse(
     class give a first value begin with the thesis' 0.5, 1, 2, 3, 4, 5. What a robot's app prints and logs goes to the
     program's own output, with time and robot. Raises `AppError` for an app that cannot run.
     """
+    if not isinstance(robots, Integral) or robots < 1:
+        raise AppError(f"robots: expected a whole number above zero, got {robots!r}")
     found = loader.load(str(app)) if isinstance(app, str | Path) else loader.of_class(app)
     kind, _ = found.choose({name: value for name, value in (parameters or {}).items() if name == "algorithm"})
     settings = settings_from_values(kind, values or {}, [f"r{index}" for index in range(robots)])

@@ -6,7 +6,7 @@ from sim.rehearsal.rehearsal import Rehearsal, Said
 from sim.virtual.world import MakeRunner
 from swarm.app.event_app import EventApp
 from swarm.config import Config
-from swarm.errors import AppError
+from swarm.errors import AppError, LocalError
 
 LATENCY = 0.03
 """Seconds that a message takes to a neighbour."""
@@ -27,5 +27,8 @@ class EventRehearsal(Rehearsal):
 
     @prints_heard()
     def run(self, until: float) -> None:
-        """Let time pass until `until`, s since the start. Raises `AppError` where the app of a robot has failed."""
+        """Let time pass until `until`, s since the start. Raises `AppError` where the app of a robot has failed, and
+        `LocalError` for a time that is over."""
+        if not until >= self.now:
+            raise LocalError(f"run: expected a time since the start, of {self.now:g} s or more; got {until!r}")
         self._pass(until)

@@ -49,8 +49,8 @@ class RehearsedRobot:
 
     @prints_heard()
     def press(self, button: str) -> None:
-        """Press the button "a", "b" or "c"."""
-        self._world.act(self.name, actions.Press(button.upper(), PRESS_S))
+        """Press the button "a", "b" or "c". Raises `LocalError` for another one."""
+        self._world.act(self.name, actions.check(actions.Press(button.upper(), PRESS_S)))
 
     def result(self) -> Mapping[str, Value]:
         """Return the robot's present result."""

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
+from numbers import Integral
 
 from services.apps import loader
 from services.apps.equipment.speaker import prints_heard
@@ -14,7 +15,7 @@ from sim.virtual.bus import VirtualBus
 from sim.virtual.world import MakeRunner
 from swarm.app.sync_app import SyncApp
 from swarm.config import Config
-from swarm.errors import AppError
+from swarm.errors import AppError, LocalError
 from swarm.messages import AppEpoch, AppParameters, Measurement, SetAppEpoch
 from swarm.messages.codec import Value
 from swarm.messages.keys import key
@@ -74,7 +75,10 @@ class SyncRehearsal(Rehearsal):
 
     @prints_heard()
     def run(self, iterations: int = 1) -> None:
-        """Do so many more iterations. Raises `AppError` where the app of a robot has failed, or waits for ever."""
+        """Do so many more iterations. Raises `AppError` where the app of a robot has failed, or waits for ever, and
+        `LocalError` for a number that is not whole, or below zero."""
+        if not isinstance(iterations, Integral) or iterations < 0:
+            raise LocalError(f"run: expected a number of iterations, got {iterations!r}")
         last = self.k + iterations
         self._run_until(lambda: self._reached >= last)
         self.k = last
@@ -82,7 +86,9 @@ class SyncRehearsal(Rehearsal):
     @prints_heard()
     def drop(self, robot: str) -> None:
         """Have the others go on without a robot, as `swarm mesh epoch drop` does: `on_epoch` of their apps is called.
-        They do iterations anew that not all of them had done."""
+        They do iterations anew that not all of them had done. Raises `LocalError` for a robot that is not there."""
+        if robot not in self.names or len(self.names) == 1:
+            raise LocalError(f"drop: expected one of several robots, {', '.join(self.names)}; got {robot!r}")
         left = tuple(name for name in self.names if name != robot)
         order = SetAppEpoch(f"drop {robot}", (robot,), (), force=False)
         VirtualBus(self.world.robots[left[0]].router).publish(key(left[0], f"app/{self._app}", "set", "epoch"), order)

@@ -1,9 +1,11 @@
-"""`rehearse`: what apps print and log is seen, each line with its robot."""
+"""`rehearse`: what apps print and log is seen, each line with its robot; a test that would do nothing is refused."""
+
+import math
 
 import pytest
 
 from swarm import EventApp, SyncApp, rehearse
-from swarm.errors import AppError
+from swarm.errors import AppError, LocalError
 
 
 class Speaks(SyncApp):
@@ -77,6 +79,8 @@ def test_a_robot_that_is_taken_out_is_gone_on_without() -> None:
     swarm.drop("r2")
     assert swarm.names == ("r0", "r1", "r3")
     assert swarm.k == 5
+    with pytest.raises(LocalError, match="drop: expected one of several robots, r0, r1, r3; got 'r2'"):
+        swarm.drop("r2")
     swarm.run(10)
     assert [swarm.result(name)["changes"] for name in swarm.names] == [1, 1, 1]
 
@@ -95,3 +99,29 @@ def test_an_error_of_a_handler_is_raised() -> None:
     with pytest.raises(AppError, match=r"Breaks on r1, .*ValueError: b"):
         swarm.run(2.0)
     assert "ValueError: b" in swarm.units["r1"].fault
+
+
+@pytest.mark.parametrize("robots", [0, -1, 2.5, "3"])
+def test_a_swarm_without_robots_is_refused(robots: object) -> None:
+    with pytest.raises(AppError, match="robots: expected a whole number above zero, got"):
+        rehearse(Speaks, robots=robots)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("iterations", [-1, 2.5, "3"])
+def test_a_number_of_iterations_that_is_none_is_refused(iterations: object) -> None:
+    with pytest.raises(LocalError, match="run: expected a number of iterations, got"):
+        rehearse(Speaks, robots=2).run(iterations)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("until", [1.0, -1.0, math.nan])
+def test_a_time_that_is_over_is_refused(until: float) -> None:
+    swarm = rehearse(Answers, robots=2)
+    swarm.run(2.0)
+    swarm.run(2.0)
+    with pytest.raises(LocalError, match="run: expected a time since the start, of 2 s or more; got"):
+        swarm.run(until)
+
+
+def test_a_button_that_a_robot_does_not_have_is_named() -> None:
+    with pytest.raises(LocalError, match="no button 'Z', there are A, B, C"):
+        rehearse(Answers, robots=2).units["r0"].press("z")
