@@ -19,6 +19,9 @@ from swarm.recording.run import Run
 LEVELS = ("error", "warning", "info")
 MAX_MARKS = 400
 
+SILENT_S = 2.0
+"""Seconds without any message after which a robot is shown as gone, if its balancer is recorded: that tells its state
+all the time."""
 JUMP_S = 3.0
 """Seconds. A page that advances by more than this at once has jumped and does not play."""
 
@@ -75,11 +78,21 @@ class ViewedRecording:
         # After a jump only the last events are told: a page keeps no more.
         events = [event for event in self._events if (since is None or event.t > since) and event.t <= t][-MAX_EVENTS:]
         step: dict[str, Any] = {"t": t, "live": True, "fresh": since is None, "robots": robots}
+        step["services"] = {robot: {"balancer": False} for robot in self._rows if self._is_gone(robot, t)}
         if events:
             step["events"] = [event._asdict() for event in events]
         if since is None:
             step["trails"] = {robot: list(self._trail(robot, t)) for robot in self._rows}
         return step
+
+    def _is_gone(self, robot: str, t: float) -> bool:
+        """Return whether a robot is silent at an instant: it is switched off, or has not come yet."""
+        topics = self._rows[robot]
+        if "balancer/state" not in topics:
+            return False
+        told = [times for topic, (times, _) in topics.items() if not topic.startswith("sim/")]  # not by its processes
+        indices = ((times, bisect_right(times, t)) for times in told)
+        return t - max((times[index - 1] for times, index in indices if index), default=self.first) > SILENT_S
 
     def series(self, topic: str, fields: Sequence[series.Path]) -> dict[str, list[series.Row]]:
         """Return numbers of a key over the whole run, by robot."""

@@ -68,6 +68,13 @@ def test_the_values_are_those_of_the_run(recording: ViewedRecording) -> None:
     assert "timestamp" not in page["r0"]["dwm/pose"], "what Foxglove reads says our own fields once more"
 
 
+def test_a_robot_that_is_switched_off_is_shown_as_gone(tmp_path: Path) -> None:
+    recorded(tmp_path, "stand_up", "--robots", "2", "--seconds", "8", "--off", "r1@2s,3s")
+    recording = ViewedRecording(tmp_path)
+    gone = {t: sorted(recording.step(None, t)["services"]) for t in (0.0, 1.0, 4.8, 7.0)}
+    assert gone == {0.0: [], 1.0: [], 4.8: ["r1"], 7.0: []}
+
+
 def test_a_torn_file_shows_what_is_whole_and_names_the_rest(run: Path, tmp_path: Path) -> None:
     whole = next(run.glob("*.mcap")).read_bytes()
     torn = tmp_path / "torn.mcap"
