@@ -10,6 +10,7 @@ The mesh of this robot does the work and publishes the answers. A request is rep
 its answer, and when the bus comes back (which may lose messages); it is done once.
 """
 
+import math
 import os
 import threading
 from collections import deque
@@ -178,7 +179,10 @@ class Overlays:
         return self._open(request, self._flood_key, refused)
 
     def send(self, to: str, payload: bytes, *, priority: str = "bulk", timeout: float = 30.0) -> Handle[Sent]:
-        """Send `payload` to one other robot. The mesh gives it up after `timeout` s, if not sooner."""
+        """Send `payload` to one other robot. The mesh gives it up after `timeout` s, if not sooner. Raises `LocalError`
+        for a `timeout` in which no message arrives."""
+        if not 0.0 < timeout < math.inf:
+            raise LocalError(f"timeout: expected a time above 0 s, got {timeout!r}")
         request = SendRequest(self._ticket(), self._app, to, payload, priority, timeout)
         problem = ITSELF if to == self._robot else _REFUSED
         refused = Sent(self._now(), request.ticket, self._app, to, delivered=False, problem=problem)

@@ -1,5 +1,6 @@
 """The client of the overlays, and of the mesh clock, on a bus that a test plays."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -126,6 +127,13 @@ def test_a_payload_that_is_not_of_bytes_is_refused_with_what_makes_some(bus: Fak
     for ask in (lambda: each.flood(payload), lambda: each.send("r1", payload)):
         with pytest.raises(LocalError, match=r"a payload is of bytes, got .*: text\.encode\(\)"):
             ask()
+    assert not bus.published
+
+
+@pytest.mark.parametrize("timeout", [0.0, -1.0, math.nan, math.inf])
+def test_a_timeout_in_which_nothing_arrives_is_refused(bus: FakeBus, timeout: float) -> None:
+    with pytest.raises(LocalError, match="timeout: expected a time above 0 s, got"):
+        client(bus).send("r1", b"x", timeout=timeout)
     assert not bus.published
 
 
