@@ -17,7 +17,7 @@ from swarm.core.graph import Graph
 from swarm.errors import AppError, LocalError
 from swarm.messages import AppOutput, Flooded, Measurement, Range, Sent
 from swarm.messages.codec import Value, as_value
-from swarm.messages.keys import key
+from swarm.messages.keys import is_key, key
 
 if TYPE_CHECKING:  # brings the bus along, which a step in virtual time does without
     from swarm.app.devices import Devices, PoseView
@@ -27,6 +27,7 @@ if TYPE_CHECKING:  # brings the bus along, which a step in virtual time does wit
     from swarm.app.truth import RobotTruth
     from swarm.bus.protocol import BusLike
 
+KEY_PART = "expected letters, digits and _ . : -"
 NEEDS_BUS = "needs a bus: an app has one when it runs on a robot, real or simulated"
 
 
@@ -253,9 +254,12 @@ class Robot:
     def publish(self, topic: str, value: Value | Mapping[str, Value]) -> None:
         """Publish a value, or several by name, on the key `swarm/<robot>/app/<app>/out/<topic>`.
 
-        `swarm view` and `z_sub` show it. Raises `AppError` for a value of a wrong type, and without a bus."""
+        `swarm view` and `z_sub` show it. Raises `AppError` for a topic that is no part of a key, for a value of a wrong
+        type, and without a bus."""
         if self.bus is None:
             raise AppError(f"robot.publish {NEEDS_BUS}")
+        if not is_key(topic):
+            raise AppError(f"robot.publish({topic!r}): {KEY_PART}, with / between parts")
         given = dict(value) if isinstance(value, Mapping) else {"value": value}
         try:
             values = {name: as_value(item) for name, item in given.items()}
@@ -266,9 +270,11 @@ class Robot:
     def record(self, name: str, value: Value) -> None:
         """Write a value into the run's recording, with this name and the time of `now`; `swarm view` shows it, too.
 
-        All values of a name have one type. Without a recording nothing happens. Raises `AppError` for a value that
-        cannot be recorded."""
+        All values of a name have one type. Without a recording nothing happens. Raises `AppError` for a name that is
+        no part of a key, and for a value that cannot be recorded."""
         if self.recording is not None:
+            if not is_key(name) or "/" in name:
+                raise AppError(f"robot.record({name!r}): {KEY_PART}")
             try:
                 self.recording(name, self.now, as_value(value))
             except LocalError as error:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from swarm.bus.protocol import BusLike
 from swarm.messages import AppOutput
 from swarm.messages.codec import Value
-from swarm.messages.keys import is_name, key
+from swarm.messages.keys import key
 
 PERIOD_S = 0.1
 """Least time between two messages of a name; values between them are in the recording only."""
@@ -28,7 +28,7 @@ class RecordedValues:
         if self._recording is not None:
             self._recording(name, t, value)
         due = self._due.get(name)
-        if not is_name(name) or (due is None and len(self._due) >= MAX_NAMES) or (due is not None and t < due):
+        if (due is None and len(self._due) >= MAX_NAMES) or (due is not None and t < due):
             return
         self._due[name] = t + PERIOD_S
         self._bus.publish(key(self._robot, f"app/{self._app}", "record", name), AppOutput(t, {"value": value}))

@@ -474,6 +474,9 @@ def test_what_is_published_is_checked() -> None:
     for wrong in (math.nan, None, {"x": object()}, [math.inf]):
         with pytest.raises(AppError, match=r"robot\.publish\('x'\): expected a finite number, bool, text or vector"):
             app.robot.publish("x", wrong)
+    for topic in ("a b", "*", "", "a//b"):
+        with pytest.raises(AppError, match=r"robot\.publish\(.*\): expected letters, digits and _ \. : -, with /"):
+            app.robot.publish(topic, 1)
 
 
 def test_what_is_recorded_goes_to_the_recording_and_else_nowhere() -> None:
@@ -483,3 +486,6 @@ def test_what_is_recorded_goes_to_the_recording_and_else_nowhere() -> None:
     app.robot.recording, app.robot.time = lambda *row: found.append(row), lambda: 2.5
     app.robot.record("x", 1.0)
     assert found == [("x", 2.5, 1.0)]
+    for name in ("a b", "*", "", "a/b"):
+        with pytest.raises(AppError, match=r"robot\.record\(.*\): expected letters, digits and _ \. : -"):
+            app.robot.record(name, 1.0)
