@@ -26,6 +26,7 @@ from swarm.messages import (
     SetMode,
     SetVelocity,
 )
+from swarm.messages.balancer import LONGEST_AHEAD_S
 from swarm.messages.codec import decoded
 from swarm.messages.keys import key
 
@@ -145,12 +146,17 @@ class Devices:
     def leds(self, red: bool | None, yellow: bool | None, green: bool | None, at: float | None) -> None:
         """Switch LEDs at once, or from a time of the robot's clock on; None leaves one as it was (off at first).
         What was ordered for that time and later is void."""
-        if at is not None and not math.isfinite(at):
-            raise AppError(f"robot.leds: at: expected a time of robot.now or later, got {at!r}")
+        for name, wish in (("red", red), ("yellow", yellow), ("green", green)):
+            if wish is not None and wish not in (False, True):
+                raise AppError(f"robot.leds: {name}: expected True or False, got {wish!r}")
+        now = self._now()
+        if at is not None and not (math.isfinite(at) and at <= now + LONGEST_AHEAD_S):
+            until = f"at most {LONGEST_AHEAD_S:g} s ahead"
+            raise AppError(f"robot.leds: at: expected a time of robot.now or later, {until}, got {at!r}")
         with self._lock:
             had = self._leds or (False, False, False)
             wanted = [old if new is None else bool(new) for old, new in zip(had, (red, yellow, green), strict=True)]
-            leds, now = (wanted[0], wanted[1], wanted[2]), self._now()
+            leds = (wanted[0], wanted[1], wanted[2])
             if at is None and leds == self._leds and self._leds_from <= now < self._leds_at:
                 return  # they are so, and claimed
             self._leds, self._leds_from = leds, now if at is None else max(now, at)

@@ -124,6 +124,10 @@ class Leds:
     green: bool
 
 
+LONGEST_AHEAD_S = 10.0
+"""The most seconds that the time of an order for the LEDs may be ahead."""
+
+
 @frozen
 class SetLeds:
     """Command on `balancer/set/leds`: the sender has the LEDs for a while."""

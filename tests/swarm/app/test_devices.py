@@ -18,6 +18,7 @@ from swarm.app.devices import (
 )
 from swarm.errors import AppError
 from swarm.messages import BalancerState, Battery, Buttons, Pose, SetDisplay, SetLeds, SetMode, SetVelocity
+from swarm.messages.balancer import LONGEST_AHEAD_S
 from swarm.messages.codec import encode
 
 
@@ -154,8 +155,17 @@ def test_leds_at_a_time_are_not_voided_by_the_claim(rig: Rig) -> None:
     assert [message.at for message in rig.bus.take()] == [102.0, 102.5]
     assert rig.after(2.5 + LED_REPEAT - 0.1) == []
     assert rig.after(0.2) == [SetLeds(False, False, False, LED_CLAIM)]
-    with pytest.raises(AppError, match=r"robot\.leds: at: expected a time"):
-        rig.devices.leds(True, None, None, float("nan"))
+    for at in (
+        float("nan"),
+        rig.now + LONGEST_AHEAD_S + 0.1,
+    ):  # the balancer would refuse it, and the app not hear of it
+        with pytest.raises(AppError, match=r"robot\.leds: at: expected a time .* at most 10 s ahead, got"):
+            rig.devices.leds(True, None, None, at)
+
+
+def test_an_led_is_on_or_off(rig: Rig) -> None:
+    with pytest.raises(AppError, match=r"robot\.leds: green: expected True or False, got 'off'"):
+        rig.devices.leds(None, None, "off", None)  # type: ignore[arg-type]
 
 
 def test_drive_goes_on_until_told_otherwise(rig: Rig) -> None:

@@ -28,6 +28,7 @@ from services.balancer.core.control.controller import (
 )
 from services.balancer.core.faults import STOPPED
 from swarm.errors import LocalError
+from swarm.messages.balancer import LONGEST_AHEAD_S
 
 Shown = tuple[bool, bool, bool]
 """Red, yellow, green."""
@@ -36,8 +37,6 @@ CLAIM_S = 3.0
 """Seconds after its last message after which an app's claim ends, as in the original system."""
 LONGEST_CLAIM_S = 60.0
 
-LONGEST_AHEAD_S = 10.0
-"""The most seconds that the time of an order may be ahead."""
 MOST_AHEAD = 32
 """The most orders that wait for their time."""
 

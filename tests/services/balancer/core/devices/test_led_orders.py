@@ -11,7 +11,6 @@ from loop_rig import VirtualLoop
 
 from services.balancer.core.devices.leds import (
     CONTROL_S,
-    LONGEST_AHEAD_S,
     MARGIN_S,
     MOST_AHEAD,
     WRITE_S,
@@ -21,6 +20,7 @@ from services.balancer.core.devices.leds import (
 )
 from swarm.errors import LocalError
 from swarm.messages import Leds, Notice, SetLeds, SetMode
+from swarm.messages.balancer import LONGEST_AHEAD_S
 
 YELLOW, GREEN, OFF = (False, True, False), (False, False, True), (False, False, False)
 
