@@ -149,7 +149,9 @@ def parser(kind: type[argparse.ArgumentParser] = argparse.ArgumentParser) -> arg
         "--robots", type=whole(1, MOST_VIRTUAL), metavar="N", help="number of robots (3, or as in the replay)"
     )
     swarm.add_argument(
-        "--topology", metavar="NAME|FILE", help="line, loop, full, thesis-d, random:SEED, auto, or a matrix file"
+        "--topology",
+        metavar="NAME|FILE",
+        help="line, loop, full, thesis-d, random:SEED, auto, or a file with a matrix of 0 and 1",
     )
     swarm.add_argument(
         "--links",

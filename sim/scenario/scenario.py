@@ -327,9 +327,11 @@ def _edges(topology: str, names: list[str]) -> tuple[tuple[str, str], ...]:
             ) from None
     rows = [line.replace(",", " ").split() for line in Path(topology).read_text().splitlines() if line.strip()]
     try:
-        return Graph.of_matrix([[int(float(cell)) for cell in row] for row in rows], names).edges
+        graph = Graph.of_matrix([[float(cell) for cell in row] for row in rows], names)
+        graph.check_connected()
     except (ValueError, LocalError) as error:
         raise ConfigError(f"--topology {topology}: {error}") from None
+    return graph.edges
 
 
 def _dwm(base: Config, replay: Path | None, run_dir: Path) -> Dwm:

@@ -194,13 +194,11 @@ def _topology(top: Table, robots: Sequence[RobotConfig], addressed: bool, *, hub
             graph = Graph.of_matrix(_matrix(table), names)
         else:
             graph = Graph(names, _edges(table))
+        graph.check_connected()
     except ConfigError:
         raise
     except LocalError as error:
         raise table.error(way, str(error)) from None
-    if not graph.is_connected():
-        parts = "; ".join(" ".join(part[:8]) + (" ..." if len(part) > 8 else "") for part in graph.components()[:8])
-        raise table.error(way, f"not connected: these parts cannot reach each other: {parts}")
     _check_radio(table, way, robots, graph, addressed, hubs=hubs)
     return graph
 

@@ -94,7 +94,7 @@ class Graph:
         return cls(names, [(names[i], names[j]) for i, j in pairs])
 
     @classmethod
-    def of_matrix(cls, matrix: Sequence[Sequence[int]], names: Sequence[str]) -> "Graph":
+    def of_matrix(cls, matrix: Sequence[Sequence[float]], names: Sequence[str]) -> "Graph":
         """Build a graph from an adjacency matrix of 0 and 1, rows in the order of `names`. Raises `LocalError`."""
         n = len(names)
         if len(matrix) != n:
@@ -108,8 +108,8 @@ class Graph:
         for i, j in combinations(range(n), 2):
             if matrix[i][j] != matrix[j][i]:
                 raise LocalError(
-                    f"not symmetric: row of {names[i]}, column of {names[j]} is {matrix[i][j]}, "
-                    f"the other way round it is {matrix[j][i]}"
+                    f"not symmetric: row of {names[i]}, column of {names[j]} is {matrix[i][j]:g}, "
+                    f"the other way round it is {matrix[j][i]:g}"
                 )
         for i, name in enumerate(names):
             if matrix[i][i]:
@@ -157,6 +157,12 @@ class Graph:
     def is_connected(self) -> bool:
         """Return whether every robot reaches every other. A graph of one robot is; one of none is, too."""
         return not self.names or len(self.distances(self.names[0])) == len(self.names)
+
+    def check_connected(self) -> None:
+        """Raise `LocalError` with the parts where some robots cannot reach others."""
+        if not self.is_connected():
+            parts = "; ".join(" ".join(part[:8]) + (" ..." if len(part) > 8 else "") for part in self.components()[:8])
+            raise LocalError(f"not connected: these parts cannot reach each other: {parts}")
 
     def diameter(self) -> int:
         """Hops between the robots farthest apart; raises `LocalError` where the graph is not connected."""

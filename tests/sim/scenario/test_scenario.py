@@ -85,6 +85,12 @@ def test_a_matrix_file_is_a_topology(tmp_path):
     matrix.write_text("0,1,1\n0,0,1\n1,1,0\n")
     with pytest.raises(ConfigError, match="not symmetric"):
         build(tmp_path, "consensus", "--topology", str(matrix))
+    matrix.write_text("0 0.5 1\n0.5 0 1\n1 1 0\n")
+    with pytest.raises(ConfigError, match=r"row of r0, column of r1: expected 0 or 1, got 0\.5"):
+        build(tmp_path, "consensus", "--topology", str(matrix))
+    matrix.write_text("0 1 0\n1 0 0\n0 0 0\n")
+    with pytest.raises(ConfigError, match="not connected: these parts cannot reach each other: r0 r1; r2"):
+        build(tmp_path, "consensus", "--topology", str(matrix))
     matrix.write_text("0,x\n1,0\n")
     with pytest.raises(ConfigError, match=r"ring\.csv"):
         build(tmp_path, "consensus", "--topology", str(matrix))
