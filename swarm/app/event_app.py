@@ -83,6 +83,12 @@ class EventApp(BaseApp):
             except AppError as error:
                 raise AppError(f"channel {name}: {error}") from None
 
+    @classmethod
+    def setting_names(cls) -> tuple[str, ...]:
+        """See `BaseApp`; `CHANNEL_NAME` is a parameter or a first value of a channel."""
+        channels = channels_of(cls).items()
+        return (*super().setting_names(), *(f"{part}_{name}" for part, each in channels for name in each.names))
+
     def start(self) -> None:
         """Set the first state. The host calls it once, when the process has started."""
 
@@ -196,8 +202,7 @@ class ChannelDeclaration:
     @property
     def names(self) -> tuple[str, ...]:
         """Return the names of all parameters and shared fields of the channel."""
-        spec = self.kind.spec
-        return (*spec.parameters, *spec.schema.names)
+        return self.kind.setting_names()
 
 
 def channel(kind: type[SyncApp], **values: object) -> Any:

@@ -93,7 +93,7 @@ class BaseApp:
             elif hasattr(type(self), name):
                 self._put(name, copy.deepcopy(getattr(type(self), name)))
         if given:
-            known = ", ".join([*spec.parameters, *fields])
+            known = ", ".join(self.setting_names())
             raise AppError(f"unknown parameter {min(given)!r}; {type(self).__name__} has {known}")
         self._put("robot", robot)
         self._put("neighbours", ())
@@ -145,6 +145,11 @@ class BaseApp:
                 f"{_place(cls)}class {cls.__name__} shares no state: {name} has no type: declare `{name}: {kind} = ...`"
             )
         cls.spec.schema.check_size()
+
+    @classmethod
+    def setting_names(cls) -> tuple[str, ...]:
+        """Return the names of all parameters and first values."""
+        return (*cls.spec.parameters, *cls.spec.schema.names)
 
     @classmethod
     def check_change(cls, values: Mapping[str, object]) -> dict[str, Value]:
