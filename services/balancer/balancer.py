@@ -388,8 +388,7 @@ class Balancer:
         fault = _described(error)
         _log.error("the bus failed %d ticks in a row: %s", self._errors_in_row, fault.reason)
         self._unreachable = fault
-        if self._estimator is not None:
-            self._controller.fail(fault)
+        self._controller.fail(fault)
         self.connected, self._retry_at = False, now + RETRY_S
         self.motors_off()
 

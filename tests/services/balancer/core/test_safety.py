@@ -144,6 +144,20 @@ def test_stand_is_refused_while_the_devices_are_silent_and_not_kept_for_later() 
     assert rig.run(8).balancer.mode == "balancing"
 
 
+def test_a_bus_that_fails_before_the_zero_is_found_voids_the_command_to_stand() -> None:
+    rig = Rig(start_mode="rest").run(0.5)
+    rig.balancer.command("stand", rig.now)
+    read = rig.bus.read
+    rig.bus.read = lambda address, count: (_ for _ in ()).throw(OSError(121, "Remote I/O error"))
+    rig.run(0.2)
+    rig.bus.read = read
+    rig.run(5)
+    assert rig.balancer.ready
+    assert (rig.balancer.mode, rig.balancer.fault.name, rig.balancer.duty) == ("fault", "bus", (0.0, 0.0))
+    rig.balancer.command("stand", rig.now)
+    assert rig.run(4).balancer.mode == "balancing"
+
+
 def test_a_clock_that_stands_still_is_a_fault() -> None:
     rig = upright().run(2)
     frozen = rig.now
