@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
     finally:
         thread.join()
     how = {host.robot: _how(host.robot, answers) for host in far[0]}
-    done = all(row.confirmed for row in halt.reached(rows)) and all(how.values())
+    done = halt.all_confirmed([*(row.confirmed for row in halt.reached(rows)), *map(bool, how.values())])
     told = {name: {"confirmed": outcome.ok, "text": outcome.text} for name, outcome in answers.outcomes.items()}
     simulated, real_ones = halt.table(rows, stop=stop), table(how, answers, stop=stop)
     lines = simulated if not how else real_ones

@@ -122,7 +122,7 @@ def run(args: argparse.Namespace) -> int:
         if args.act != "stop" or not _is_robots_own(args):
             raise
         raise LocalError(f"{error}; {_end_balancer()}") from None
-    done = all(row.confirmed for row in reached(rows))
+    done = all_confirmed([row.confirmed for row in reached(rows)])
     show(args, report(args, rows, unknown, done=done), table(rows, stop=args.act == "stop"))
     return ended(unknown, done=done)
 
@@ -149,6 +149,11 @@ def ended(unknown: Sequence[str], *, done: bool) -> int:
 def reached(rows: list[Row]) -> list[Row]:
     """Return the robots that could be told."""
     return [row for row in rows if row.state not in (*AWAY, "no bus")]
+
+
+def all_confirmed(confirmed: Collection[bool]) -> bool:
+    """Return whether all robots have confirmed. It is False for no robots: nobody may take that for a stop."""
+    return bool(confirmed) and all(confirmed)
 
 
 def report(args: argparse.Namespace, rows: list[Row], unknown: Sequence[str], *, done: bool) -> dict[str, object]:

@@ -129,6 +129,17 @@ def test_a_bus_that_does_not_answer_here_keeps_no_robot_from_its_stop(
     assert "no bus is there" in shown.err
 
 
+def test_a_stop_that_reaches_no_robot_at_all_is_not_confirmed(
+    robots: FakeRobots, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robots.add("r0")
+    monkeypatch.setattr(halt_ssh, "_simulated", lambda: {"s0": Path("/nowhere")})
+    lost = [Row("s0", "no bus", None, None, False)]  # its bus has ended meanwhile
+    monkeypatch.setattr(halt_ssh.halt, "stop_or_arm", lambda *_, **__: lost)
+    assert run("estop", "--robots", "s0") == 1
+    assert run("estop", "--robots", "s0", "--no-ssh") in (1, 2)
+
+
 @pytest.fixture
 def simulation(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """A simulation runs on the laptop with robots r0, r1 and s0, which obey; the names of those that were told."""
