@@ -105,6 +105,15 @@ def run(args: argparse.Namespace) -> int:
     return halt.ended(unknown, done=done)
 
 
+def stop_all(reason: str, args: argparse.Namespace, *, as_json: bool = False) -> None:
+    """Stop all robots as `swarm estop REASON` does, with the configurations that `args` of another command name."""
+    parser = argparse.ArgumentParser(prog="swarm estop")
+    add_arguments(parser)
+    own = parser.parse_args(["stop", reason])
+    own.config, own.ssh_config, own.json = args.config, args.ssh_config, as_json
+    run(own)
+
+
 def _simulated() -> dict[str, Path]:
     """Return the runtime directories of the robots of a simulation that runs here; none where none runs."""
     directory = default_run_dir().absolute()

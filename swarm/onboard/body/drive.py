@@ -25,6 +25,10 @@ from swarm.process.terminal import write_lines
 
 HELP = "drive a robot by keyboard; it moves only while a key is held"
 
+STOP_WORD = "stop"
+"""Said at the end where the person has stopped all robots. A laptop then gives the stop to all of them by ssh, too."""
+REASON = "swarm drive"
+
 KEYS = "arrows or w a s d: drive, q e: curves, + -: faster, slower, space: stop all robots, x: end"
 ENDS = ("x", "escape")
 _LOOK_S = 0.1
@@ -92,8 +96,11 @@ def run(args: argparse.Namespace) -> int:
             finally:
                 _command(bus, robot, STANDSTILL)
     write_lines([*tale.lines(), f"{robot}: {end or 'end'}"])
-    if end.startswith("stop"):
-        write_lines(halt.table(halt.stop_or_arm({robot: directory}, stop=True, reason="swarm drive"), stop=True))
+    if end == STOP_WORD:
+        sys.stdout.flush()
+        args.robots = None  # the buses of all robots, as `swarm estop` uses them
+        rows = halt.stop_or_arm(buses.directories_of(args), stop=True, reason=REASON)
+        write_lines(halt.table(rows, stop=True))
     return 1 if end else 0
 
 
@@ -119,8 +126,8 @@ def _drive(bus: Bus, robot: str, keys: Keyboard, tale: _Telltale) -> str:
         for pressed in keys.read(wait):
             if pressed == " ":
                 # At once on this bus; who has obeyed is asked afterwards.
-                bus.publish(STOP, Stop(clock.now(), robot, "swarm drive"))
-                return "stop"
+                bus.publish(STOP, Stop(clock.now(), robot, REASON))
+                return STOP_WORD
             if pressed in ENDS:
                 return ""
             _command(bus, robot, driver.press(pressed, clock.now()))

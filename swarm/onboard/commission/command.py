@@ -85,7 +85,8 @@ def run(args: argparse.Namespace) -> int:
     try:
         if ended == STOPPED:
             ended = f"{STOPPED}; not all robots have confirmed the stop: swarm estop gives it again"
-            rows = halt.stop_or_arm({robot: directory}, stop=True, reason=REASON)
+            args.robots = None  # the buses of all robots, as `swarm estop` uses them
+            rows = halt.stop_or_arm(buses.directories_of(args), stop=True, reason=REASON)
             missing = " ".join(row.robot for row in halt.reached(rows) if not row.confirmed)
             ended = f"{STOPPED}; not confirmed by {missing}: swarm estop gives it again" if missing else STOPPED
             lines = halt.table(rows, stop=True)
@@ -145,6 +146,7 @@ class _Session:
             for pressed in self.keys.read(_TICK_S):
                 if pressed == " ":
                     self._bus.publish(STOP, Stop(clock.now(), self._robot, REASON), urgent=True)
+                    self._say(STOPPED)  # a laptop then gives the stop to all robots by ssh, too
                     return STOPPED
                 if pressed in ENDS:
                     return "ended by the person"

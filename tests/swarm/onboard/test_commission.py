@@ -218,6 +218,7 @@ def stopped_by_space(folder: Path, monkeypatch: pytest.MonkeyPatch, give: MagicM
     command._Session.return_value.run.return_value = command.STOPPED  # type: ignore[attr-defined]
     monkeypatch.setattr(command, "one", lambda _: ("r0", folder / "r0"))
     monkeypatch.setattr(command, "Procedure", lambda *_: World().procedure)
+    monkeypatch.setattr(command.buses, "directories_of", lambda _: {"r0": folder / "r0", "r1": folder / "r1"})
     monkeypatch.setattr(command.halt, "stop_or_arm", give)
     try:
         assert command.run(argparse.Namespace(json=False, out=folder / "report.json")) == 1
@@ -231,7 +232,9 @@ def test_the_report_names_the_robots_that_have_not_confirmed_the_persons_stop(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rows = [Row("r0", "here", True, "idle", True), Row("r1", "silent", None, None, False)]
-    ended = stopped_by_space(tmp_path, monkeypatch, MagicMock(return_value=rows))
+    give = MagicMock(return_value=rows)
+    ended = stopped_by_space(tmp_path, monkeypatch, give)
+    assert list(give.call_args.args[0]) == ["r0", "r1"], "each is told on its own bus"
     assert ended.startswith(f"{command.STOPPED}; not confirmed by r1: ")
     assert stopped_by_space(tmp_path, monkeypatch, MagicMock(return_value=rows[:1])) == command.STOPPED
 

@@ -3,11 +3,13 @@
 import argparse
 from typing import Any
 
+from laptop.cli import halt
 from laptop.cli.robots.body.drive import far, show
 from laptop.fleet.ssh import remote_keys, robot_command
 from swarm.errors import LocalError, PayloadError
 from swarm.messages.json_input import read_json
 from swarm.onboard.commission import command
+from swarm.onboard.commission.core.motor_steps import REASON
 from swarm.process.terminal import write_lines
 
 HELP = "check a new robot part by part until it stands; writes a report"
@@ -36,6 +38,8 @@ def run(args: argparse.Namespace) -> int:
             write_lines([text])
         elif "say" in found:
             show(("  ? " if "ask" in found else "") + str(found["say"]))
+        if found.get("say") == command.STOPPED:
+            halt.stop_all(REASON, args, as_json=args.json)
 
     code = remote_keys.run(ssh, host, robot_command.words(host, ["commission", "--json"]), line)
     if not reports:

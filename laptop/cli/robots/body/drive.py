@@ -3,6 +3,7 @@
 import argparse
 import sys
 
+from laptop.cli import halt
 from laptop.fleet.ssh import remote_keys, robot_command
 from laptop.fleet.ssh.ssh import Host, Ssh, hosts
 from swarm.config import load
@@ -24,7 +25,13 @@ def run(args: argparse.Namespace) -> int:
     if not robot_command.is_far(args):
         return drive.run(args)
     host, ssh = far(args)
-    return remote_keys.run(ssh, host, robot_command.words(host, ["drive"]), show)
+
+    def line(text: str) -> None:
+        show(text)
+        if text == f"{host.robot}: {drive.STOP_WORD}":
+            halt.stop_all(drive.REASON, args)
+
+    return remote_keys.run(ssh, host, robot_command.words(host, ["drive"]), line)
 
 
 def far(args: argparse.Namespace) -> tuple[Host, Ssh]:

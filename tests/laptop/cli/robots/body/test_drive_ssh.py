@@ -1,10 +1,13 @@
 """`swarm drive` by ssh: the keys reach the robot's own command, and its lines come back."""
 
+import argparse
 import os
 
 import pytest
 from fake_robots import FakeRobots, Run
 from needs import needs_ssh
+
+from laptop.cli import halt
 
 pytest_plugins = ["fleet_fixtures"]
 pytestmark = needs_ssh
@@ -33,3 +36,22 @@ def test_keys_go_to_the_robots_own_command(
         os.close(saved)
     assert (home / "typed").read_text() == "ww x"
     assert (home / "asked").read_text().endswith("/opt/swarm/current/bin/swarm drive\n")
+
+
+@pytest.mark.parametrize(
+    ("command", "line"),
+    [("drive", "r0: stop"), ("commission", '{"say": "stopped by the person: swarm arm takes the stop back"}')],
+)
+def test_a_stop_by_the_space_bar_is_given_to_all_robots_as_by_estop(
+    robots: FakeRobots, run: Run, monkeypatch: pytest.MonkeyPatch, command: str, line: str
+) -> None:
+    """The robot's own command gives it on that robot's bus alone, and its mesh may not reach the others."""
+    given: list[argparse.Namespace] = []
+    monkeypatch.setattr(halt, "run", given.append)
+    robots.add("r0")
+    robots.add("r1")
+    robots.script("r0", "sudo", f"echo 'r0: go on'; echo '{line}'; exit 1")
+    run(command, "r0")
+    (estop,) = given
+    assert (estop.act, estop.reason, estop.robots) == ("stop", f"swarm {command}", None)
+    assert estop.config == robots.config
