@@ -2,6 +2,7 @@
 
 from laptop.fleet.core.checkup import SIMULATED, Check, ExaminedRobot, Finding, bad, ok, recovery, skipped, warning
 from laptop.fleet.core.pairing import bluetooth_links
+from services.balancer.core.control.controller import CALIBRATING, STARTING
 from services.balancer.core.devices import balboa, imu
 from services.mesh.core.routing.physical_links import calls_of
 
@@ -181,7 +182,7 @@ def links(robot: ExaminedRobot) -> Finding:
 
 
 def body(robot: ExaminedRobot) -> Finding:
-    """Check that the balancer has no fault."""
+    """Check that the balancer has found its gyro's zero, and has no fault."""
     state, fault = robot.said("balancer/state"), robot.said("balancer/fault")
     if not state:
         return bad("the balancer says nothing", "swarm logs balancer")
@@ -189,6 +190,8 @@ def body(robot: ExaminedRobot) -> Finding:
         name, text = str(fault.get("name") or "fault"), str(fault.get("reason") or state.get("fault"))
         remedy = recovery(fault, robot.said("mesh/stopped")) or "docs/reference/robot/balancer.md, faults"
         return bad(text if text.startswith(name) else f"{name}: {text}", remedy)
+    if state.get("mode") in (STARTING, CALIBRATING):
+        return warning(f"{state['mode']}: it has not found its gyro's zero", "leave it alone for 2 s, then look again")
     return ok(str(state.get("mode") or "it does not tell its mode"))
 
 

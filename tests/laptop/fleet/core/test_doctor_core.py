@@ -106,6 +106,9 @@ def test_a_robot_that_is_well() -> None:
         ("body", "bad", "fell: 80 deg", replace(WELL, bus=bus(
             balancer_fault={"name": "fell", "reason": "80 deg", "recovery": "stand"}
         ))),
+        ("body", "warning", "it has not found its gyro's zero", replace(WELL, bus=bus(
+            balancer_state={"mode": "calibrating", "ticks": 100}
+        ))),
         ("battery", "bad", "5.90 V", replace(WELL, bus=bus(balancer_battery={"voltage": 5.9}))),
         ("battery", "warning", "6.50 V", replace(WELL, bus=bus(balancer_battery={"voltage": 6.5}))),
         ("time", "bad", "no time", replace(WELL, bus=bus(mesh_clock={}))),
