@@ -162,6 +162,23 @@ def test_a_program_stuck_with_interrupts_off_is_reset(bench):
     assert bench.number("RESET_CAUSE") == RESET_CAUSE["WATCHDOG"] | RESET_CAUSE["WARM"]
 
 
+ENABLE_TIMER_0_COMPARE_B = 0xE086, 0x9380, 0x006E
+"""ldi r24, 6; sts TIMSK0, r24: an interrupt that the firmware does not serve, within a millisecond."""
+
+
+def test_an_unexpected_interrupt_stops_them_and_resets_the_chip(bench):
+    bench.run(0.05)
+    bench.drive(200, 200)
+    start = bench.now
+    mended = hang(bench, *ENABLE_TIMER_0_COMPARE_B, RJMP_SELF)
+    off = bench.run_until(lambda: bench.motors() == (0.0, 0.0), 0.01)
+    assert off - start < 0.005
+    bench.run_until(lambda: bench.call("resets") == 1, 0.3)
+    mend(bench, *mended)
+    bench.run(0.02)
+    assert bench.number("RESET_CAUSE") == RESET_CAUSE["WATCHDOG"] | RESET_CAUSE["WARM"]
+
+
 def test_a_reset_stops_them(bench):
     bench.drive(300, 300)
     bench.call("reset", POWER_ON)
