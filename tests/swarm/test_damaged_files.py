@@ -20,7 +20,9 @@ from services.apps.persistence.snapshot import SnapshotFile
 from services.balancer.core.control.estimation.gyro import Zero
 from services.balancer.zero_file import ZeroFile
 from services.dwm.localizer import load_calibration
-from services.mesh import topology_file
+from services.mesh import __main__ as mesh_process
+from services.mesh import stops_file, topology_file
+from services.mesh.core.overlays.stop import Halt, Mark, to_file
 from services.mesh.core.routing.topology import Ground
 from swarm.config import load
 from swarm.config.keyfile import new_key_file, read_keys
@@ -65,6 +67,11 @@ def write_topology(place: Path) -> None:
 
 def read_topology(place: Path) -> object:
     return topology_file.load(place.parent, Ground(("r0", "r1"), (("r0", "r1"),), auto=False))
+
+
+def read_stops(place: Path) -> Halt | None:
+    halt = stops_file.load(place.parent)
+    return None if halt == Halt({}, {}) else halt
 
 
 def read_claim(place: Path) -> int:
@@ -112,6 +119,12 @@ KEPT = [
     Kept("swarm.toml", lambda place: place.write_text(CONFIG), load, REFUSED),
     Kept("key", lambda place: new_key_file(place, 1e9), read_keys, REFUSED),
     Kept("topology", write_topology, read_topology, None),
+    Kept(
+        stops_file.NAME,
+        lambda place: stops_file.save(place.parent, to_file(Halt({"r0": (Mark(5, 1), "smoke")}, {"r1": Mark(4, 1)}))),
+        read_stops,
+        None,
+    ),
     Kept("app.x.lock", read_claim, read_claim, REFUSED),
     Kept("app.x.snapshot", write_snapshot, read_snapshot, []),
     Kept("app.x.journal", write_journal, read_journal, []),
@@ -217,6 +230,14 @@ def test_a_calibration_that_is_damaged_is_refused_with_its_name(tmp_path: Path) 
         path.write_bytes(data)
         with pytest.raises(LocalError, match=r"r0\.toml"):
             load_calibration(config, "r0")
+
+
+def test_a_mesh_that_cannot_keep_a_stop_for_its_restart_says_so(tmp_path: Path) -> None:
+    said: list[str] = []
+    process: Any = SimpleNamespace(degraded=said.append)
+    mesh_process._save(process, "stops", stops_file.save, tmp_path / "missing", b"data")
+    (text,) = said
+    assert text.startswith(f"stops cannot be kept through a restart: {tmp_path / 'missing'}: ")
 
 
 def test_what_a_run_s_own_files_lack_is_said_in_the_log(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
