@@ -6,6 +6,7 @@ The robot runs the session alone, and sends its samples; the fit, the pictures a
 
 import argparse
 import asyncio
+import contextlib
 import os
 import subprocess
 import sys
@@ -80,10 +81,13 @@ def _measure(ssh: Ssh, host: Host, options: argparse.Namespace, config: Config) 
     except FileNotFoundError:
         raise LocalError(NO_SSH) from None
     try:
-        data = asyncio.run(ssh.check(host, f"sudo -n cat {there} && sudo -n rm {there}"))
-    except HostError as error:
-        raise LocalError(f"{host.robot}: nothing was measured ({error})") from None
-    atomic_write(path, data.encode())
+        data = asyncio.run(ssh.check(host, f"sudo -n cat {there}"))
+        atomic_write(path, data.encode())
+    except (HostError, OSError) as error:
+        kept = f"what was measured is on the robot until it is switched off, in {there}"
+        raise LocalError(f"{host.robot}: no samples are here ({error}); {kept}") from None
+    with contextlib.suppress(HostError):  # the samples are on the disk here
+        asyncio.run(ssh.check(host, f"sudo -n rm {there}"))
     if ended:
         raise LocalError(f"{host.robot}: the session {ended}; what was measured is in {path}")
     return path

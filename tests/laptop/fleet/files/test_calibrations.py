@@ -1,5 +1,6 @@
 """Calibrations go to robots with the config and come back, and a session on a robot is fitted and drawn here."""
 
+import argparse
 import signal
 import subprocess
 import sys
@@ -10,11 +11,15 @@ from fake_releases import add_python, make_release
 from fake_robots import FakeRobots, Run, outcomes
 from needs import needs_ssh
 
+from laptop.cli import calibrate as calibrate_by_ssh
 from laptop.fleet.core import collect
+from laptop.fleet.ssh.ssh import Ssh, hosts
 from services.dwm.core.calibration import calibration_file
 from services.dwm.core.calibration.calibration_file import CalibrationFile, Evidence, layout_of
 from services.dwm.core.calibration.models import RangeModel
 from services.dwm.core.calibration.samples import HEADER
+from swarm.config import load
+from swarm.errors import LocalError
 
 pytest_plugins = ["fleet_fixtures"]
 pytestmark = needs_ssh
@@ -111,6 +116,24 @@ def test_a_session_on_a_robot_is_led_from_here_and_fitted_here(robots: FakeRobot
     assert made.distance[0].gain == pytest.approx(1 / 1.05)
     assert (here / "r0.png").read_bytes().startswith(b"\x89PNG")
     assert len(list(robots.folder.glob("calibration-r0-*.csv"))) == 1
+    assert not (robots.folder / "r0/s.csv").exists()
+
+
+def test_samples_stay_on_the_robot_until_they_are_on_the_disk_here(
+    robots: FakeRobots, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    robots.add("r0")
+    robots.script("r0", "sudo", "shift; case $1 in env) echo samples >$HOME/s.csv ;; cat | rm) $1 $HOME/s.csv ;; esac")
+    robots.ready()
+    config = load(robots.config)
+    ssh, (host,) = Ssh(robots.ssh_config), hosts(config, ["r0"])
+    monkeypatch.setattr(calibrate_by_ssh.calibrate, "places_of", lambda *_: [(0.2, 0.5)])
+    options = argparse.Namespace(samples=tmp_path / "no folder/my.csv", orientations=1, count=1)
+    with pytest.raises(LocalError, match="what was measured is on the robot until it is switched off, in /run/swarm/"):
+        calibrate_by_ssh._measure(ssh, host, options, config)
+    assert (robots.folder / "r0/s.csv").exists()
+    options.samples = tmp_path / "my.csv"
+    assert calibrate_by_ssh._measure(ssh, host, options, config).read_text() == "samples\n"
     assert not (robots.folder / "r0/s.csv").exists()
 
 
