@@ -100,6 +100,15 @@ def test_the_guard_is_never_harder_than_its_best_reading(readings) -> None:
             assert guard.volts < 6.1
 
 
+def test_a_battery_is_better_only_from_a_tenth_of_a_volt_above_a_limit_on() -> None:
+    guard, levels = BatteryGuard(6.6, 6.0), []
+    for begin, volts in enumerate((5.9, 6.05, 6.15, 6.65, 6.75)):
+        for second in range(12):
+            guard.update(volts, 12.0 * begin + second)
+        levels.append(guard.level)
+    assert levels == [EMPTY, EMPTY, LOW, LOW, OK]
+
+
 def test_a_clock_that_goes_back_begins_a_new_window() -> None:
     guard = BatteryGuard(6.6, 6.0)
     assert not any(guard.update(5.0, now) for now in (100.0, 105.0, 95.0, 104.0))

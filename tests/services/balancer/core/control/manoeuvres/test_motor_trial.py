@@ -105,3 +105,16 @@ def test_a_part_that_was_put_right_is_as_before(part: str) -> None:
     other.robot.miswire(part, back=False)
     other.robot.miswire(part, back=True)
     assert one.run(0.5).balancer.estimate == other.run(0.5).balancer.estimate
+
+
+@pytest.mark.parametrize(("command", "mode"), [("rest", "idle"), ("stand", "standing_up")])
+def test_rest_and_stand_end_a_test_of_motors_and_no_other_mode_does(command: str, mode: str) -> None:
+    rig = lifted()
+    rig.balancer.test_motors(TryMotors(0.1, 0.1, 5.0), rig.now)
+    rig.run(0.2)
+    for refused in ("lie", "calibrate"):
+        with pytest.raises(LocalError, match="this one is testing"):
+            rig.balancer.command(refused, rig.now)
+    assert rig.balancer.mode == "testing"
+    rig.balancer.command(command, rig.now)
+    assert rig.balancer.mode == mode
