@@ -51,6 +51,13 @@ class Uwb:
     ranges: tuple[UwbRange, ...]
 
 
+MODULE_CALLS = {
+    0x01: 13, 0x02: 0, 0x03: 4, 0x04: 0, 0x05: 2, 0x07: 2, 0x08: 0, 0x0C: 0, 0x14: 0, 0x15: 0, 0x30: 0, 0x32: 0,
+}  # fmt: skip
+"""The calls of a DWM1001 that may come over the bus: bytes of the value by type. None of them erases a module, or puts
+it to sleep (docs/reference/robot/uwb-module.md)."""
+
+
 @frozen
 class ModuleRequest:
     """Command on `balancer/set/module`: one request to the DWM1001."""

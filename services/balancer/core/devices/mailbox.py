@@ -12,6 +12,7 @@ from services.balancer.core.slack.transfers import read, write
 from services.balancer.core.slack.wire_time import WHOLE, Room, Transfer
 from swarm.errors import LocalError, RemoteError
 from swarm.messages import ModuleAnswer, ModuleRequest
+from swarm.messages.devices import MODULE_CALLS
 
 REQUEST_LIMITS = (2, 255)
 """Least and most bytes of a request: type and length, and a value of at most 253 bytes."""
@@ -46,7 +47,7 @@ PROBLEMS = {
 
 
 def check_request(request: ModuleRequest) -> None:
-    """Raises `LocalError` where it cannot be sent."""
+    """Raises `LocalError` where it cannot be sent, or is a call that a program on the bus may not make."""
     low, high = REQUEST_LIMITS
     data = request.request
     if not low <= len(data) <= high:
@@ -55,6 +56,8 @@ def check_request(request: ModuleRequest) -> None:
         raise LocalError(
             f"request of type {data[0]:02X} has a value of {len(data) - 2} bytes, its length says {data[1]}"
         )
+    if MODULE_CALLS.get(data[0]) != data[1]:
+        raise LocalError(f"request {data[:20].hex(' ')}: not one of the calls that are let through")
     if len(request.ticket) > TICKET_LIMIT:
         raise LocalError(f"ticket of {len(request.ticket)} characters, at most {TICKET_LIMIT}")
 

@@ -251,6 +251,7 @@ def test_any_block_is_decoded_or_refused(block: bytes) -> None:
         (ModuleRequest("t", b"\x0c\x01"), "a value of 0 bytes, its length says 1"),
         (ModuleRequest("t", bytes(256)), "256 bytes"),
         (ModuleRequest("t" * 65, b"\x0c\x00"), "ticket of 65"),
+        (ModuleRequest("t", b"\x13\x00"), "request 13 00: not one of the calls that are let through"),
         (ImuRequest(0.0, 1.0), "rate: 0 Hz"),
         (ImuRequest(101.0, 1.0), "rate: 101 Hz, expected 0.01 to 100"),
         (ImuRequest(50.0, 61.0), "duration: 61 s"),

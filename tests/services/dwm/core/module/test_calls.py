@@ -1,5 +1,7 @@
 """The calls besides loc_get: golden bytes of the API guide's tables, and what must hold of all of them."""
 
+import contextlib
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -17,6 +19,7 @@ from services.dwm.core.module.tlv import (
     encode_refusal,
 )
 from swarm.errors import FrameError, LocalError
+from swarm.messages.devices import MODULE_CALLS
 
 PLACE = Position(1.0, -0.5, 0.123, 100)
 SETTINGS = st.builds(
@@ -153,3 +156,14 @@ def test_any_request_is_a_call_or_none(data):
 
 def test_a_position_survives_encoding():
     assert answer(calls.POS_GET, encode_refusal(OK) + encode_part(0x41, encode_position(PLACE))) == PLACE
+
+
+def test_dwm_and_balancer_let_the_same_calls_through() -> None:
+    """A program may ask either of them, and the way through the ATmega must not lead to a factory reset."""
+    passed = {}
+    for kind in range(256):
+        for length in range(16):
+            with contextlib.suppress(FrameError):
+                calls.call_of(bytes((kind, length)) + bytes(length))
+                passed[kind] = length
+    assert passed == MODULE_CALLS
