@@ -43,6 +43,8 @@ TELEMETRY_TICKS = round(TELEMETRY_S / PERIOD_S)
 SECOND_TICKS = 100
 PARAMETERS_TICKS = 1000
 """Ticks between two messages with the parameters: every 10 s."""
+STARTED_TICKS = 3000
+"""Ticks after which the service counts as started though the robot is moved and finds no zero: 30 s."""
 STOPPED_FILE = "balancer.stopped"
 """The file in the runtime directory that is there from a stop until the next command to move."""
 FEED_S = 1.0
@@ -188,10 +190,15 @@ class Loop:
             self._balancer.watch_battery(clock.now())
         elif tick == 85:
             self._keep_zero()
-        elif not self._announced and self._balancer.ready:
+        elif not self._announced and self._is_up():
             self._announced = True
             self._keep_zero()
             notify("READY=1", timeout_s=0.0)
+
+    def _is_up(self) -> bool:
+        """Return whether the service counts as started: the robot is ready, or waits for a person. systemd would end a
+        service that never says so, and `install` would take its release back."""
+        return self._balancer.ready or self._balancer.fault is not None or self.ticks >= STARTED_TICKS
 
     def _feed(self, now: float) -> None:
         """Tell systemd's watchdog each second, by the clock: a loop that is slow, on a bus that times out or a machine

@@ -8,7 +8,7 @@ import os
 from itertools import pairwise
 
 import pytest
-from balancer_rig import upright
+from balancer_rig import Rig, upright
 from hypothesis import given
 from hypothesis import strategies as st
 from loop_rig import VirtualLoop
@@ -17,7 +17,7 @@ from services.balancer import loop as loop_module
 from services.balancer.bridge import child
 from services.balancer.bridge.link import pack, pack_command, unpack, unpack_command
 from services.balancer.core.control.estimation.gyro import Zero
-from services.balancer.core.devices import requests
+from services.balancer.core.devices import balboa, requests
 from services.balancer.device_drivers import Balboa
 from swarm.errors import LocalError, PayloadError
 from swarm.messages import (
@@ -159,6 +159,25 @@ def test_telemetry_is_25_hz_and_odometry_begins_with_the_estimate(monkeypatch: p
 def test_ready_once_and_progress_each_second(monkeypatch: pytest.MonkeyPatch) -> None:
     loop = VirtualLoop(monkeypatch).run(500)
     assert loop.notified == ["WATCHDOG=1", "WATCHDOG=1", "READY=1", "WATCHDOG=1", "WATCHDOG=1", "WATCHDOG=1"]
+
+
+def test_a_robot_without_its_board_has_a_service_that_is_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its batteries are out, or its firmware is another one: it could get no release otherwise."""
+    rig = Rig(start_mode="rest")
+    rig.robot.devices.pop(balboa.ADDRESS)
+    loop = VirtualLoop(monkeypatch, rig).run(200)
+    assert rig.balancer.fault is not None
+    assert "READY=1" in loop.notified
+
+
+def test_a_robot_that_is_carried_for_long_has_a_service_that_is_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = Rig(start_mode="rest")
+    monkeypatch.setattr(rig.balancer, "_seek_zero", lambda *_: None)
+    loop = VirtualLoop(monkeypatch, rig).run(loop_module.STARTED_TICKS - 100)
+    assert "READY=1" not in loop.notified
+    loop.run(200)
+    assert rig.balancer.mode == "calibrating"
+    assert loop.notified.count("READY=1") == 1
 
 
 def test_a_loop_that_is_ten_times_too_slow_is_no_loop_that_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
