@@ -87,7 +87,8 @@ def run(args: argparse.Namespace) -> int:
             ended = f"{STOPPED}; not all robots have confirmed the stop: swarm estop gives it again"
             args.robots = None  # the buses of all robots, as `swarm estop` uses them
             rows = halt.stop_or_arm(buses.directories_of(args), stop=True, reason=REASON)
-            missing = " ".join(row.robot for row in halt.reached(rows) if not row.confirmed)
+            there = halt.reached(rows)
+            missing = " ".join(row.robot for row in there or rows if not row.confirmed)
             ended = f"{STOPPED}; not confirmed by {missing}: swarm estop gives it again" if missing else STOPPED
             lines = halt.table(rows, stop=True)
             write_lines([json.dumps({"say": line}) for line in lines] if args.json else lines)

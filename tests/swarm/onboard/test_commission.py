@@ -237,6 +237,8 @@ def test_the_report_names_the_robots_that_have_not_confirmed_the_persons_stop(
     assert list(give.call_args.args[0]) == ["r0", "r1"], "each is told on its own bus"
     assert ended.startswith(f"{command.STOPPED}; not confirmed by r1: ")
     assert stopped_by_space(tmp_path, monkeypatch, MagicMock(return_value=rows[:1])) == command.STOPPED
+    lost = [Row("r0", "no bus", None, None, False)]  # its bus has ended meanwhile
+    assert "not confirmed by r0" in stopped_by_space(tmp_path, monkeypatch, MagicMock(return_value=lost))
 
 
 def test_the_report_is_written_also_when_the_person_does_not_wait_until_the_stop_is_confirmed(
