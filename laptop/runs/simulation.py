@@ -15,6 +15,7 @@ from laptop.runs.progress import progress as shown_progress
 from laptop.runs.results import RunData
 from services.apps import loader
 from sim.processes.progress import say
+from sim.scenario.command import keep_command
 from sim.scenario.notes import forgetting
 from sim.scenario.options import EVENTS, parse, parser
 from sim.scenario.quantities import AppSetting
@@ -76,7 +77,8 @@ def simulate(
     for a run with problems (else they are `run.problems`); `ConfigError` for a wrong argument."""
     found = app_of(app)
     words = arguments_of(robots, topology, latency, faults, iterations, seconds, options)
-    read = parse([found.name, *words, "--seed", str(seed), "--virtual"], ends=False)
+    words += ["--seed", str(seed), "--virtual"]
+    read = parse([found.name, *words], ends=False)
     settings = settings_for(found, values, robots, options)
     held = tempfile.mkdtemp(prefix="swarm-run-")
     place = Path(held) / "run"
@@ -86,6 +88,8 @@ def simulate(
         plan = build(read, PLACE, found)
         with shown_progress(f"{found.name}: {len(plan.config.names)} robots", shown=progress) as look:
             VirtualRun(read, plan, topics=topics, look=look, said=partial(say, sys.stdout)).go()
+        sets = [f"--set={each.text}" for each in settings]
+        keep_command(place, [found.name if found.is_built_in else f"{found.name}.py", *words, *sets])
         run = RunData(place)
     except BaseException:
         shutil.rmtree(held)

@@ -2,6 +2,7 @@
 
     run.toml              app, run, version, seed, digest: the same on every robot
     swarm.toml            the configuration it ran with
+    command.txt           the command that repeats it, of a simulation
     <app>.py              the app's source, where it is a file of the author's
     <robot>.<app>.mcap    what that robot's process of the app recorded
 

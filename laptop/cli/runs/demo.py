@@ -18,15 +18,13 @@ def main() -> int:
     """Run the demo; the exit code is 0 only when it did what was asked."""
     log.setup("sim")
     _, rest = parser().parse_known_args()
-    options = arguments.parse([APP, *rest])
+    words = [APP, *rest]
+    options = arguments.parse(words)
+    if not options.iterations and not options.seconds:
+        words.append(f"--iterations={ITERATIONS}")
+        options = replace(options, iterations=ITERATIONS)
     sys.stderr.write("Three simulated robots, each six processes as on a Pi, find a target together.\n")
-    return sim.run_simulation(
-        replace(
-            options,
-            iterations=options.iterations or (None if options.seconds else ITERATIONS),
-            plot=options.plot or PLOT,
-        )
-    )
+    return sim.run_simulation(replace(options, plot=options.plot or PLOT), words)
 
 
 def parser() -> argparse.ArgumentParser:

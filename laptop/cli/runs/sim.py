@@ -6,6 +6,7 @@ import json
 import shutil
 import sys
 import tempfile
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,6 +15,7 @@ from sim import report, report_table
 from sim.processes.progress import say
 from sim.scenario import options as arguments
 from sim.scenario import scenario
+from sim.scenario.command import keep_command
 from sim.scenario.options import Options
 from sim.scenario.scenario import Scenario
 from swarm.errors import LocalError
@@ -25,20 +27,21 @@ from swarm.recording import folder
 def main() -> int:
     """Run one simulation; the exit code is 0 only when it did what was asked, 130 after Ctrl-C."""
     log.setup("sim")
-    return run_simulation(arguments.parse(sys.argv[1:]))
+    return run_simulation(arguments.parse(sys.argv[1:]), sys.argv[1:])
 
 
-def run_simulation(options: Options) -> int:
-    """Run one simulation with these options; returns the exit code."""
+def run_simulation(options: Options, words: Sequence[str]) -> int:
+    """Run one simulation with these options, and keep `words`, from which they were read, in its recording; returns the
+    exit code."""
     if options.virtual:
         with tempfile.TemporaryDirectory(prefix="swarm-sim-") as place:
             # What is drawn is what was recorded.
             keeps = options.record is None and options.plot is not None
-            return _virtual(replace(options, record=Path(place) / "run") if keeps else options)
+            return _virtual(replace(options, record=Path(place) / "run") if keeps else options, words)
     run_dir = (options.run_dir or default_run_dir()).absolute()
     with claim(run_dir):
         try:
-            return _run(options, run_dir)
+            return _run(options, run_dir, words)
         except OSError as error:
             if error.errno in (errno.ENOSPC, errno.EDQUOT):
                 raise LocalError(f"the disk is full: {error.filename or run_dir}") from None
@@ -47,11 +50,12 @@ def run_simulation(options: Options) -> int:
             _clear(run_dir)
 
 
-def _virtual(options: Options) -> int:
+def _virtual(options: Options, words: Sequence[str]) -> int:
     from sim.virtual import run as virtual  # most of the services: a quarter of what a simulation imports
 
     if options.record is not None:
         folder.make_empty(options.record)
+        keep_command(options.record, words)
     plan = scenario.build(options, virtual.PLACE)
     for note in plan.notes:
         sys.stderr.write(note + "\n")
@@ -64,14 +68,15 @@ def _virtual(options: Options) -> int:
     return tell(run.go())
 
 
-def _run(options: Options, run_dir: Path) -> int:
+def _run(options: Options, run_dir: Path, words: Sequence[str]) -> int:
     _clear(run_dir)
-    plan = scenario.build(options, run_dir)
+    plan, records = scenario.build(options, run_dir), options.record or run_dir / "records"
     from sim.processes.run import ProcessRun  # virtual time runs where processes cannot: on Windows
 
     with ProcessRun(options, plan, run_dir, sys.stderr) as run:
+        keep_command(records, words)
         outcome = run.watch()
-    return _tell(options, plan, options.record or run_dir / "records", outcome)
+    return _tell(options, plan, records, outcome)
 
 
 def _tell(options: Options, plan: Scenario, records: Path, outcome: report.RunOutcome) -> int:
