@@ -59,8 +59,7 @@ def write(path: Path, kind: str) -> tuple[Path, Path]:
     for file in files:
         if file.exists():
             raise LocalError(f"{file}: is there already; it is not written over")
-    known = importlib.util.find_spec(name)
-    if known is not None and known.origin is not None:
+    if name in sys.stdlib_module_names or _is_installed(name):
         raise LocalError(
             f"{path}: programs in this folder would import it in place of Python's {name}; take another name"
         )
@@ -69,6 +68,13 @@ def write(path: Path, kind: str) -> tuple[Path, Path]:
     for file, text in zip(files, KINDS[kind], strict=True):
         file.write_text(fill(text, name))
     return files
+
+
+def _is_installed(name: str) -> bool:
+    """Return whether a package of this name is installed. An author's own module, on the path by chance, is none."""
+    found = importlib.util.find_spec(name)
+    origin = "" if found is None else found.origin or ""
+    return not {"site-packages", "dist-packages"}.isdisjoint(Path(origin).parts)
 
 
 def examples() -> list[str]:

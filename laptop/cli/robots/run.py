@@ -46,8 +46,8 @@ def run(args: argparse.Namespace) -> int:
     """Start the apps, on no robot where robots do not all run the same. Return 0 where all apps have a first state on
     every robot."""
     found = dict(map(_app, args.app))
-    # Without --force the comparison below finds other names, and starts nothing on any robot.
-    config, robots, ssh = everyone.recipients(args, addressed=True, named=args.force)
+    # The comparison below finds other names, and without --force nothing is started on any robot.
+    config, robots, ssh = everyone.recipients(args, addressed=True, named=False)
     settings = settings_of(args, list(found))
     for name in found:
         apps.check_settings(settings[name], config, name)

@@ -512,3 +512,13 @@ def test_an_app_that_ends_its_process_is_told_by_its_code_and_last_words(tmp_pat
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 1
     assert "the app's process ended with code 3; the last line it wrote: all is well" in done.stdout
+
+
+def test_an_own_module_elsewhere_on_the_path_does_not_keep_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for folder in ("elsewhere", "here"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "elsewhere" / "swerves.py").write_text("")
+    monkeypatch.syspath_prepend(tmp_path / "elsewhere")
+    assert new.write(tmp_path / "here" / "swerves.py", "sync")[0].is_file()
