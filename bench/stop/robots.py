@@ -128,7 +128,7 @@ class RobotsOnALine:
         self._wait(lambda: self._mode == "idle", START_S, "r0's balancer is ready")
         self._await_links()
         self._write_ssh("laptop.cli")
-        self.ssh, self.host = Ssh(), Host("r0", "r0")
+        self.ssh, self.host = Ssh(named=False), Host("r0", "r0")
         self.view = Robots(load(config), [self.host], self.ssh)
         self._stack.callback(self.view.close)
         self.page = self._stack.enter_context(Page(self.view, Control(self.view, NoActions())))
