@@ -17,7 +17,7 @@ from typing import TextIO
 from services.apps import loader
 from sim.rehearsal import tracing
 from sim.rehearsal.examine_events import examine_events
-from sim.rehearsal.examine_report import Finding, Task
+from sim.rehearsal.examine_report import GraphFinding, Task
 from sim.rehearsal.examine_sync import examine_sync
 from sim.rehearsal.limits import ALARMS, Hang, alarm, limited
 from sim.scenario import imports
@@ -81,12 +81,12 @@ def describe(task: Task) -> dict[str, object]:
     }
 
 
-def examine(task: Task) -> Iterator[Finding]:
+def examine(task: Task) -> Iterator[GraphFinding]:
     """Rehearse the app on each of the standard graphs. The first on which it hangs or mostly waits is the last one."""
     one = examine_sync if issubclass(task.kind, SyncApp) else examine_events
     for graph in GRAPHS:
         if graph != "thesis-d" or task.robots == 6:
-            finding = Finding(graph)
+            finding = GraphFinding(graph)
             try:
                 one(task, finding)
             except Hang as hang:

@@ -6,7 +6,7 @@ from typing import Any
 from services.apps.event_runner import EventRunner
 from sim.rehearsal import tracing, trends
 from sim.rehearsal.events import EventRehearsal
-from sim.rehearsal.examine_report import Finding, Task, cut_short, digest, had, make_all, write_line
+from sim.rehearsal.examine_report import GraphFinding, Task, cut_short, digest, had, make_all, write_line
 from sim.rehearsal.limits import Stopwatch, Waits, limited
 from sim.rehearsal.rehearsal import RehearsedRobot
 from swarm.app.event_app import PeriodicApp
@@ -20,7 +20,8 @@ START_LIMIT = 10.0
 """Seconds of virtual time within which all robots must have begun."""
 
 
-def examine_events(task: Task, finding: Finding) -> None:
+def examine_events(task: Task, finding: GraphFinding) -> None:
+    """Run the app for `SECONDS` of virtual time, with a press of a button on each robot."""
     app = task.app
     times: list[float] = []
     histories: dict[str, list[Any]] = {}
@@ -55,10 +56,8 @@ def examine_events(task: Task, finding: Finding) -> None:
     while len(began) < len(swarm.units) and swarm.now < START_LIMIT:
         swarm.run(swarm.now + 0.1)
     # Of a grid that begins now the step at the very end is the first one of the time after it.
-    begin, periods = (
-        max(began.values(), default=swarm.now),
-        {name: _period(unit) for name, unit in swarm.units.items()},
-    )
+    begin = max(began.values(), default=swarm.now)
+    periods = {name: _period(unit) for name, unit in swarm.units.items()}
     end = begin + SECONDS - 1e-6
     presses, second = {1 + index: (name, "abc"[index % 3]) for index, name in enumerate(swarm.units)}, 0
     while swarm.now < end and not watch.spent:

@@ -41,7 +41,7 @@ class Task:
 
 
 @dataclass
-class Finding:
+class GraphFinding:
     """The findings on one graph."""
 
     graph: str
@@ -65,7 +65,7 @@ class Finding:
 
 
 def make_all(app: loader.LoadedApp, config: Config) -> None:
-    """Make the app of each robot, none of them for ever."""
+    """Make the app of each robot. Raises `Hang` for one that takes too long."""
     app.check(config, lambda config, name: limited(app.source, partial(app.make, config, name)))
 
 
@@ -87,7 +87,7 @@ def _said(there: Sequence[bool]) -> str:
     return UNASKED if not there else YES if all(there) else NO
 
 
-def cut_short(finding: Finding, watch: Stopwatch, done: str) -> None:
+def cut_short(finding: GraphFinding, watch: Stopwatch, done: str) -> None:
     finding.last = watch.waited > watch.computed
     rest = f" ({watch.waited:.2g} s of it waiting); no other graph is tried" if finding.last else ""
     finding.warnings.append(f"graph {finding.graph}: broken off after {watch.spent}: {done}{rest}")
@@ -98,6 +98,6 @@ def digest(states: list[bytes]) -> int:
 
 
 def write_line(robot: str, line: AppLog) -> None:
-    """Write what an app prints where nobody reads it but who asks for the last words of a process that has ended."""
+    """Write a line of an app to standard error. Of a process that has ended `swarm check` shows the last such line."""
     sys.stderr.write(f"{line.text}\n")
     sys.stderr.flush()

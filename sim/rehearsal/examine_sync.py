@@ -7,7 +7,7 @@ from typing import Any
 
 from services.apps.runner import Runner
 from sim.rehearsal import tracing, trends
-from sim.rehearsal.examine_report import Finding, Task, cut_short, digest, had, make_all, write_line
+from sim.rehearsal.examine_report import GraphFinding, Task, cut_short, digest, had, make_all, write_line
 from sim.rehearsal.limits import Stopwatch, limited
 from sim.rehearsal.sync import ITERATION_S, SyncRehearsal
 from sim.scenario.options import DELAY, SETTLED
@@ -21,7 +21,7 @@ Act = Callable[[], tuple[bytes, bytes]]
 """One step from the same state each time: the next state, shared and private."""
 
 
-def examine_sync(task: Task, finding: Finding) -> None:
+def examine_sync(task: Task, finding: GraphFinding) -> None:
     """Run the app, with mere delays for links as long as it sends no messages of its own: that is twice as fast."""
     try:
         _Examination(task, finding, DELAY).run()
@@ -56,7 +56,7 @@ class _Noted:
 class _Examination:
     """One run on one graph, in which each step is done several times."""
 
-    def __init__(self, task: Task, finding: Finding, mesh: str) -> None:
+    def __init__(self, task: Task, finding: GraphFinding, mesh: str) -> None:
         self.source = task.app.source
         self.mesh = mesh
         self.states: dict[str, list[bytes]] = {}
@@ -116,7 +116,7 @@ class _Examination:
                 finding.line = tracing.bad_line(runner, source, act) or step_line
             raise
         self._times.append(watch.computed)
-        if runner.messages.used:  # they come once: a second call sees none, and that is no fault of the step
+        if runner.messages.used:  # a message arrives once: a second step cannot see it again
             return done
         where = f"{type(runner.app).__name__} on {runner.app.robot.name}, iteration {runner.k - 1}"
         with tracing.float_sums() as found:
@@ -133,7 +133,7 @@ class _Examination:
 
 
 class _ExaminedRunner(Runner):
-    """Drives the app of one robot, none of its methods for ever."""
+    """Drives the app of one robot, and ends a method that takes too long."""
 
     def __init__(self, app: SyncApp, source: str, examination: _Examination) -> None:
         super().__init__(app, source)

@@ -12,12 +12,15 @@ from services.apps.host.observer import Observer
 from services.mesh.links.radio_model import AirModel
 from sim.core import actions
 from sim.scenario.options import PRESS_S, SETTLED
-from sim.virtual.world import Launch, MakeRunner, Rows, VirtualWorld
+from sim.virtual.world import Launch, MakeRunner, VirtualWorld
 from swarm.app.run_options import RunOptions
 from swarm.config import Config
 from swarm.errors import AppError
-from swarm.messages import AppLog
+from swarm.messages import AppLog, Measurement
 from swarm.messages.codec import Value
+
+Measure = Callable[[str, int], Measurement]
+"""What gives the measurement of a robot's step k: `measure(robot, k)`."""
 
 Said = Callable[[str, AppLog], None]
 """What hears each line that an app prints or logs: `said(robot, line)`."""
@@ -68,21 +71,21 @@ class Rehearsal:
         latency: float,
         *,
         seed: int = 1,
-        rows: Callable[[str], Rows] | None = None,
+        measure: Measure | None = None,
         observer: Observer | None = None,
         runner: MakeRunner | None = None,
         said: Said | None = None,
         mesh: str = SETTLED,
     ) -> None:
-        """`latency` of the links, s; `mesh`: one of `options.MESHES`. `rows(robot)` gives the measurements of an app
-        that wants some. `runner(app, source)` makes what calls the author's methods."""
+        """`latency` of the links, s; `mesh`: one of `options.MESHES`. `measure(robot, k)` gives the measurement of
+        step k to an app that wants one. `runner(app, source)` makes what calls the author's methods."""
         self.world = VirtualWorld(config, AirModel(latency, 0.0, None, seed), seed, mesh=mesh)
         self.units = {name: RehearsedRobot(self.world, name, app.name) for name in config.names}
         if said is not None:
             self.world.hearers = {(name, app.name): [partial(said, name)] for name in config.names}
         for name in config.names:
-            mine = None if rows is None else rows(name)
-            self.world.start_app(name, Launch(app, 1, RunOptions(), mine, observer, runner))
+            rows = None if measure is None else partial(measure, name)
+            self.world.start_app(name, Launch(app, 1, RunOptions(), rows, observer, runner))
 
     @property
     def now(self) -> float:

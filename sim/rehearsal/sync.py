@@ -2,13 +2,12 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
 from numbers import Integral
 
 from services.apps import loader
 from services.apps.equipment.speaker import prints_heard
 from services.apps.host.observer import Source, StepRecord
-from sim.rehearsal.rehearsal import Rehearsal, Said
+from sim.rehearsal.rehearsal import Measure, Rehearsal, Said
 from sim.rehearsal.scene import measurement
 from sim.scenario.options import SETTLED
 from sim.virtual.bus import VirtualBus
@@ -16,11 +15,9 @@ from sim.virtual.world import MakeRunner
 from swarm.app.sync_app import SyncApp
 from swarm.config import Config
 from swarm.errors import AppError, LocalError
-from swarm.messages import AppEpoch, AppParameters, Measurement, SetAppEpoch
+from swarm.messages import AppEpoch, AppParameters, SetAppEpoch
 from swarm.messages.codec import Value
 from swarm.messages.keys import key
-
-Measure = Callable[[str, int], Measurement]
 
 ITERATION_S = 0.1
 """Seconds of virtual time that an iteration takes, which is the latency of the links."""
@@ -54,15 +51,12 @@ class SyncRehearsal(Rehearsal):
         self.results: dict[str, list[Mapping[str, Value]]] = {name: [] for name in config.names}
         self._app = app.name
 
-        def row(name: str, k: int) -> Measurement:
-            return replace(measure(name, k), sequence=k)
-
         super().__init__(
             app,
             config,
             ITERATION_S,
             seed=seed,
-            rows=lambda name: partial(row, name),
+            measure=lambda name, k: replace(measure(name, k), sequence=k),
             observer=self,
             runner=runner,
             said=said,
@@ -70,7 +64,8 @@ class SyncRehearsal(Rehearsal):
         )
         self.k = 0
         """The present iteration."""
-        self._pass(ITERATION_S / 2)  # robots do an iteration where a look comes in the middle between two of them
+        # Time passes by whole iterations from here on, so it always ends half way between the iterations of all robots.
+        self._pass(ITERATION_S / 2)
         self._run_until(lambda: self._reached >= 0)
 
     @prints_heard()
@@ -120,14 +115,14 @@ class SyncRehearsal(Rehearsal):
         self.results[source.robot][line.k :] = [line.result]
 
     def progressed(self, source: Source) -> None:
-        """A robot has begun, or waits: its iterations tell."""
+        """Do nothing: `advanced` is called for each iteration."""
 
     def ended(self, source: Source) -> None:
-        """A robot has failed: `_pass` raises why."""
+        """Do nothing: `_pass` raises the error of a robot that has failed."""
 
     def switched(self, source: Source, epoch: AppEpoch) -> None:
         del self.results[source.robot][epoch.k :]
         self.names = tuple(name for name in self.names if name in epoch.members)
 
     def parameters(self, robot: str, parameters: AppParameters) -> None:
-        """Parameters are those of the configuration."""
+        """Do nothing: in a rehearsal nobody changes parameters."""

@@ -109,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
     """Stop or arm over the buses that can be reached; code 1 where a robot has not confirmed in time or has an unknown
     name."""
     try:
-        there = buses.directories_of(argparse.Namespace(robots=None, run_dir=args.run_dir))
+        there = buses.all_directories(args.run_dir)
         unknown = take_unknown(args, there)
         rows = stop_or_arm(
             {name: place for name, place in there.items() if not args.robots or name in args.robots},
@@ -160,6 +160,11 @@ def report(args: argparse.Namespace, rows: list[Row], unknown: Sequence[str], *,
     """Return what programs read."""
     found: dict[str, object] = {"stop": args.act == "stop", "confirmed": done and not unknown}
     return found | {"robots": [asdict(row) for row in rows], "unknown": list(unknown)}
+
+
+def stop_over_buses(run_dir: Path | None, reason: str) -> list[Row]:
+    """Stop all robots over their buses, as `swarm estop` does; see `stop_or_arm`. Raises `LocalError`."""
+    return stop_or_arm(buses.all_directories(run_dir), stop=True, reason=reason)
 
 
 def stop_or_arm(

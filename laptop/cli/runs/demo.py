@@ -22,7 +22,7 @@ def main() -> int:
     options = arguments.parse(words)
     if not options.iterations and not options.seconds:
         words.append(f"--iterations={ITERATIONS}")
-        options = replace(options, iterations=ITERATIONS)
+        options = arguments.parse(words)
     sys.stderr.write("Three simulated robots, each six processes as on a Pi, find a target together.\n")
     return sim.run_simulation(replace(options, plot=options.plot or PLOT), words)
 

@@ -180,8 +180,8 @@ class Ssh:
 
 
 def _if_named(host: Host) -> str:
-    """Return the beginning of a command that ends it as a failed connection, with the reason, on a robot that was
-    installed under another name."""
+    """Return a shell command that is put before another one. On a robot that was installed under another name it ends
+    with the exit code of a failed connection and the reason, and the other command does not run."""
     begin = shlex.quote(f"the robot at {host.address} says that it is")
     end = shlex.quote(f": correct `host` in swarm.toml, or swarm deploy --rename makes it {host.robot}")
     says = f'echo {begin} "$({OWN_NAME})"{end} >&2; exit {CLIENT_FAILED}'

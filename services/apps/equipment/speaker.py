@@ -20,7 +20,7 @@ from swarm.process.log import MAX_LINE
 from swarm.process.text import printable
 
 MOST_LINES_S = 100
-"""Lines of one app and robot that are told in a second. Behind the last one stands that there were more."""
+"""Lines of one app and robot that are told in a second. The next line says that the others are left out."""
 
 PRINTED = "print"
 """The level of printed text."""

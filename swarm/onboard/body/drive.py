@@ -98,9 +98,7 @@ def run(args: argparse.Namespace) -> int:
     write_lines([*tale.lines(), f"{robot}: {end or 'end'}"])
     if end == STOP_WORD:
         sys.stdout.flush()
-        args.robots = None  # the buses of all robots, as `swarm estop` uses them
-        rows = halt.stop_or_arm(buses.directories_of(args), stop=True, reason=REASON)
-        write_lines(halt.table(rows, stop=True))
+        write_lines(halt.table(halt.stop_over_buses(args.run_dir, REASON), stop=True))
     return 1 if end else 0
 
 

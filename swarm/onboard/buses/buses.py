@@ -34,6 +34,11 @@ def directories_of(arguments: argparse.Namespace) -> dict[str, Path]:
     return {_checked(who_am_i(load()), wanted): DEFAULT_RUNTIME}
 
 
+def all_directories(run_dir: Path | None) -> dict[str, Path]:
+    """Return the runtime directories of all robots here, whichever a command names. Raises `LocalError`."""
+    return directories_of(argparse.Namespace(robots=None, run_dir=run_dir))
+
+
 def only_wanted(found: dict[str, Path], wanted: Sequence[str]) -> dict[str, Path]:
     """Return those of a simulation's robots that are wanted, all where none is named. Raises `LocalError`."""
     if strange := [name for name in wanted if name not in found]:

@@ -85,8 +85,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         if ended == STOPPED:
             ended = f"{STOPPED}; not all robots have confirmed the stop: swarm estop gives it again"
-            args.robots = None  # the buses of all robots, as `swarm estop` uses them
-            rows = halt.stop_or_arm(buses.directories_of(args), stop=True, reason=REASON)
+            rows = halt.stop_over_buses(args.run_dir, REASON)
             there = halt.reached(rows)
             missing = " ".join(row.robot for row in there or rows if not row.confirmed)
             ended = f"{STOPPED}; not confirmed by {missing}: swarm estop gives it again" if missing else STOPPED

@@ -221,7 +221,7 @@ def stopped_by_space(folder: Path, monkeypatch: pytest.MonkeyPatch, give: MagicM
     monkeypatch.setattr(command.buses, "directories_of", lambda _: {"r0": folder / "r0", "r1": folder / "r1"})
     monkeypatch.setattr(command.halt, "stop_or_arm", give)
     try:
-        assert command.run(argparse.Namespace(json=False, out=folder / "report.json")) == 1
+        assert command.run(argparse.Namespace(json=False, out=folder / "report.json", run_dir=None)) == 1
     finally:
         ended = json.loads((folder / "report.json").read_text())["ended"]
     assert isinstance(ended, str)

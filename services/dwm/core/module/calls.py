@@ -18,6 +18,7 @@ from services.dwm.core.module.tlv import (
 )
 from swarm.errors import FrameError, LocalError
 from swarm.frozen import frozen
+from swarm.messages.devices import MODULE_CALLS
 
 POS_SET, TAG_SET, ANCHOR_SET, RATE_SET = 0x01, 0x05, 0x07, 0x03
 """Types of the requests that carry a value."""
@@ -238,8 +239,7 @@ STATUS_GET = ModuleCall("status_get", b"\x32\x00", (AnswerPart({STATUS: (1, 2)})
 _WITHOUT_VALUE = {
     call.request: call for call in (POS_GET, UPD_RATE_GET, CFG_GET, LOC_GET, RESET, VER_GET, NODE_ID_GET, STATUS_GET)
 }
-_WITH_VALUE = {POS_SET: ("pos_set", 13), RATE_SET: ("upd_rate_set", 4), TAG_SET: ("cfg_tag_set", 2),
-               ANCHOR_SET: ("cfg_anchor_set", 2)}  # fmt: skip
+_WITH_VALUE = {POS_SET: "pos_set", RATE_SET: "upd_rate_set", TAG_SET: "cfg_tag_set", ANCHOR_SET: "cfg_anchor_set"}
 
 
 def call_of(request: bytes) -> ModuleCall[object]:
@@ -248,8 +248,6 @@ def call_of(request: bytes) -> ModuleCall[object]:
     known = _WITHOUT_VALUE.get(request)
     if known is not None:
         return known
-    if len(request) > 2 and request[0] in _WITH_VALUE:
-        name, length = _WITH_VALUE[request[0]]
-        if request[1] == length == len(request) - 2:
-            return _command(name, request)
+    if len(request) > 2 and request[0] in _WITH_VALUE and request[1] == MODULE_CALLS[request[0]] == len(request) - 2:
+        return _command(_WITH_VALUE[request[0]], request)
     raise FrameError(f"request {request[:20].hex(' ')}: not one of the calls that are let through")
