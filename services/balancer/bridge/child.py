@@ -1,12 +1,14 @@
 """The loop's hold on its bridge process: started, talked to without ever waiting, replaced when it ends or hangs."""
 
 import contextlib
+import fcntl
 import logging
 import os
 import select
 import signal
 import socket
 import sys
+import termios
 
 from services.balancer.bridge.link import COMMANDS_A_TICK, MAX_DATAGRAM, LoopMessage, pack, unpack, unpack_command
 from services.balancer.core.faults import STOPPED
@@ -16,9 +18,13 @@ from swarm.messages import Stop
 MODULE = "services.balancer.bridge.bridge"
 RESTART_S = 1.0
 """Least time between two starts."""
-HANG_S = 5.0
-"""A bridge that has taken no message for longer hangs, and hears no stop: it is ended. What waits for it until then,
-when nothing more fits, is telemetry of some 5 s."""
+HANG_S = 3.0
+"""A bridge that has taken no message for longer hangs, and hears no stop: it is ended. It shows by `ROOM` when nothing
+more fits."""
+START_S = 30.0
+"""Instead of `HANG_S` for a bridge that has not yet read anything: a Pi that boots takes its time to load Zenoh."""
+ROOM = 65536
+"""SO_SNDBUF of the telemetry's socket, bytes. The kernel doubles it; 128 messages fit, of 2.5 s."""
 _GRACE_S = 2.0
 _STOPS_AT_ONCE = 64
 """Stops that are taken from the socket in a tick; all but the first are not looked at."""
@@ -43,9 +49,11 @@ class Bridge:
         self._stop_is_there = select.poll()
         """Asked in each tick: that costs a third of a look into an empty socket."""
         self._started = now
-        self._took = True
-        """Whether it has taken a message since it was last looked at."""
+        self._took = False
+        """Whether a message has fitted since it was last looked at."""
         self._took_at = now
+        self._reads = False
+        """Whether it has read all messages at one time, so that it has started."""
         self.dropped = 0
         """Messages that did not fit or found no bridge."""
         self._start(now, stopped=stopped)
@@ -92,11 +100,7 @@ class Bridge:
         if self.pid:
             pid, status = os.waitpid(self.pid, os.WNOHANG)
             if pid == 0:
-                if self._took:
-                    self._took, self._took_at = False, now
-                elif now - self._took_at > HANG_S:
-                    _log.error("the bridge has taken no message for %g s and is killed", HANG_S)
-                    os.kill(self.pid, signal.SIGKILL)
+                self._end_if_it_hangs(now)
                 return
             _log.warning("the bridge ended code=%d", os.waitstatus_to_exitcode(status))
             self._forget()
@@ -106,6 +110,20 @@ class Bridge:
             except OSError as error:  # no memory, process or descriptor is left
                 _log.error("the bridge cannot be started, and is tried again: %s", error.strerror)
                 self._forget()
+
+    def _end_if_it_hangs(self, now: float) -> None:
+        if self._took:
+            self._took, self._took_at = False, now
+            self._reads = self._reads or self._has_read_all()
+            return
+        patience = HANG_S if self._reads else START_S
+        if now - self._took_at > patience:
+            _log.error("the bridge has taken no message for %g s and is killed", patience)
+            os.kill(self.pid, signal.SIGKILL)
+
+    def _has_read_all(self) -> bool:
+        assert self._socket is not None
+        return not any(fcntl.ioctl(self._socket, termios.TIOCOUTQ, bytes(4)))
 
     def close(self) -> None:
         """End the process and wait for it."""
@@ -142,8 +160,10 @@ class Bridge:
     def _start(self, now: float, *, stopped: bool = False) -> None:
         """Fork and exec: a fork of this one-threaded process returns at once, while posix_spawn and subprocess hold the
         parent until the child, which has no real-time priority, was given a CPU and reached its exec."""
-        self._started, self._took = now, True
+        self._started = self._took_at = now
+        self._took = self._reads = False
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, ROOM)
         self._socket = ours
         our_stops, their_stops = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._stops = our_stops

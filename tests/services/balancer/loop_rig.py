@@ -7,6 +7,7 @@ import pytest
 from balancer_rig import Rig
 
 from services.balancer import loop as loop_module
+from services.balancer.bridge.child import Bridge
 from services.balancer.bridge.link import pack, unpack
 from services.balancer.loop import Loop
 from services.balancer.slack_tasks import SlackTasks
@@ -47,9 +48,11 @@ class Lists:
 class VirtualLoop:
     """A loop that ends after a number of sleeps; `oversleep` says by how much each one is too long."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, rig: Rig | None = None) -> None:
+    def __init__(
+        self, monkeypatch: pytest.MonkeyPatch, rig: Rig | None = None, bridge: Bridge | Lists | None = None
+    ) -> None:
         self.rig = rig or Rig()
-        self.bridge = Lists()
+        self.bridge = bridge or Lists()
         balancer = self.rig.balancer
         self.loop = Loop(balancer, Telemetry(balancer, "lqr"), SlackTasks(balancer, self.rig.clock), self.bridge)
         self.started: list[float] = []
