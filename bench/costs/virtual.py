@@ -50,7 +50,7 @@ SMOKE = Sizes(20, 10, 20, 40, 5, 1)
 def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     """Measure; yields rows as they are there."""
     yield Row(f"6 robots, {sizes.six} iterations, whole mesh", _alone(6, "loop", sizes.six), "s", SIX_S, 1.0)
-    yield Row("the same by swarm.simulate, with all states", _library(sizes.six), "s", SIX_S, 1.0)
+    yield Row("the same by swarm.simulate, with all states", _library(6, "loop", sizes.six), "s", SIX_S, 1.0)
     yield Row("the notebook's consensus, from import to plot", _notebook(), "s", NOTEBOOK_S, 1.0)
     iterations = sizes.iterations
     settled = "random:1", iterations, "--mesh", "settled"
@@ -62,7 +62,9 @@ def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     ]
     few, many = (statistics.median(each) for each in zip(*turns, strict=True))
     yield Row(f"{sizes.few} robots, {iterations} iterations, settled mesh", few, "s", few, None)
-    yield Row(f"{sizes.many} robots, {iterations} iterations, settled mesh", many, "s", THOUSAND_S, 1.0)
+    yield Row(f"{sizes.many} robots, {iterations} iterations, settled mesh", many, "s", THOUSAND_S, None)
+    library = _library(sizes.many, "random:1", iterations)
+    yield Row(f"{sizes.many} robots, {iterations} iterations, by swarm.simulate", library, "s", THOUSAND_S, 1.0)
     ratio = statistics.median(large / small / times for small, large in turns)
     yield Row(f"a robot's iteration, {sizes.many} beside {sizes.few}", ratio, "", 1.0, FLAT)
     yield Row("the same, least of the turns", min(large / small / times for small, large in turns), "", 1.0, None)
@@ -71,19 +73,19 @@ def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     yield Row(f"{sizes.most} robots, {iterations} iterations, delays", most, "s", TEN_THOUSAND_S, 1.0)
 
 
-def _library(iterations: int) -> float:
+def _library(*run: object) -> float:
     """CPU time of `swarm.simulate` and of the states as an array, s, in a process of its own."""
     with multiprocessing.get_context("spawn").Pool(1) as pool:
-        seconds: float = pool.apply(_library_seconds, (iterations,))
+        seconds: float = pool.apply(_library_seconds, run)
     return seconds
 
 
-def _library_seconds(iterations: int) -> float:
+def _library_seconds(robots: int, topology: str, iterations: int) -> float:
     from swarm import simulate  # so that its import does not count
 
     began = time.process_time()
-    states = simulate("consensus", robots=6, topology="loop", iterations=iterations)["value"]
-    assert states.shape == (iterations + 1, 6)
+    states = simulate("consensus", robots=robots, topology=topology, iterations=iterations)["value"]
+    assert states.shape == (iterations + 1, robots)
     return time.process_time() - began
 
 

@@ -119,7 +119,7 @@ class Options:
     body: str
     """Model of the bodies under virtual time."""
     mesh: str | None
-    """Mesh model under virtual time; None: chosen by the number of robots."""
+    """Mesh model under virtual time; None: chosen by `sim.virtual.mesh_choice`."""
     view: bool
     """Whether the browser shows the run."""
     speed: float | None
@@ -303,7 +303,7 @@ def parser(kind: type[argparse.ArgumentParser] = argparse.ArgumentParser) -> arg
         "--mesh",
         choices=MESHES,
         help="model of the mesh under virtual time: the whole mesh from its start; the settled mesh, which knows all "
-        "links already (default above 50 robots); or no mesh: messages reach neighbours alone, after a delay",
+        "links already (above 50 robots); or delays in place of a mesh (above 200, if the run needs no more)",
     )
     p.add_argument(
         "--view", action="store_true", help="under virtual time: show the run in the browser, as swarm view does"

@@ -15,22 +15,21 @@ from services.apps.equipment.speaker import prints_heard
 from services.apps.host.event_host import EventHost
 from services.apps.host.observer import Observer, Source, StepRecord
 from services.dwm.replay import measured
-from services.mesh.core.routing.physical_links import links_of
 from services.mesh.links.radio_model import AirModel
 from sim import scene
 from sim.core import actions
 from sim.core.scene_record import SceneRecord
 from sim.disturbances import Cut, Disturbance, Kill, Off, ScheduledPress, ScheduledPush, never
 from sim.report import Json, RunOutcome, summary
-from sim.scenario.options import DELAY, FROM_START, PRESS_S, SETTLED, Options
+from sim.scenario.options import PRESS_S, Options
 from sim.scenario.options import parse as arguments_of
 from sim.scenario.scenario import Scenario, build
 from sim.virtual.apps.app_records import AppRecords
 from sim.virtual.apps.hang import broken_off
+from sim.virtual.mesh_choice import mesh_of
 from sim.virtual.world import Launch, VirtualWorld
 from swarm.app.run_options import RunOptions
 from swarm.config.dump import dump
-from swarm.config.types import GRAPH
 from swarm.errors import ConfigError, LocalError
 from swarm.messages import AppEpoch, AppLog, AppParameters
 from swarm.recording import folder
@@ -46,9 +45,6 @@ LOOK_EVERY = 1.0
 
 PLACE = Path("/virtual")
 """Path that stands for the run directory, which a virtual run does not have, in its configuration."""
-
-MAX_FROM_START = 50
-"""Robots whose mesh is started: the link states of N robots cross each link, which costs as much as N iterations."""
 
 _NEVER = float("inf")
 
@@ -90,12 +86,6 @@ class VirtualRun:
         self._topics = topics
         self._look = look
         names = scenario.config.names
-        mesh = options.mesh or (FROM_START if len(names) <= MAX_FROM_START or scenario.config.auto else SETTLED)
-        if mesh == DELAY and scenario.config.auto:
-            raise ConfigError("--mesh delay: an automatic topology is found by meshes, name another --topology")
-        links = links_of(scenario.config)
-        if mesh != FROM_START and links != GRAPH:
-            raise ConfigError(f"--mesh {mesh}: links = {links!r} are made by meshes from their start")
         if scenario.iterations is None and not (options.slots or options.latency or options.jitter):
             raise ConfigError("--latency 0: such a run needs --iterations, since it takes no time and never ends by it")
         model = AirModel(options.latency, options.jitter, options.bandwidth, options.seed, loss=options.loss)
@@ -105,7 +95,7 @@ class VirtualRun:
             model,
             options.seed,
             body=options.body,
-            mesh=mesh,
+            mesh=mesh_of(options, scenario),
             lying=scenario.lying,
             skew=options.clock_skew,
             scene_record=self._scene_record,

@@ -15,12 +15,15 @@ from functools import partial
 from services.mesh.core.relay import KeyRelay
 from services.mesh.core.wire.frames import NEIGHBOURS
 from services.mesh.links.radio_model import AirModel, DelayLine
+from services.mesh.mesh import REPORT_PERIOD
 from sim.virtual.bus import VirtualBus
 from sim.virtual.events import EventQueue
+from sim.virtual.periodic_publisher import PeriodicPublisher
 from sim.virtual.radio.air import line_of
 from swarm.bus.protocol import OnSample
 from swarm.config import Config
 from swarm.errors import LocalError
+from swarm.messages import Links, LinkState
 from swarm.messages.keys import key
 
 OVERHEAD = 5
@@ -37,8 +40,6 @@ class DelayMesh:
         self, config: Config, robot: str, peers: tuple[str, ...], model: AirModel, time: EventQueue, bus: VirtualBus
     ) -> None:
         self.robot = robot
-        self.sent = 0
-        """Messages, counted once for each neighbour."""
         self._time = time
         self._bus = bus
         self._relay = KeyRelay(robot, peers, config.relay, (robot, *peers))
@@ -47,9 +48,17 @@ class DelayMesh:
         self._cuts: Mapping[frozenset[str], float] = {}
         self._due: dict[float, list[Message]] = {}
         """The messages on their way to this robot, by time of arrival."""
+        self._sent = dict.fromkeys(peers, 0)
+        self._links_key = key(robot, "mesh", "links")
+        PeriodicPublisher(time, bus, (self._links_key,), REPORT_PERIOD, time.now, self._tell_links)
         for source, expression in enumerate(self._relay.subscriptions):
             bus.subscribe(expression, partial(self._publish, source))
         bus.subscribe([key(robot, "mesh", "set", "*"), key(robot, "mesh", "set", "*", "**")], self._refuse)
+
+    @property
+    def sent(self) -> int:
+        """Messages, counted once for each neighbour."""
+        return sum(self._sent.values())
 
     def link(self, meshes: Mapping[str, "DelayMesh"], cuts: Mapping[frozenset[str], float]) -> None:
         """Link with all robots' meshes, once they are there; `cuts`: until when nothing passes between two robots."""
@@ -63,8 +72,8 @@ class DelayMesh:
             if leg.overlay != NEIGHBOURS:
                 self._refuse(name, payload)
             size = OVERHEAD + len(data)
-            self.sent += len(leg.peers)
             for peer in leg.peers:
+                self._sent[peer] += 1
                 line = self._lines[peer]
                 arrival = line.arrival(size, now)
                 if self._cuts:
@@ -93,8 +102,17 @@ class DelayMesh:
             for callback in heard:
                 callback(name, data)
 
+    def _tell_links(self) -> None:
+        """Publish the links: those that are not cut are up. Messages on their way count as received."""
+        now, links = self._time.now, []
+        for peer, sent in self._sent.items():
+            up = self._cuts.get(frozenset((self.robot, peer)), 0.0) <= now
+            received = self._meshes[peer]._sent[self.robot]
+            links.append(LinkState(peer, "up" if up else "down", 1, None, sent, received, "" if up else "it is cut"))
+        self._bus.publish(self._links_key, Links(now, tuple(links)))
+
     def _refuse(self, name: str, payload: bytes) -> None:
         raise LocalError(
-            f"{name}: --mesh delay carries messages to neighbours alone; leave it out for an app that floods, sends or "
-            "asks its mesh for something"
+            f"{name}: --mesh delay carries messages to neighbours alone; say --mesh settled for an app that floods, "
+            "sends or asks its mesh for something"
         )

@@ -2,10 +2,12 @@
 
 import pytest
 
-from sim.scenario.options import parse
+from sim.scenario.options import DELAY, FROM_START, SETTLED, parse
 from sim.scenario.scenario import build
+from sim.virtual.mesh_choice import mesh_of
 from sim.virtual.run import PLACE, VirtualRun, run_virtually
 from swarm.errors import ConfigError, LocalError
+from swarm.recording.run import Run
 
 ARGUMENTS = ("consensus", "--robots", "12", "--topology", "random:3", "--iterations", "60")
 
@@ -55,6 +57,37 @@ def test_what_needs_a_mesh_is_refused():
         run_virtually("flooding_demo", "--robots", "3", "--press", "r0.A@1s", "--seconds", "3", "--mesh", "delay")
     with pytest.raises(ConfigError, match="automatic"):
         run_virtually("consensus", "--topology", "auto", "--mesh", "delay")
+
+
+@pytest.mark.parametrize(
+    ("words", "mesh"),
+    [
+        ("consensus --robots 201", DELAY),
+        ("consensus --robots 200", SETTLED),
+        ("consensus --robots 50", FROM_START),
+        ("consensus --robots 201 --mesh settled", SETTLED),
+        ("consensus --robots 201 --cut r0-r1@1s,1s", SETTLED),
+        ("consensus --robots 201 --jitter 1ms", SETTLED),
+        ("consensus --robots 201 --view", SETTLED),
+        ("consensus flooding_demo --robots 201", SETTLED),
+        ("examples/roll_call.py --robots 201", SETTLED),
+        ("examples/follow_leds.py --robots 201", SETTLED),
+    ],
+)
+def test_a_large_swarm_whose_app_only_shares_its_state_has_delays(words, mesh):
+    options = parse(["--virtual", "--topology", "loop", *words.split()])
+    assert mesh_of(options, build(options, PLACE)) == mesh
+
+
+def test_links_are_told_and_cut_ones_are_down(tmp_path):
+    run_virtually("consensus", "--robots", "3", "--topology", "line", "--iterations", "60", "--mesh", "delay",
+                  "--cut", "r0-r1@0.5s,1s", "--record", str(tmp_path))  # fmt: skip
+    told = [
+        {link["peer"]: link["state"] for link in sample.message["links"]}
+        for sample in Run(tmp_path).samples("swarm/r1/mesh/links")
+    ]
+    assert told[:2] == [{"r0": "up", "r2": "up"}, {"r0": "down", "r2": "up"}]
+    assert told[-1] == {"r0": "up", "r2": "up"}
 
 
 def test_a_large_swarm_has_a_short_table(capsys):
