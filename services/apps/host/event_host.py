@@ -108,13 +108,10 @@ class EventHost:
         self._claims = DeviceClaims(
             runtime, devices, lambda: self._core.phase not in ("fault", "done") and not self._hung
         )
+        for peer in ("*",) if links_change else neighbours:  # the mesh may bring any robot
+            self._bus.subscribe(key(peer, f"app/{name}", "latest", "*"), self._on_latest)
         if links_change:
-            # Of whomever the mesh brings: neighbours may change.
-            self._bus.subscribe(key("*", f"app/{name}", "latest", "*"), self._on_latest)
             listen(runtime, key(self.robot, "mesh", "topology"), Topology, self._on_topology)
-        else:
-            for peer in neighbours:
-                self._bus.subscribe(key(peer, f"app/{name}", "latest", "*"), self._on_latest)
         self._hear_events(overlays, devices)
 
     @property
@@ -385,10 +382,8 @@ class EventHost:
         reason = ""
         if core.strangers:
             reason = f"{' '.join(core.strangers)} runs another version of this app: its state is not used"
-        elif self.channels is not None and self.channels.faults:
-            reason = "; ".join(f"channel {name}: {why}" for name, why in self.channels.faults.items())
-        elif self.channels is not None and self.channels.obstacles:
-            reason = "; ".join(f"channel {name}: {why}" for name, why in self.channels.obstacles.items())
+        elif self.channels is not None and (hindered := self.channels.faults or self.channels.obstacles):
+            reason = "; ".join(f"channel {name}: {why}" for name, why in hindered.items())
         elif core.phase == "done":
             reason = self.runner.app.finished or ""
         return core.phase, core.missing, reason

@@ -331,7 +331,6 @@ class Epochs:
         ballot = Ballot(self._round, self.me)
         self._become(offer=Offer(ballot, None, self._forced))
         self._offered_at = self._answered_at = now
-        self._answers = frozenset()
         self._stop(ballot, self._mine.accepted, now)
         self._drive(now)
         self._decide(now)
