@@ -6,7 +6,7 @@ from typing import Any
 from services.apps.event_runner import EventRunner
 from sim.rehearsal import tracing, trends
 from sim.rehearsal.events import EventRehearsal
-from sim.rehearsal.examine_report import GraphFinding, Task, cut_short, digest, had, make_all, write_line
+from sim.rehearsal.examine_report import GraphFinding, Task, cut_short, digest, make_all, write_line
 from sim.rehearsal.limits import Stopwatch, Waits, limited
 from sim.rehearsal.rehearsal import RehearsedRobot
 from swarm.app.event_app import PeriodicApp
@@ -68,9 +68,7 @@ def examine_events(task: Task, finding: GraphFinding) -> None:
         swarm.run(min(begin + second, end))
     finding.seconds = round(swarm.now - begin, 3)
     finding.iterations = min(unit.host.progress.k for unit in swarm.units.values())
-    finding.poses, finding.ranges = had([unit.app for unit in swarm.units.values()])
-    if times:
-        finding.step_mean = sum(times) / len(times)
+    finding.note([unit.app for unit in swarm.units.values()], times)
     finding.trend = trends.judge(histories)
     if swarm.now < end:
         cut_short(finding, watch, f"{finding.seconds:g} of {SECONDS:g} s")

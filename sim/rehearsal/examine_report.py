@@ -63,24 +63,25 @@ class GraphFinding:
     digests: list[int] = field(default_factory=list)
     """Checksum of all robots' states, by iteration: must be the same in another process."""
 
+    def note(self, apps: Sequence[AnyApp], times: Sequence[float]) -> None:
+        """Note whether robots that asked for poses, and for ranges, have some, and the mean of the steps' CPU times."""
+        poses, ranges = [], []
+        for app in apps:
+            devices, ranging = app.robot.devices, app.robot.ranging
+            if devices is not None and devices.asked("pose"):
+                poses.append(devices.pose is not None)
+            if ranging is not None and ranging.listening:
+                ranges.append(bool(ranging.ranges))
+            if getattr(type(app), "measured", False):
+                ranges.append(app.robot.measurement is not None)
+        self.poses, self.ranges = _said(poses), _said(ranges)
+        if times:
+            self.step_mean = sum(times) / len(times)
+
 
 def make_all(app: loader.LoadedApp, config: Config) -> None:
     """Make the app of each robot. Raises `Hang` for one that takes too long."""
     app.check(config, lambda config, name: limited(app.source, partial(app.make, config, name)))
-
-
-def had(apps: Sequence[AnyApp]) -> tuple[str, str]:
-    """Return whether robots that asked for poses, and for ranges, have some."""
-    poses, ranges = [], []
-    for app in apps:
-        devices, ranging = app.robot.devices, app.robot.ranging
-        if devices is not None and devices.asked("pose"):
-            poses.append(devices.pose is not None)
-        if ranging is not None and ranging.listening:
-            ranges.append(bool(ranging.ranges))
-        if getattr(type(app), "measured", False):
-            ranges.append(app.robot.measurement is not None)
-    return _said(poses), _said(ranges)
 
 
 def _said(there: Sequence[bool]) -> str:

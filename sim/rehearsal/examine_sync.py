@@ -7,7 +7,7 @@ from typing import Any
 
 from services.apps.runner import Runner
 from sim.rehearsal import tracing, trends
-from sim.rehearsal.examine_report import GraphFinding, Task, cut_short, digest, had, make_all, write_line
+from sim.rehearsal.examine_report import GraphFinding, Task, cut_short, digest, make_all, write_line
 from sim.rehearsal.limits import Stopwatch, limited
 from sim.rehearsal.sync import ITERATION_S, SyncRehearsal
 from sim.scenario.options import DELAY, SETTLED
@@ -88,9 +88,7 @@ class _Examination:
                 swarm.run(1)
         finally:
             finding.seconds, finding.iterations = ITERATION_S * swarm.k, swarm.k
-            finding.poses, finding.ranges = had([unit.app for unit in swarm.units.values()])
-            if self._times:
-                finding.step_mean = sum(self._times) / len(self._times)
+            finding.note([unit.app for unit in swarm.units.values()], self._times)
         if swarm.k < task.iterations:
             cut_short(finding, watch, f"{swarm.k} of {task.iterations} iterations")
         finding.trend = trends.judge({name: swarm.results[name] for name in swarm.names})
