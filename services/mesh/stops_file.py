@@ -7,8 +7,8 @@ import logging
 from pathlib import Path
 
 from services.mesh.core.overlays.stop import Halt, from_file
-from swarm.errors import FrameError
 from swarm.files import atomic_write
+from swarm.process import file_reader
 from swarm.process.paths import VOLATILE
 
 NAME = "mesh.stops"
@@ -21,15 +21,7 @@ _log = logging.getLogger("mesh")
 
 def load(directory: Path) -> Halt | None:
     """Return the stops that were kept; None where there are none."""
-    path = directory / NAME
-    try:
-        with path.open("rb") as file:
-            return from_file(file.read(MAX_SIZE))
-    except FileNotFoundError:
-        return None
-    except (OSError, FrameError) as error:
-        _log.warning("%s: %s; stops are heard of again from the neighbours", path, error)
-        return None
+    return file_reader.read(directory / NAME, from_file, _log, "stops are heard of again from the neighbours", MAX_SIZE)
 
 
 def save(directory: Path, data: bytes) -> None:

@@ -7,8 +7,8 @@ import logging
 from pathlib import Path
 
 from services.mesh.core.routing.topology import Ground, TopologyVersion
-from swarm.errors import FrameError
 from swarm.files import atomic_write, make_folder
+from swarm.process import file_reader
 
 NAME = "topology"
 
@@ -18,16 +18,14 @@ _log = logging.getLogger("mesh")
 def load(directory: Path, ground: Ground) -> TopologyVersion | None:
     """Return the value that was kept; None where there is none of this configuration."""
     path = directory / NAME
-    try:
-        value = ground.from_file(path.read_bytes())
-    except FileNotFoundError:
-        return None
-    except (OSError, FrameError) as error:
-        _log.warning("%s: %s; the configuration's topology holds until a neighbour knows better", path, error)
-        return None
-    if value is None:
-        _log.info("%s: of another configuration, so this one's topology holds", path)
-    return value
+
+    def parse(data: bytes) -> TopologyVersion | None:
+        value = ground.from_file(data)
+        if value is None:
+            _log.info("%s: of another configuration, so this one's topology holds", path)
+        return value
+
+    return file_reader.read(path, parse, _log, "the configuration's topology holds until a neighbour knows better")
 
 
 def save(directory: Path, data: bytes) -> None:

@@ -239,9 +239,15 @@ class VirtualWorld:
         if isinstance(there.mesh, VirtualMesh) and not there.mesh.running:
             there.meshes_bus = VirtualBus(there.router)
             there.mesh = VirtualMesh(
-                self._common, there.name, there.time, self.air, there.meshes_bus, self.seed,
-                incarnation=there.starts, stops=there.mesh.kept_stops,
-            )  # fmt: skip
+                self._common,
+                there.name,
+                there.time,
+                self.air,
+                there.meshes_bus,
+                self.seed,
+                incarnation=there.starts,
+                stops=there.mesh.kept_stops,
+            )
         for launch in begun:
             if launch.app.name not in there.apps:
                 self._begin(there.name, launch)

@@ -4,9 +4,9 @@ import logging
 from pathlib import Path
 from typing import Protocol, TypeVar
 
-from swarm.errors import PayloadError
 from swarm.files import atomic_write
 from swarm.messages.codec import decode, encode
+from swarm.process import file_reader
 from swarm.process.paths import VOLATILE
 
 _log = logging.getLogger("run_file")
@@ -26,14 +26,8 @@ T = TypeVar("T", bound=OfRun)
 def read(kind: type[T], path: Path, run: int, otherwise: str) -> T | None:
     """Return what was kept for this run; None where that is nothing, or where the file cannot be read: `otherwise`
     tells in the log what follows from that."""
-    try:
-        kept = decode(kind, path.read_bytes(), str(path))
-    except FileNotFoundError:
-        return None
-    except (OSError, PayloadError) as error:
-        _log.warning("%s; %s", error, otherwise)
-        return None
-    return kept if kept.run == run else None
+    kept = file_reader.read(path, lambda data: decode(kind, data, "its content"), _log, otherwise)
+    return kept if kept is not None and kept.run == run else None
 
 
 def write(path: Path, kept: OfRun) -> None:

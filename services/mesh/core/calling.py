@@ -17,7 +17,7 @@ was set up wrongly dials with a back-off of its own, and who forges its address 
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping
 
-from services.mesh.core.actions import Actions, Dial, LinksChanged
+from services.mesh.core.actions import Actions, Dial, LinksChanged, Supervise
 from services.mesh.core.link.calls import Caller, Local
 from services.mesh.core.link.neighbour import Link
 from services.mesh.core.link.session import Session
@@ -42,6 +42,9 @@ LONGEST_SHUT_OUT = 5.0
 AGAIN = 100.0
 """Seconds between two knocks of robots that reach each other, all together, at a hub that does not call them: the pages
 of an absent hub, 5 s each, then take the share of time that the hub has for its own pages (`link.calls.SHARE`)."""
+
+SUPERVISED = 1.25
+"""Factor by which a link's end of patience must have changed until its transport is told again."""
 
 _MAX_REMEMBERED = 256
 """Addresses whose refusals are remembered; the longest unheard of goes first."""
@@ -236,6 +239,17 @@ class Calling:
         each of the two may take the other's calls for knocks. Only the robot with the lower name may, for the two must
         not replace each other's connection."""
         return robot in self._knocked and robot < self._local.robot
+
+    def supervise(self, peer: str, session: Session) -> None:
+        """Have the transport of a link that is ours to call know how long silence may last, where that has changed by
+        much. The other robot may have called: then another hub has been chosen since."""
+        if not self._local.dials.get(peer):
+            session.supervised = 0.0
+            return
+        seconds = session.dead_after
+        if not seconds / SUPERVISED <= session.supervised <= seconds * SUPERVISED:
+            session.supervised = seconds
+            self._actions.add(Supervise(session, seconds))
 
     def begun(self, session: Session, caller: Caller) -> None:
         """The handshake with a caller begins."""

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from functools import partial
 
-from services.mesh.core.actions import Actions, Close, LinksChanged, Supervise, Transmit
+from services.mesh.core.actions import Actions, Close, LinksChanged, Transmit
 from services.mesh.core.calling import Calling
 from services.mesh.core.link import (
     HandshakeFailed,
@@ -29,9 +29,6 @@ from services.mesh.core.overlays.robot_overlays import RobotOverlays
 from services.mesh.core.wire import frames
 from swarm.errors import FrameError
 from swarm.messages import Echo, EchoRequest, HoldLink, LinkState
-
-SUPERVISED = 1.25
-"""Factor by which a link's end of patience must have changed until its transport is told again."""
 
 
 class Connections:
@@ -68,10 +65,16 @@ class Connections:
         self.clock = ClockSync(local.robot, local.incarnation, local.robots)
         self._calling = Calling(local, overlays.linking, self.links, actions, random)
         self._session = partial(
-            Session, local,
-            admit=admit, clock=self.clock, counters=counters, may_call=self._calling.may_call,
-            has_room=overlays.linking.has_room, is_held=self._holds.holds, clash=self._clash,
-        )  # fmt: skip
+            Session,
+            local,
+            admit=admit,
+            clock=self.clock,
+            counters=counters,
+            may_call=self._calling.may_call,
+            has_room=overlays.linking.has_room,
+            is_held=self._holds.holds,
+            clash=self._clash,
+        )
         self._sessions: list[Session] = []
         self._ready: list[Session] = []
 
@@ -165,19 +168,8 @@ class Connections:
                 continue
             if (rtt := session.pulse.rtt) is not None:
                 self._overlays.measured(peer, rtt, now)
-            self._supervise(peer, session)
+            self._calling.supervise(peer, session)
         self._name_clashes(now)
-
-    def _supervise(self, peer: str, session: Session) -> None:
-        """Have the transport of a link that is ours to call know how long silence may last, where that has changed by
-        much. The other robot may have called: then another hub has been chosen since."""
-        if not self._local.dials.get(peer):
-            session.supervised = 0.0
-            return
-        seconds = session.dead_after
-        if not seconds / SUPERVISED <= session.supervised <= seconds * SUPERVISED:
-            session.supervised = seconds
-            self._actions.add(Supervise(session, seconds))
 
     def close(self, now: float) -> None:
         """End all connections: this robot's mesh stops."""
@@ -302,7 +294,7 @@ class Connections:
                     self._end(old, old.session, frames.REPLACED, "replaced by a newer connection", now)
                 link = self.links.setdefault(name, Link(name))
                 link.attach(session, now)
-                self._supervise(name, session)
+                self._calling.supervise(name, session)
                 if self._overlays.link_up(name, now):
                     self._actions.log_link(f"link up peer={name} connection={link.connection}")
                     self._links_changed()

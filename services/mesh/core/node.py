@@ -23,21 +23,14 @@ from services.mesh.core.link import Received
 from services.mesh.core.link.calls import REFUSED, UNKNOWN, Caller, Local
 from services.mesh.core.link.outbox import SENT
 from services.mesh.core.link.session import Session
-from services.mesh.core.overlays import carried, flood, robot_overlays, unicast
+from services.mesh.core.overlays import carried, robot_overlays
 from services.mesh.core.relay import KeyRelay, RelaySend
-from services.mesh.core.wire import frames
+from services.mesh.core.wire import frames, packets
 
 COUNTERS = (*REFUSED.values(), *SENT, *robot_overlays.COUNTERS, "byes", "half_open", "inbound_refused", "incomplete",
             "no_link", "overflowed", "pushed_back", "replaced", "too_large", "transport_lost")  # fmt: skip
 """What the mesh of a robot counts; docs/reference/network/frames.md and docs/reference/network/overlay-packets.md say
 what."""
-
-
-def longest(overlay: int, priority: int) -> int:
-    """The longest payload of a relayed value, bytes."""
-    if overlay == frames.NEIGHBOURS:
-        return frames.MAX_MESSAGE if priority == frames.BULK else frames.MAX_PAYLOAD
-    return flood.limit_of(priority, all_know=False) if overlay == frames.FLOOD else unicast.limit_of(priority)
 
 
 class MeshNode:
@@ -143,7 +136,10 @@ class MeshNode:
         """The longest payload of a relayed value, bytes."""
         if overlay == frames.NEIGHBOURS and self._carried:
             return carried.limit_of(priority, self._robots)
-        return longest(overlay, priority)
+        if overlay == frames.NEIGHBOURS:
+            return frames.largest(priority, frames.MAX_PAYLOAD)
+        room = packets.room(all_know=False) if overlay == frames.FLOOD else packets.UNICAST_ROOM
+        return frames.largest(priority, room)
 
     def _send(self, send: RelaySend, now: float) -> None:
         leg, payload = send

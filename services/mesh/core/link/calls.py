@@ -192,8 +192,11 @@ class Search:
     def take(self, now: float) -> str | None:
         """Return the target to call now, far ones first; None where none is due. Call `ended` afterwards."""
         if self.calling is None:
-            due = [(not target.far, target.next_at, name) for name, target in self._targets.items()
-                   if now >= target.next_at]  # fmt: skip
+            due = [
+                (not target.far, target.next_at, name)
+                for name, target in self._targets.items()
+                if now >= target.next_at
+            ]
             if due:
                 self.calling = min(due)[2]
                 self._began = now

@@ -329,11 +329,15 @@ class Session:
         local = self._local
         key_id = newest_common(local.keys, hello.key_ids)
         refusal = calls.refusal(
-            hello, local, dialled=self.dialled, expected=self._expected,
-            may_call=self._may_call, has_room=self._has_room,
+            hello,
+            local,
+            dialled=self.dialled,
+            expected=self._expected,
+            may_call=self._may_call,
+            has_room=self._has_room,
             is_held=lambda robot: self._is_held(robot, now),
             clash=lambda robot, process: self._clash(robot, process, now),
-        )  # fmt: skip
+        )
         if refusal is not None:
             self._end(*refusal)
             return

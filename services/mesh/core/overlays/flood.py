@@ -19,7 +19,7 @@ from services.mesh.core.overlays.echo import FloodId, Waves
 from services.mesh.core.overlays.flood_store import NEW, OLD, CatchUp, Store
 from services.mesh.core.relay import is_between_neighbours
 from services.mesh.core.wire import packets
-from services.mesh.core.wire.frames import BULK, FLOOD, MAX_MESSAGE
+from services.mesh.core.wire.frames import FLOOD
 from services.mesh.core.wire.packets import Spread
 from swarm.errors import FrameError
 from swarm.messages.keys import parse
@@ -104,9 +104,14 @@ class FloodOverlay:
         self._neighbours = CatchUp(me, self.store, emit=emit, random=random, counters=counters)
         self._links = self._neighbours.links
         self._completion = Completion(
-            me, names,
-            emit=self._emit_wave, links=self._links, expected=expected, graph=graph, complete=self._complete,
-        )  # fmt: skip
+            me,
+            names,
+            emit=self._emit_wave,
+            links=self._links,
+            expected=expected,
+            graph=graph,
+            complete=self._complete,
+        )
         self.large = large_messages.LargeFloods(
             me, self.store, self._waves, self._completion, pass_on=self._pass_on, deliver=deliver, counters=counters
         )
@@ -392,8 +397,3 @@ class FloodOverlay:
     def _emit_wave(self, packet: Transmit) -> None:
         self._counters["wave_sent"] += 1
         self._emit(packet)
-
-
-def limit_of(priority: int, *, all_know: bool) -> int:
-    """Bytes that a flood of a class may have."""
-    return MAX_MESSAGE if priority == BULK else packets.room(all_know=all_know)

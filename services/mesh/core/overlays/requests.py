@@ -12,7 +12,8 @@ from services.mesh.core.overlays import flood
 from services.mesh.core.overlays.unicast import Hop, Unicast
 from services.mesh.core.routing.topology import Route
 from services.mesh.core.routing.wanted_links import Linking
-from services.mesh.core.wire.frames import BULK, CONTROL, PRIORITIES
+from services.mesh.core.wire import packets
+from services.mesh.core.wire.frames import BULK, CONTROL, PRIORITIES, largest
 from swarm.frozen import frozen
 from swarm.messages import (
     Flooded,
@@ -96,7 +97,7 @@ class OverlayRequests:
             return
         problem = _problem(request.app, request.priority)
         priority = PRIORITIES.get(request.priority, BULK)
-        if len(request.payload) > (limit := flood.limit_of(priority, all_know=request.announce)):
+        if len(request.payload) > (limit := largest(priority, packets.room(all_know=request.announce))):
             problem = f"{len(request.payload)} bytes, a flood has at most {limit} in its class"
         if not problem:
             key = key_of(self._me, "app", request.app, "flood")

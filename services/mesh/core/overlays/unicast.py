@@ -24,7 +24,7 @@ from services.mesh.core.bulk.pieces import Packet
 from services.mesh.core.bulk.transfers import Transfers
 from services.mesh.core.routing.topology import Route
 from services.mesh.core.wire import packets
-from services.mesh.core.wire.frames import BULK, MAX_MESSAGE, SYNC, UNICAST
+from services.mesh.core.wire.frames import BULK, SYNC, UNICAST, largest
 from services.mesh.core.wire.packets import Ack, UnicastMessage
 from swarm.errors import FrameError
 from swarm.messages.keys import key as key_of
@@ -159,7 +159,7 @@ class Unicast:
             self._own.give_up(to, key)
         if to not in self._robots:
             self._ended(token, to, f"there is no robot {to}")
-        elif len(payload) > (limit := limit_of(priority)):
+        elif len(payload) > (limit := largest(priority, packets.UNICAST_ROOM)):
             self._ended(token, to, f"{len(payload)} bytes, a message has at most {limit} in its class")
         elif to == self._me:
             self._deliver(key, payload, priority)
@@ -355,11 +355,6 @@ class Unicast:
             custody = self._custody[hop.next_hop] = deque(maxlen=CUSTODY)
         custody.append((now, hop, to, data, priority))
         self._emit(Transmit(hop.next_hop, UNICAST, self._channel, data, priority))
-
-
-def limit_of(priority: int) -> int:
-    """Bytes that a message of a class may have."""
-    return MAX_MESSAGE if priority == BULK else packets.UNICAST_ROOM
 
 
 def _hop(packet: UnicastMessage | Ack, next_hop: str) -> Hop:

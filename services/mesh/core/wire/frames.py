@@ -352,6 +352,12 @@ def decode_hello(body: bytes) -> Hello:
     )
 
 
+def largest(priority: int, room: int) -> int:
+    """Return the bytes that a payload of a class may have: of bulk those of all fragments, else those of a packet with
+    this room."""
+    return MAX_MESSAGE if priority == BULK else room
+
+
 def _short_text(body: bytes, at: int, limit: int, what: str) -> tuple[str, int]:
     """Return a text that follows its u8 length, and where it ends."""
     end = at + 1 + body[at] if at < len(body) else len(body) + 1
