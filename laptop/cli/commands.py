@@ -45,19 +45,17 @@ SECTIONS: Sections = {
                 for name, each in robot.BALANCE.commands.items()
             }
         ),
-        "drive": Command("laptop.cli.robots.body.drive"),
-        "commission": Command("laptop.cli.robots.body.commission"),
+        "drive": robot.DRIVE._replace(module="laptop.cli.robots.body.drive"),
+        "commission": robot.COMMISSION._replace(module="laptop.cli.robots.body.commission"),
         "mesh": robot.MESH._replace(
             commands={name: each._replace(far=FAR) for name, each in robot.MESH.commands.items()}
-            | {"show": Command("laptop.cli.mesh", far=FAR)}
+            | {"show": robot.MESH.commands["show"]._replace(module="laptop.cli.mesh", far=FAR)}
         ),
         "measure": robot.MEASURE._replace(
             commands={
-                "rtt": Command("laptop.cli.measure.links", ("rtt",), robot.MEASURE.commands["rtt"].help, FAR),
-                "throughput": Command(
-                    "laptop.cli.measure.links", ("throughput",), robot.MEASURE.commands["throughput"].help, FAR
-                ),
-                "rssi": Command("laptop.cli.measure.rssi", far=FAR),
+                "rtt": robot.MEASURE.commands["rtt"]._replace(module="laptop.cli.measure.links", far=FAR),
+                "throughput": robot.MEASURE.commands["throughput"]._replace(module="laptop.cli.measure.links", far=FAR),
+                "rssi": robot.MEASURE.commands["rssi"]._replace(module="laptop.cli.measure.rssi", far=FAR),
                 "radio": Command("laptop.cli.measure.radio"),
                 "i2c": robot.MEASURE.commands["i2c"]._replace(far=FAR),
             }
@@ -67,7 +65,7 @@ SECTIONS: Sections = {
             {
                 "start": Command("laptop.cli.app", ("start",), "start a further app"),
                 "stop": Command("laptop.cli.app", ("stop",), "stop an app"),
-                "param": Command("laptop.cli.param"),
+                "param": robot.PARAM._replace(module="laptop.cli.param"),
             },
         ),
         "services": CommandGroup(
@@ -81,8 +79,8 @@ SECTIONS: Sections = {
             },
         ),
         **robot.TOOLS,
-        "dwm": Command("services.dwm.tool", help="show, configure and check UWB modules", far=FAR),
-        "calibrate": Command("laptop.cli.calibrate", help=robot.TOOLS["calibrate"].help),
+        "dwm": robot.TOOLS["dwm"]._replace(far=FAR),
+        "calibrate": robot.TOOLS["calibrate"]._replace(module="laptop.cli.calibrate"),
     },
     "real robots, over ssh": {
         "provision": Command("laptop.cli.robots.provision"),

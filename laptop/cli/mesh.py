@@ -10,8 +10,6 @@ from swarm.onboard.buses.ask import AWAY
 from swarm.onboard.mesh import show
 from swarm.onboard.mesh.collected import CollectedMesh
 
-HELP = "show the robots of the swarm, their links and the graph"
-
 ON_A_CIRCLE = 12
 """The most robots that are drawn on a circle, where every link can be seen. More robots are placed by their
 distances."""

@@ -7,8 +7,6 @@ from laptop.fleet.ssh import everyone, robot_command
 from laptop.fleet.ssh.ssh import CURRENT, Host
 from swarm.onboard import param
 
-HELP = "show or change parameters of a running app"
-
 COMMAND = f"sudo -n {CURRENT}/bin/swarm app param"
 """The command `swarm` on a robot."""
 

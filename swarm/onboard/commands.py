@@ -12,7 +12,7 @@ ESTOP = "stop every robot, and list the robots that confirmed (also: swarm stop)
 MESH = CommandGroup(
     "show robots and links; change topology or members",
     {
-        "show": Command("swarm.onboard.mesh.show"),
+        "show": Command("swarm.onboard.mesh.show", help="show the robots of the swarm, their links and the graph"),
         "topology": Command("swarm.onboard.mesh.topology", alone="show"),
         "epoch": Command("swarm.onboard.mesh.epoch", alone="show"),
     },
@@ -28,7 +28,7 @@ MEASURE = CommandGroup(
             ("throughput",),
             "measure the throughput of links and paths, in bytes a second",
         ),
-        "rssi": Command("swarm.onboard.measure.rssi"),
+        "rssi": Command("swarm.onboard.measure.rssi", help="measure the signal strength of a Bluetooth link"),
         "i2c": Command("services.balancer.measure_i2c"),
     },
 )
@@ -45,7 +45,13 @@ BALANCE = CommandGroup(
     },
 )
 
-TOOLS: dict[str, Command | CommandGroup] = {
+DRIVE = Command("swarm.onboard.body.drive", help="drive a robot by keyboard; it moves only while a key is held")
+COMMISSION = Command(
+    "swarm.onboard.commission.command", help="check a new robot part by part until it stands; writes a report"
+)
+PARAM = Command("swarm.onboard.param", help="show or change parameters of a running app")
+
+TOOLS = {
     "dwm": Command("services.dwm.tool", help="show, configure and check UWB modules"),
     "calibrate": Command("services.dwm.calibrate.__main__", help="calibrate the UWB module of a robot"),
     "discover": Command("services.mesh.discover", help="list Bluetooth devices in range, and which are robots"),
@@ -56,11 +62,11 @@ TOOLS: dict[str, Command | CommandGroup] = {
 SECTIONS: Sections = {
     "this robot and its swarm": {
         "balance": BALANCE,
-        "drive": Command("swarm.onboard.body.drive"),
-        "commission": Command("swarm.onboard.commission.command"),
+        "drive": DRIVE,
+        "commission": COMMISSION,
         "mesh": MESH,
         "measure": MEASURE,
-        "app": CommandGroup("act on running apps", {"param": Command("swarm.onboard.param")}),
+        "app": CommandGroup("act on running apps", {"param": PARAM}),
         **TOOLS,
         "flash": Command("services.balancer.flash.flash", help="write new firmware to the Balboa, over its USB cable"),
     },

@@ -17,8 +17,6 @@ from swarm.onboard.buses.ask import PATIENCE, Answers, new_ticket, opened, reque
 from swarm.process.arguments import add_json, show
 from swarm.process.terminal import columns
 
-HELP = "show or change parameters of a running app"
-
 Known = Mapping[str, Mapping[str, AppParameter]]
 """Parameters by robot and name."""
 

@@ -5,8 +5,6 @@ import argparse
 from laptop.plotting.style import TIME, add_plot, figure
 from swarm.onboard.measure import rssi
 
-HELP = "measure the signal strength of a Bluetooth link"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what a robot's command takes, and `--plot`."""

@@ -23,8 +23,6 @@ from swarm.onboard.buses import buses
 from swarm.onboard.buses.ask import PATIENCE
 from swarm.process.terminal import write_lines
 
-HELP = "drive a robot by keyboard; it moves only while a key is held"
-
 STOP_WORD = "stop"
 """Said at the end where the person has stopped all robots. A laptop then gives the stop to all of them by ssh, too."""
 REASON = "swarm drive"

@@ -33,8 +33,6 @@ from swarm.process.arguments import add_json
 from swarm.process.simulations import config_for
 from swarm.process.terminal import write_lines
 
-HELP = "check a new robot part by part until it stands; writes a report"
-
 TOPICS = (
     "balancer/state", "balancer/odometry", "balancer/imu", "balancer/buttons", "balancer/fault", "balancer/notice",
     "balancer/display", "balancer/i2c", "balancer/firmware", "dwm/ranges", "mesh/links", "mesh/stopped",

@@ -17,8 +17,6 @@ from swarm.onboard.measure import links
 from swarm.process.arguments import show, whole
 from swarm.process.simulations import config_for
 
-HELP = "measure the signal strength of a Bluetooth link"
-
 PERIOD = 0.1
 """Seconds between two readings."""
 

@@ -18,8 +18,6 @@ from swarm.onboard.mesh import tables
 from swarm.onboard.mesh.collected import CollectedMesh, MeshView
 from swarm.process.arguments import add_json, show
 
-HELP = "show the robots of the swarm, their links and the graph"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare `[--robots r0,r3] [--run-dir DIR] [--radio] [--json]`."""

@@ -12,8 +12,6 @@ from swarm.onboard.commission import command
 from swarm.onboard.commission.core.motor_steps import REASON
 from swarm.process.terminal import write_lines
 
-HELP = "check a new robot part by part until it stands; writes a report"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what a robot's command takes, and the way by ssh."""

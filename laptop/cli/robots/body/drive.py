@@ -11,8 +11,6 @@ from swarm.errors import LocalError
 from swarm.onboard.body import drive
 from swarm.process.terminal import write_lines
 
-HELP = "drive a robot by keyboard; it moves only while a key is held"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what a robot's command takes, and the way by ssh."""
