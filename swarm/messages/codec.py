@@ -175,14 +175,15 @@ def _plain(value: object) -> dict[str, object]:
     """Convert a value that msgpack does not know. msgpack calls this again for nested values."""
     kind = type(value)
     if dataclasses.is_dataclass(kind):
-        return {name: getattr(value, name) for name in _names(kind)}
+        return {name: getattr(value, name) for name in names_of(kind)}
     if isinstance(value, Mapping):
         return dict(value)
     raise TypeError(f"cannot carry a {kind.__name__}")
 
 
 @cache
-def _names(kind: type) -> tuple[str, ...]:
+def names_of(kind: type) -> tuple[str, ...]:
+    """Return the names of a dataclass' fields."""
     return tuple(field.name for field in dataclasses.fields(kind))
 
 

@@ -213,11 +213,11 @@ def read_recording(directory: Path, index: int) -> ThesisRecording:
     for number, line in enumerate(lines, 1):
         try:
             values = _numbers(line)
-            _expect(values[0] <= LATEST_S, f"a time of {values[0]:g} s since 1970: divide times in ms by 1000")
+            expect(values[0] <= LATEST_S, f"a time of {values[0]:g} s since 1970: divide times in ms by 1000")
             if before:
                 last = previous[0]
-                _expect(line != before, "the same line as the one before: rows were repeated, take one away")
-                _expect(
+                expect(line != before, "the same line as the one before: rows were repeated, take one away")
+                expect(
                     values[0] >= last,
                     f"its time is {last - values[0]:.6g} s before the line before: rows are shuffled, sort by time",
                 )
@@ -226,21 +226,21 @@ def read_recording(directory: Path, index: int) -> ThesisRecording:
                 unsent = number
             before, previous = line, values
             if start is None:
-                _expect(len(values) == 7, f"{len(values)} columns, the first line has 7 (t,x,y,zx,zy,gx,gy)")
+                expect(len(values) == 7, f"{len(values)} columns, the first line has 7 (t,x,y,zx,zy,gx,gy)")
                 start = values[0]
                 estimates.append((values[1] / _CM, values[2] / _CM))
                 continue
-            _expect(len(values) in (8, 12), f"{len(values)} columns, expected 12 (8 in line 2)")
+            expect(len(values) in (8, 12), f"{len(values)} columns, expected 12 (8 in line 2)")
             flag = values[7]
-            _expect(flag in (0, 1), f"column 8 is {flag:g}, expected the flag 0 or 1")
+            expect(flag in (0, 1), f"column 8 is {flag:g}, expected the flag 0 or 1")
             if flag == 0:
-                _expect(
+                expect(
                     len(values) == 12,
                     "a new state without cost, distance and own place: expected 12 columns where column 8 is 0",
                 )
-                _expect(values[9] >= 0, f"a distance of {values[9]:g} cm, expected 0 or more in column 10")
+                expect(values[9] >= 0, f"a distance of {values[9]:g} cm, expected 0 or more in column 10")
                 far = max(abs(value) for value in (*values[1:3], *values[9:12]))
-                _expect(far <= FARTHEST_CM, f"a length of {far:g} cm: expected at most {FARTHEST_CM:g}")
+                expect(far <= FARTHEST_CM, f"a length of {far:g} cm: expected at most {FARTHEST_CM:g}")
                 _fits(values)
                 rows.append(ThesisRow(values[9] / _CM, values[10] / _CM, values[11] / _CM))
                 numbers.append(number)
@@ -271,7 +271,7 @@ def _fits(values: list[float]) -> None:
     x, y, told, distance, own_x, own_y = values[1], values[2], *values[8:12]
     found = cost(distance, x, y, own_x, own_y)
     slack = COST_SHARE * (distance**2 + (x - own_x) ** 2 + (y - own_y) ** 2)
-    _expect(
+    expect(
         told >= 0 and abs(math.sqrt(told) - math.sqrt(found)) <= slack,
         f"a cost of {told:.6g} in column 9, the line's lengths give {found:.6g}: distances, places or estimates were "
         "changed, or are in different units",
@@ -284,7 +284,7 @@ def _numbers(line: str) -> list[float]:
         value = finite(text)
         if value is None:
             raise ValueError(f"column {column} is {text[:40]!r}, expected a number")
-        _expect(abs(value) <= LARGEST, f"column {column} is {value:g}, no number here is above {LARGEST:g}")
+        expect(abs(value) <= LARGEST, f"column {column} is {value:g}, no number here is above {LARGEST:g}")
         values.append(value)
     return values
 
@@ -298,6 +298,7 @@ def finite(text: str) -> float | None:
     return value if math.isfinite(value) and "_" not in text else None
 
 
-def _expect(right: bool, message: str) -> None:
+def expect(right: bool, message: str) -> None:
+    """Raise `ValueError` where a line of a file is not `right`."""
     if not right:
         raise ValueError(message)

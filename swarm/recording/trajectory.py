@@ -179,10 +179,11 @@ class Builder:
 class TrajectoryReader:
     """Reads one app's trajectory from a recording, and goes on with it while the file grows."""
 
-    def __init__(self, path: Path, topic: str = "", *, whole: bool = True) -> None:
-        """`topic`: of the app's states; default: the first app in the file. `whole`: see `Builder`."""
+    def __init__(self, path: Path, *, whole: bool = True) -> None:
+        """`whole`: see `Builder`."""
         self._path = path
-        self._topic = topic
+        self._topic = ""
+        """The topic of the states of the first app in the file."""
         self._reader: RecordingReader | None = None
         self._builder = Builder(whole=whole)
         self._shaped = False

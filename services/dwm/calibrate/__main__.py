@@ -143,7 +143,7 @@ def _of_run(options: argparse.Namespace, config: Config, robot: str) -> LearnedO
         "The robot's own offset and this place's error (multipath, a place measured wrongly) are one number here:\n"
         "only another place can tell them apart."
     )
-    left = making.rms([fitting.error_of(models, group, group.mean) - learned for group in of])
+    left = fitting.rms([fitting.error_of(models, group, group.mean) - learned for group in of])
     return LearnedOffset(learned, 1, len(found), left, samples.digest(found))
 
 

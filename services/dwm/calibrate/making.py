@@ -4,7 +4,6 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from math import sqrt
 from pathlib import Path
 
 from services.dwm.core.calibration import calibration_file, fitting, limits, samples
@@ -167,7 +166,7 @@ def offset_of(path: Path, robot: str) -> LearnedOffset:
     if not (isinstance(places, int) and values and all(map(_is_number, [offset, *values]))):
         raise RecordingError(f"{path}: no offset was learned; swarm commission {robot} does it in its step `offset`")
     assert isinstance(offset, float | int)
-    left = rms([value - offset for value in values])
+    left = fitting.rms([value - offset for value in values])
     return LearnedOffset(float(offset), places, len(values) * places, left, hashlib.sha256(data).hexdigest())
 
 
@@ -216,7 +215,7 @@ def verdict(models: Calibration, file: CalibrationFile | None, data: Calibration
         nested = file.distance[1].nested if file and file.distance else None
         good &= _judge(lines, "ranges", errors, nested)
         offset = mean(errors)
-        if abs(offset) > 0.5 * rms(errors) and not good:
+        if abs(offset) > 0.5 * fitting.rms(errors) and not good:
             lines.append(
                 f"  all are {100 * abs(offset):.1f} cm too {'long' if offset > 0 else 'short'} on the mean: another "
                 "module, or an anchor that was moved?"
@@ -231,7 +230,7 @@ def verdict(models: Calibration, file: CalibrationFile | None, data: Calibration
 
 
 def _judge(lines: list[str], what: str, errors: Sequence[float], nested: float | None) -> bool:
-    error = rms(errors)
+    error = fitting.rms(errors)
     if nested is None:
         lines.append(f"{what}: rms error {100 * error:.1f} cm; no calibration file to compare with")
         return True
@@ -247,8 +246,3 @@ def _evidence(
     residuals = tuple(tuple(round(value, 5) for value in row) for row in fit.residuals)
     count, digest = len(data.samples), samples.digest(data.samples)
     return Evidence(fit.name, made, places, count, digest, fit.left_out, fit.nested, residuals)
-
-
-def rms(values: Sequence[float]) -> float:
-    """Return the root of the mean square."""
-    return sqrt(mean([value * value for value in values]))

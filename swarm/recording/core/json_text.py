@@ -13,11 +13,11 @@ import math
 import types
 import typing
 from collections.abc import Mapping
-from functools import cache
 from json.encoder import c_make_encoder, encode_basestring_ascii  # type: ignore[attr-defined]
 from typing import Any
 
 from swarm.errors import LocalError
+from swarm.messages.codec import names_of
 
 Json = dict[str, Any]
 
@@ -49,7 +49,7 @@ def schema(message: object, name: str) -> bytes:
 def _plain(value: object) -> object:
     """Convert a value that JSON does not know."""
     if dataclasses.is_dataclass(value):
-        return {name: entry for name in _names(value.__class__) if (entry := getattr(value, name)) is not None}
+        return {name: entry for name in names_of(value.__class__) if (entry := getattr(value, name)) is not None}
     if isinstance(value, enum.Enum):
         return value.name
     if isinstance(value, Mapping):
@@ -62,11 +62,6 @@ def _plain(value: object) -> object:
 _pieces = c_make_encoder(None, _plain, encode_basestring_ascii, None, ":", ",", False, False, False)
 """What `json.JSONEncoder(allow_nan=False, separators=(",", ":"), default=_plain)` makes each time; that takes
 longer than a small message."""
-
-
-@cache
-def _names(kind: Any) -> tuple[str, ...]:
-    return tuple(field.name for field in dataclasses.fields(kind))
 
 
 def _text(value: object) -> str:
@@ -120,7 +115,7 @@ def _of_type(kind: Any) -> Json:
         hints = typing.get_type_hints(kind)
         return {
             "type": "object",
-            "properties": {name: _of_type(hints[name]) for name in _names(typing.cast(type, kind))},
+            "properties": {name: _of_type(hints[name]) for name in names_of(typing.cast(type, kind))},
         }
     if kind in _PLAIN:
         return dict(_PLAIN[kind])

@@ -127,7 +127,7 @@ def fit_ranges(groups: Sequence[SampleGroup]) -> FittedRanges:
     limits.check_distances(groups)
     name, fit = _choose_range(groups)
     model = fit(groups)
-    left_out = {"raw": _rms([g.raw_mean - g.true for g in groups])}
+    left_out = {"raw": rms([g.raw_mean - g.true for g in groups])}
     left_out |= {other: _left_out(groups, other_fit) for other, other_fit in _range_models(groups).items()}
     nested = _left_out(groups, lambda seen: _choose_range(seen)[1](seen))
     residuals = tuple((g.true, error_of(model, g, g.mean)) for g in groups)
@@ -206,7 +206,7 @@ def _wins(groups: Sequence[SampleGroup], fit: RangeFit, rival: RangeFit) -> bool
 def _left_out(groups: Sequence[SampleGroup], fit: RangeFit, folds: Folds | None = None) -> float:
     """rms error at places left out of the fit; infinite where what is left determines no model."""
     errors = _errors_left_out(groups, fit, folds or _by_place)
-    return inf if errors is None else _rms([error for of in errors for error in of])
+    return inf if errors is None else rms([error for of in errors for error in of])
 
 
 def _errors_left_out(groups: Sequence[SampleGroup], fit: RangeFit, folds: Folds) -> list[list[float]] | None:
@@ -254,7 +254,7 @@ def fit_places(spots: Sequence[Spot]) -> PlaceFitted:
     limits.check_spots(spots)
     name = _choose_place(spots)
     model = PLACE_MODELS[name](spots)
-    left_out = {"raw": _rms([hypot(s.raw_mean[0] - s.x, s.raw_mean[1] - s.y) for s in spots])}
+    left_out = {"raw": rms([hypot(s.raw_mean[0] - s.x, s.raw_mean[1] - s.y) for s in spots])}
     left_out |= {other: _places_left_out(spots, fit) for other, fit in PLACE_MODELS.items()}
     nested = _places_left_out(spots, lambda seen: PLACE_MODELS[_choose_place(seen)](seen))
     residuals = tuple((s.x, s.y, place_error(model, s, s.mean)) for s in spots)
@@ -283,8 +283,9 @@ def _places_left_out(spots: Sequence[Spot], fit: PlaceFit) -> float:
         except SingularError:
             return inf
         errors.append(place_error(model, spot, spot.raw_mean))
-    return _rms(errors)
+    return rms(errors)
 
 
-def _rms(values: Sequence[float]) -> float:
+def rms(values: Sequence[float]) -> float:
+    """Return the root of the mean square."""
     return sqrt(mean([value * value for value in values]))

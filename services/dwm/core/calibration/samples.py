@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from services.dwm.core.estimation.filters import Place, inliers, inlying_places, mean
 from swarm.errors import RecordingError
-from swarm.recording.thesis_ranges import ThesisRecording, finite
+from swarm.recording.thesis_ranges import ThesisRecording, expect, finite
 
 HEADER = "place,x,y,heading,t,module,distance,px,py"
 
@@ -179,12 +179,12 @@ def _read_own(lines: Sequence[str], name: str) -> list[RangeSample]:
 
 
 def _own_sample(cells: Sequence[str]) -> RangeSample:
-    _expect(len(cells) == 9, f"{len(cells)} columns, expected 9 ({HEADER})")
-    _expect(cells[0].strip().isdigit(), f"the place {cells[0].strip()[:40]!r} is no number from 0")
+    expect(len(cells) == 9, f"{len(cells)} columns, expected 9 ({HEADER})")
+    expect(cells[0].strip().isdigit(), f"the place {cells[0].strip()[:40]!r} is no number from 0")
     x, y, t, distance = (_number(cells[i]) for i in (1, 2, 4, 6))
     heading, px, py = (_number(cells[i]) if cells[i].strip() else None for i in (3, 7, 8))
-    _expect(0 <= distance < _MAX_RANGE, f"a range of {distance:g} m")
-    _expect((px is None) == (py is None), "px without py, or py without px")
+    expect(0 <= distance < _MAX_RANGE, f"a range of {distance:g} m")
+    expect((px is None) == (py is None), "px without py, or py without px")
     return RangeSample(int(cells[0]), x, y, heading, t, cells[5].strip(), distance, px, py)
 
 
@@ -195,32 +195,27 @@ def _read_thesis(lines: Sequence[str], name: str, places: Sequence[Place] | None
         try:
             values = [_number(cell) for cell in line.split(",")]
             if len(values) == 1:
-                _expect(
+                expect(
                     places is not None,
                     "in the thesis' layout, which does not say where place 0, 1, ... are: give them by "
                     '--places "x,y x,y ..." (m), or --places thesis for its own recording',
                 )
                 known = len(places or ())
-                _expect(values[0] in range(known), f"place {values[0]:g}, and there are places 0 to {known - 1}")
+                expect(values[0] in range(known), f"place {values[0]:g}, and there are places 0 to {known - 1}")
                 place = int(values[0])
                 continue
-            _expect(
+            expect(
                 len(values) == 3,
                 f"{len(values)} columns: neither ours (first line {HEADER}) nor the thesis' layout",
             )
-            _expect(place >= 0, "a sample before the first place")
-            _expect(0 <= values[0] < _MAX_RANGE * _MM, f"a range of {values[0]:g} mm")
+            expect(place >= 0, "a sample before the first place")
+            expect(0 <= values[0] < _MAX_RANGE * _MM, f"a range of {values[0]:g} mm")
         except ValueError as error:
             raise RecordingError(f"{name}:{number}: {error}") from None
         distance, px, py = (value / _MM for value in values)
         x, y = (places or ())[place]
         samples.append(RangeSample(place, x, y, None, float(number), module, distance, px, py))
     return samples
-
-
-def _expect(right: bool, message: str) -> None:
-    if not right:
-        raise ValueError(message)
 
 
 def _number(text: str) -> float:
