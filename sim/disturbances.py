@@ -130,41 +130,33 @@ NOT_RUNNING = "the service did not run then"
 def parsed_cut(text: str) -> Cut:
     """Parse a cut `r0-r1@12s,3s`: which link, when, how long. A name may hold a `-`, so `drawn`, which knows the links,
     says where the first name ends."""
-    match = re.fullmatch(rf"({_ROBOT})-({_ROBOT})@([^,]+),(.+)", text)
-    if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a cut such as r0-r1@12s,3s (link, start, length)")
+    match = _matched(rf"({_ROBOT})-({_ROBOT})@([^,]+),(.+)", text, "a cut such as r0-r1@12s,3s (link, start, length)")
     at, span = _when(match[3])
     return Cut(match[1], match[2], at, _length(text, match[4]), span)
 
 
 def parsed_off(text: str) -> Off:
     """Parse `r2@5s,10s`, a robot that is switched off: which, when, how long. `r2@start,10s` comes late."""
-    match = re.fullmatch(rf"({_ROBOT})@([^,]+),(.+)", text)
-    if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a robot such as r2@5s,10s (which, from when, how long)")
+    match = _matched(rf"({_ROBOT})@([^,]+),(.+)", text, "a robot such as r2@5s,10s (which, from when, how long)")
     at, span = (None, None) if match[2] == AT_START else _when(match[2])
     return Off(match[1], at, _length(text, match[3]), span)
 
 
 def parsed_kill(text: str) -> Kill:
     """Parse `r2.mesh@5s`, a service that is killed: whose, which, when."""
-    match = re.fullmatch(rf"({_ROBOT})\.([a-z]+)@(.+)", text)
-    if match is None or match[2] not in KILLABLE:
-        raise argparse.ArgumentTypeError(
-            f"{text!r} is not a service such as r2.mesh@5s (robot; {', '.join(KILLABLE)}; time)"
-        )
+    wanted = f"a service such as r2.mesh@5s (robot; {', '.join(KILLABLE)}; time)"
+    match = _matched(rf"({_ROBOT})\.({'|'.join(KILLABLE)})@(.+)", text, wanted)
     return Kill(match[1], match[2], *_when(match[3]))
 
 
 def parsed_push(text: str) -> ScheduledPush:
     """Parse a push `r1@5s` or, with its impulse in N s, `r1@5s,-0.2`."""
-    match = re.fullmatch(rf"({_ROBOT})@([^,]+)(?:,(.+))?", text)
+    wanted = "a push such as r1@5s or r1@5s,-0.2 (robot, time, N s)"
+    match = _matched(rf"({_ROBOT})@([^,]+)(?:,(.+))?", text, wanted)
     try:
-        impulse = IMPULSE if match is None or match[3] is None else float(match[3])
+        impulse = IMPULSE if match[3] is None else float(match[3])
     except ValueError:
-        match = None
-    if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a push such as r1@5s or r1@5s,-0.2 (robot, time, N s)")
+        raise argparse.ArgumentTypeError(f"{text!r} is not {wanted}") from None
     if not 0.0 < abs(impulse) <= MAX_IMPULSE:
         raise argparse.ArgumentTypeError(f"{text!r}: expected at most {MAX_IMPULSE:g} N s either way, and not 0")
     at, span = _when(match[2])
@@ -173,9 +165,7 @@ def parsed_push(text: str) -> ScheduledPush:
 
 def parsed_press(text: str) -> ScheduledPress:
     """Parse a button `r4.A@5s`: whose, which, when."""
-    match = re.fullmatch(rf"({_ROBOT})\.([ABCabc])@(.+)", text)
-    if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a button such as r4.A@5s (robot, button, time)")
+    match = _matched(rf"({_ROBOT})\.([ABCabc])@(.+)", text, "a button such as r4.A@5s (robot, button, time)")
     return ScheduledPress(match[1], match[2].upper(), *_when(match[3]))
 
 
@@ -220,6 +210,13 @@ def never(left: Iterable[Disturbance], seconds: float) -> tuple[str, ...]:
     iteration. One that is left from the beginning is a robot that has not come."""
     ended = f"the run ended {seconds:.3g} s after its first iteration"
     return tuple(f"{each}: {ended}" + (f", before {each.robot} came" if each.at is None else "") for each in left)
+
+
+def _matched(pattern: str, text: str, wanted: str) -> re.Match[str]:
+    match = re.fullmatch(pattern, text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is not {wanted}")
+    return match
 
 
 def _length(text: str, part: str) -> float:

@@ -74,19 +74,11 @@ class LedSync(EventApp):
         return {"frequency": self.agreed, "clock_error": -1.0 if error is None else error}
 
 
-class RowFrequency(SyncApp):
-    """Rule 4.1, in float32 as the thesis sends it."""
+class RowFrequency(Frequency):
+    """Rule 4.1, the mean of the own and the neighbours' values, in float32 as the thesis sends it."""
 
     weights = "row"
     value: float32 = 2.0
-
-    def start(self) -> None:
-        """Refuse what no LED shows."""
-        check_frequency(self.value)
-
-    def step(self, neighbours: Sequence[Any]) -> None:
-        """The mean of the own and the neighbours' values."""
-        self.value = clamped(self.value + fsum(w * (n.value - self.value) for w, n in self.weighted(neighbours)))
 
 
 class Phase(SyncApp):

@@ -59,9 +59,7 @@ class Flood(Localization):
 
     def step(self, neighbours: Sequence[Any]) -> None:
         """Take each robot's measurement from the neighbour that is nearest to it."""
-        beta = self.smoothing
-        distance, x, y = (old + beta * (new - old) for old, new in zip(self._seen, self.seen(), strict=True))
-        self._seen = (distance, x, y)
+        self._seen = self.smoothed(self._seen, self.smoothing)
         known = {n.name: n.entries for n in neighbours}
         entries = list(self.entries)
         for i, source in enumerate(self._from):

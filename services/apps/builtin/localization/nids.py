@@ -53,9 +53,7 @@ class Nids(Judged):
 
     def step(self, neighbours: Sequence[Any]) -> None:
         """Half a step of consensus on the brackets gives the new estimate, and that the next bracket."""
-        beta = self.smoothing
-        distance, x, y = (old + beta * (new - old) for old, new in zip(self._seen, self.seen(), strict=True))
-        self._seen = (distance, x, y)
+        self._seen = self.smoothed(self._seen, self.smoothing)
         weighted = self.weighted(neighbours)
         before, gradient = self._x, self._g
         self._x = (

@@ -41,6 +41,11 @@ class Localization(SyncApp):
         now, (ox, oy) = self.robot.measurement, self.origin()
         return now.distance, now.x - ox, now.y - oy
 
+    def smoothed(self, before: tuple[float, float, float], share: float) -> tuple[float, float, float]:
+        """Return `seen` smoothed: what it was `before`, and this share of the way to what it is now."""
+        distance, x, y = (old + share * (new - old) for old, new in zip(before, self.seen(), strict=True))
+        return distance, x, y
+
     def statistics(self) -> Statistics:
         """Return the statistics of this step's measurement."""
         return ranges.statistics(*self.seen(), self.sigma())
