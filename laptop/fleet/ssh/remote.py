@@ -84,22 +84,16 @@ def program(main: str, request: object) -> bytes:
     return line.encode() + b"\n"
 
 
-def command(*, root: bool = True) -> str:
-    """Return the command for the robot's shell."""
-    return f"{'sudo -n ' if root else ''}python3 -I -c {shlex.quote(BOOT)}"
-
-
 async def call(
     ssh: Ssh,
     host: Host,
     main: str,
     request: object,
     *,
-    root: bool = True,
     told: Callable[[dict[str, Any]], None] | None = None,
     until: Event | None = None,
 ) -> Any:
-    """Run a module on a robot, as root unless told otherwise, and return what its `main` returns.
+    """Run a module on a robot, as root, and return what its `main` returns.
 
     `told` gets what it tells on the way. With `until` the program's input stays open until that is set, or the call is
     cancelled: the program may end by it. Raises `HostError` where it cannot be run or fails.
@@ -118,7 +112,8 @@ async def call(
         elif isinstance(message, dict) and told is not None:
             told(message)
 
-    done = await ssh.run(host, command(root=root), feed=[program(main, request)], on_line=line, hold=until)
+    command = f"sudo -n python3 -I -c {shlex.quote(BOOT)}"
+    done = await ssh.run(host, command, feed=[program(main, request)], on_line=line, hold=until)
     if done.code != 0 or not results:
         problem = explained(done.err or "\n".join(other), _REASONS)
         raise HostError(problem or f"the program ended without a result (exit code {done.code})")

@@ -33,18 +33,13 @@ def ports(sysfs: Path = SYSFS) -> dict[str, tuple[int, int]]:
     return found
 
 
-def bootloaders(sysfs: Path = SYSFS) -> list[str]:
-    """Ports at which a Balboa's bootloader waits."""
-    return [port for port, ids in ports(sysfs).items() if ids == BOOTLOADER]
-
-
 def wait_for_bootloader(seconds: float, sysfs: Path = SYSFS, sleep: Callable[[float], None] = time.sleep) -> str:
     """The one bootloader's port; raises `RemoteError` where none comes, `LocalError` where there are several, or
     where this system does not list its ports as Linux does."""
     if not sysfs.is_dir():
         raise LocalError("looking for a bootloader needs Linux (on Windows: WSL): name its port with --port")
     for _ in range(max(1, round(seconds / _LOOK_S))):
-        found = bootloaders(sysfs)
+        found = [port for port, ids in ports(sysfs).items() if ids == BOOTLOADER]
         if len(found) > 1:
             raise LocalError(f"several bootloaders wait, at {', '.join(found)}: name one with --port")
         if found:

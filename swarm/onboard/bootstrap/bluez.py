@@ -89,10 +89,9 @@ class Bluez:
         """Return the object path of a device."""
         return f"{self.adapter}/dev_{address.upper().replace(':', '_')}"
 
-    def set_adapter(self, name: str, signature: str, value: Any) -> None:
+    def set_adapter(self, name: str, value: bool) -> None:
         """Set one of the adapter's properties."""
-        body = [_BLUEZ + ".Adapter1", name, (signature, value)]
-        self.call(self.adapter, PROPERTIES, "Set", "ssv", body)
+        self.call(self.adapter, PROPERTIES, "Set", "ssv", [_BLUEZ + ".Adapter1", name, ("b", value)])
 
     def trust(self, address: str) -> None:
         """Let the device connect without questions."""

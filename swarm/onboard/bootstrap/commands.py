@@ -35,11 +35,11 @@ def below(root: str, path: str) -> Path:
     return Path(root) / path.lstrip("/")
 
 
-def text(path: Path, limit: int = 1 << 20) -> str | None:
-    """Return a file's text; None where it is missing or cannot be read."""
+def text(path: Path) -> str | None:
+    """Return a file's text, of a large one the first MiB; None where it is missing or cannot be read."""
     try:
         with path.open("rb") as file:
-            return file.read(limit).decode(errors="replace")
+            return file.read(1 << 20).decode(errors="replace")
     except OSError:
         return None
 

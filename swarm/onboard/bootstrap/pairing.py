@@ -84,8 +84,8 @@ def _trust(bluez: Bluez, request: dict[str, Any], tell: Callable[[object], None]
 
 def _ready(bluez: Bluez, peer: str) -> None:
     if not bluez.state()["Powered"]:
-        bluez.set_adapter("Powered", "b", True)
-    bluez.set_adapter("Pairable", "b", True)
+        bluez.set_adapter("Powered", True)
+    bluez.set_adapter("Pairable", True)
     bluez.be_agent(peer)
 
 
@@ -93,7 +93,7 @@ def _listen(bluez: Bluez, request: dict[str, Any], tell: Callable[[object], None
     """Be found and say yes to the peer, until it is paired or our input ends (the laptop has given it up)."""
     peer = request["peer"]
     _ready(bluez, peer)
-    bluez.set_adapter("Discoverable", "b", True)
+    bluez.set_adapter("Discoverable", True)
     tell({"listening": True})
     try:
         seconds = request["inquiry"] + PAIR_S + 10
@@ -102,7 +102,7 @@ def _listen(bluez: Bluez, request: dict[str, Any], tell: Callable[[object], None
         bluez.trust(peer)
     finally:
         with contextlib.suppress(BluezError):
-            bluez.set_adapter("Discoverable", "b", False)
+            bluez.set_adapter("Discoverable", False)
 
 
 def _call(bluez: Bluez, request: dict[str, Any], tell: Callable[[object], None]) -> None:

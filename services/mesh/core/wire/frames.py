@@ -334,8 +334,8 @@ def decode_hello(body: bytes) -> Hello:
     if len(body) < at:
         raise FrameError(f"HELLO of {len(body)} bytes ends within its key ids")
     key_ids = struct.unpack_from(f"<{count}I", body, _HELLO.size)
-    network, at = _short_text(body, at, MAX_NETWORK, "HELLO network")
-    robot, at = _short_text(body, at, MAX_NETWORK, "HELLO robot")
+    network, at = _short_text(body, at, "HELLO network")
+    robot, at = _short_text(body, at, "HELLO robot")
     if not is_name(robot):
         raise FrameError(f"HELLO robot {robot!r}: not a robot's name")
     if at != len(body):
@@ -358,11 +358,11 @@ def largest(priority: int, room: int) -> int:
     return MAX_MESSAGE if priority == BULK else room
 
 
-def _short_text(body: bytes, at: int, limit: int, what: str) -> tuple[str, int]:
+def _short_text(body: bytes, at: int, what: str) -> tuple[str, int]:
     """Return a text that follows its u8 length, and where it ends."""
     end = at + 1 + body[at] if at < len(body) else len(body) + 1
-    if end > len(body) or not 1 <= end - at - 1 <= limit:
-        raise FrameError(f"{what}: 1 to {limit} bytes are allowed and must be there")
+    if end > len(body) or not 1 <= end - at - 1 <= MAX_NETWORK:
+        raise FrameError(f"{what}: 1 to {MAX_NETWORK} bytes are allowed and must be there")
     return _text(body[at + 1 : end], what), end
 
 

@@ -53,18 +53,13 @@ class PacketReader:
         data = self._text(16)
         return "" if empty and not data else _name(data)
 
-    def text(self, limit: int) -> str:
-        """The next text, of at most `limit` bytes."""
-        try:
-            return self._text(limit).decode()
-        except UnicodeDecodeError:
-            raise FrameError("overlay packet: a text is not UTF-8") from None
-
     def key(self) -> str:
         """Read the next key."""
-        text = self.text(255)
         try:
+            text = self._text(255).decode()
             parse(text)
+        except UnicodeDecodeError:
+            raise FrameError("overlay packet: a text is not UTF-8") from None
         except PayloadError as error:
             raise FrameError(f"overlay packet: {error}") from None
         return text
