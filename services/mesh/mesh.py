@@ -159,10 +159,14 @@ class Mesh:
         )
         self._node = MeshNode(local, relay, overlays, random=chance.random, nonce=chance.nonce, counters=counters)
         self._look = surroundings.entry(self._ask_node)
-        self._links_key = key(robot, "mesh", "links")
-        self._clock_key = key(robot, "mesh", "clock")
-        self._topology_key = key(robot, "mesh", "topology")
-        self._stopped_key = key(robot, "mesh", "stopped")
+        self._reports: dict[str, Callable[[MeshNode, float], object]] = {
+            key(robot, "mesh", "topology"): lambda node, now: node.overlays.topology(now),
+            key(robot, "mesh", "links"): lambda node, now: self.links(),
+            # A balancer may have heard of a stop that no mesh knows any more.
+            key(robot, "mesh", "stopped"): lambda node, now: node.overlays.stopped(now),
+            key(robot, "mesh", "clock"): lambda node, now: Clock(*node.connections.clock.state(now)),
+        }
+        """The mesh's own state by key, in the order of publication."""
         if stops is not None:
             self._node.ask(lambda overlays, now: overlays.restore_stops(stops, now), surroundings.now)
         surroundings.soon(self.carry_out)
@@ -279,7 +283,8 @@ class Mesh:
                 elif kind is LinksChanged:
                     self._links_changed()
                 elif type(action) is LogLine:
-                    outside(self._log, action)
+                    level = logging.WARNING if action.problem else logging.INFO
+                    outside(self._surroundings.log.log, level, "%s", action.text)
                 elif type(action) is Dial:
                     transport.dial(action.peer)
                 elif type(action) is Close:
@@ -287,9 +292,9 @@ class Mesh:
                 elif type(action) is Supervise:
                     transport.supervise(action.session, action.seconds)
                 elif kind is Write:
-                    outside(self._keep_topology)  # before the bus hears of it
+                    outside(self._write, self._keep, RobotOverlays.topology_file)  # before the bus hears of it
                 elif kind is WriteStops:
-                    outside(self._write_stops)
+                    outside(self._write, self._keep_stops, RobotOverlays.stops_file)
         deadline = min((node.next_deadline(), *self._paced.values()))
         if deadline != self._deadline:
             self._deadline = deadline
@@ -302,28 +307,15 @@ class Mesh:
             self._heard(message.key, message.payload)
         self._bus.publish(message.key, message.payload, urgent=message.priority < BULK)
 
-    def _log(self, note: LogLine) -> None:
-        self._surroundings.log.log(logging.WARNING if note.problem else logging.INFO, "%s", note.text)
-
-    def _keep_topology(self) -> None:
+    def _write(self, keep: Callable[[bytes], None], content: Callable[[RobotOverlays], bytes]) -> None:
         with self._keeping:
-            self._keep(self._look(lambda node, now: node.overlays.topology_file()))
-
-    def _write_stops(self) -> None:
-        with self._keeping:
-            self._keep_stops(self._look(lambda node, now: node.overlays.stops_file()))
+            keep(self._look(lambda node, now: content(node.overlays)))
 
     def _publish_report(self) -> None:
-        bus = self._bus
         with self._reporting:
-            if bus.wanted(self._topology_key):
-                bus.publish(self._topology_key, self._look(lambda node, now: node.overlays.topology(now)))
-            if bus.wanted(self._links_key):
-                bus.publish(self._links_key, self._look(lambda node, now: self.links()))
-            if bus.wanted(self._stopped_key):  # a balancer may have heard of a stop that no mesh knows any more
-                bus.publish(self._stopped_key, self._look(lambda node, now: node.overlays.stopped(now)))
-            if bus.wanted(self._clock_key):
-                bus.publish(self._clock_key, self._look(lambda node, now: Clock(*node.connections.clock.state(now))))
+            for name, report in self._reports.items():
+                if self._bus.wanted(name):
+                    self._bus.publish(name, self._look(report))
 
     # -- inside --------------------------------------------------------------------------------------------------
 

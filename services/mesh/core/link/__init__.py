@@ -17,8 +17,6 @@ class LinkUp:
     """The handshake is over on both sides; messages pass."""
 
     peer: str
-    incarnation: int
-    """Differs from the last one where the peer's process was started anew."""
 
 
 @frozen

@@ -364,11 +364,10 @@ class Session:
 
     def _on_up(self, now: float) -> None:
         assert self.peer is not None
-        assert self._incarnation is not None
         self.state = UP
         self._decoder.limit = frames.MAX_FRAME
         self.pulse.begin(now - self._began, now)
-        self._events.append(LinkUp(self.peer, self._incarnation))
+        self._events.append(LinkUp(self.peer))
         self._heartbeat_at = now
         self.deadline = now
         self.handle_timer(now)

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.mesh.core.link import LinkUp, Received, flow
-from services.mesh.core.link.calls import Local
+from services.mesh.core.link.calls import Local, process_of
 from services.mesh.core.link.clock import ClockClaim, ClockSync, encode_claim
 from services.mesh.core.link.session import Session
 from services.mesh.core.wire import frames
@@ -139,9 +139,10 @@ def test_sessions_speak_the_golden_bytes() -> None:
     assert one.data_to_send(1.0, 4096) == expected
     other.receive(golden("dialler-confirm") + expected, 1.0)
     assert other.events() == [
-        LinkUp("r0", 0x1122334455667788),
+        LinkUp("r0"),
         Received("swarm/r0/dwm/pose", b"\x01\x02\0\0\0", frames.SYNC),
     ]
+    assert other.process == process_of(0x1122334455667788)
     other.close(frames.CLOSING, "stopping")
     assert other.data_to_send(1.0, 4096) == golden("sealed-bye")
     one.receive(golden("sealed-bye"), 1.0)
