@@ -61,6 +61,14 @@ def parse(text: str) -> Key:
     return Key(parts[1], parts[2], "/".join(parts[3:]))
 
 
+def owner_of(text: str) -> str | None:
+    """Return the robot whose name a concrete key carries; None where the text is no such key, see `parse`."""
+    try:
+        return parse(text).robot
+    except PayloadError:
+        return None
+
+
 def whose_token(text: str) -> tuple[str, str]:
     """Robot and service of a liveliness token, e.g. ("r0", "app/consensus") of `swarm/r0/app/consensus/alive`.
 

@@ -33,7 +33,7 @@ from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError, PayloadError
 from swarm.messages import Arm
 from swarm.messages.codec import MAX_PAYLOAD, decode
-from swarm.messages.keys import STOP, key, parse
+from swarm.messages.keys import STOP, key, owner_of, parse
 from swarm.onboard.traffic import Traffic
 from swarm.process.paths import runtime_dir
 
@@ -165,22 +165,14 @@ def unpacked(parts: Iterable[bytes], longest: int) -> Iterator[object]:
 def publish(bus: Bus, command: object) -> None:
     """Publish a command of the page on the bus; anything that is no command is left out."""
     match command:
-        case [str(name), bytes(payload)] if name == STOP or _is_key(name):
+        case [str(name), bytes(payload)] if name == STOP or owner_of(name) is not None:
             with contextlib.suppress(LocalError):
                 bus.publish(name, payload, urgent=True)
-        case [str(name), bytes(payload), float(written)] if math.isfinite(written) and _is_key(name):
+        case [str(name), bytes(payload), float(written)] if math.isfinite(written) and owner_of(name) is not None:
             with contextlib.suppress(LocalError, PayloadError):
                 arm = decode(Arm, payload, name)
                 late = max(0.0, clock.now() - written)
                 bus.publish(name, Arm(arm.t, arm.origin, arm.age + late), urgent=True)
-
-
-def _is_key(name: str) -> bool:
-    try:
-        parse(name)
-    except PayloadError:
-        return False
-    return True
 
 
 def main() -> None:

@@ -8,8 +8,7 @@ import threading
 from collections.abc import Callable
 
 from swarm.bus.zenoh_bus import Bus, Subscription
-from swarm.errors import PayloadError
-from swarm.messages.keys import parse
+from swarm.messages.keys import owner_of
 
 FRAMES = ("swarm/*/app/*/sync/*", "swarm/*/app/*/sync/*/*", "swarm/*/app/*/latest/*")
 """Messages of synchronous and of asynchronous apps over the links between robots; what goes around one has a longer
@@ -60,9 +59,8 @@ class Traffic:
             self._until = now + REST_S
 
     def _take(self, name: str, _: bytes) -> None:
-        try:
-            sender = parse(name).robot
-        except PayloadError:
+        sender = owner_of(name)
+        if sender is None:
             return
         with self._lock:
             self._heard += 1

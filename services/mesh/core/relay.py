@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 from services.mesh.core.wire.frames import FLOOD, NEIGHBOURS, PRIORITIES, UNICAST
 from swarm.config.types import RelayRule
-from swarm.errors import PayloadError
-from swarm.messages.keys import is_name, parse
+from swarm.messages.keys import is_name, owner_of, parse
 
 OVERLAYS = {"neighbours": NEIGHBOURS, "flood": FLOOD, "unicast": UNICAST, "around": UNICAST}
 """The overlays that rules name; around is unicast to a neighbour that avoids the link with it."""
@@ -63,11 +62,7 @@ def commands(text: str) -> int:
 
 def may_cross(key: str, robot: str) -> bool:
     """Return whether a key is well formed, belongs to `robot` and is no command."""
-    try:
-        parsed = parse(key)
-    except PayloadError:
-        return False
-    return parsed.robot == robot and "set" not in key.split("/")[2:]
+    return owner_of(key) == robot and "set" not in key.split("/")[2:]
 
 
 @dataclass(slots=True)
@@ -243,13 +238,9 @@ class KeyRelay:
             return None
         if found.get("self", sender) != sender or commands(key) != commands(rule.config.keys):
             return None
-        try:
-            robot = parse(key).robot
-        except PayloadError:
-            return None
         to = found["peer"]
         # Under its own name a robot tells, under the receiver's it commands.
-        return to if robot == (to if commands(key) else sender) and to in self._robots else None
+        return to if owner_of(key) == (to if commands(key) else sender) and to in self._robots else None
 
 
 def _leg(key: str, rule: _Rule, peers: tuple[str, ...]) -> Leg:
@@ -275,12 +266,9 @@ class Admission:
     def binds(self, peer: str, overlay: int, key: str) -> bool:
         """Return whether a neighbour may bind a channel of flood or unicast to this key; keys of carried values
         aside."""
-        try:
-            robot, service, topic = parse(key)
-        except PayloadError:
+        if owner_of(key) not in self._robots:
             return False
-        if robot not in self._robots:
-            return False
+        robot, service, topic = parse(key)
         if overlay != FLOOD:
             return robot == peer and service == "mesh" and topic in ("unicast", "pieces")
         if is_between_neighbours(key):

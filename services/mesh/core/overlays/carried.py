@@ -18,8 +18,8 @@ from services.mesh.core.overlays.unicast import ttl_of
 from services.mesh.core.routing.automatic_topology import place_of, places
 from services.mesh.core.routing.topology import Route
 from services.mesh.core.wire import frames
-from swarm.errors import FrameError, PayloadError
-from swarm.messages.keys import parse
+from swarm.errors import FrameError
+from swarm.messages.keys import owner_of, parse
 
 CARRY = 8
 """Kind of packets on unicast channels, besides those of `wire.packets` and `bulk.pieces`. Such a channel is bound to
@@ -93,10 +93,7 @@ class Carrier:
 
     def admits(self, key: str) -> bool:
         """Return whether a neighbour may bind a channel of carried values to this key."""
-        try:
-            robot = parse(key).robot
-        except PayloadError:
-            return False
+        robot = owner_of(key)
         return robot != self._me and robot in self._place and self._passes(key)
 
     def send(self, key: str, payload: bytes, priority: int, robots: Iterable[str], *, latest: bool) -> None:
