@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from laptop.fleet.files.calibrations import with_calibration
+from laptop.fleet.posture import add_force, refuse_standing
 from laptop.fleet.release.install import Release, ask_kind, install, read_files, read_release
 from laptop.fleet.release.release import build
 from laptop.fleet.ssh import everyone
@@ -32,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the swarm's key (from swarm key new), if the robots do not have it yet",
     )
     parser.add_argument("--rename", action="store_true", help="allow that a robot gets another name")
+    add_force(parser)
     everyone.add_arguments(parser, timeout_s=600)
 
 
@@ -50,6 +52,8 @@ def run(args: argparse.Namespace) -> int:
 
     async def job(host: Host, tell: everyone.ReportProgress) -> str:
         await everyone.check_answer(ssh, host)
+        if not args.force:
+            await refuse_standing(ssh, host)
         said, sent = await install(ssh, host, releases, whole[host.robot], tell)
         return f"{said} ({sent} bytes sent)"
 

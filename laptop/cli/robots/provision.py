@@ -8,6 +8,7 @@ from pathlib import Path
 
 from laptop.fleet.core.wish import DesiredRobot, wish
 from laptop.fleet.files.calibrations import with_calibration
+from laptop.fleet.posture import add_force, refuse_standing
 from laptop.fleet.provision import Provisioning, Rig
 from laptop.fleet.release import bundle
 from laptop.fleet.release.install import install, read_files, read_release
@@ -36,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-reboot", action="store_true", help="do not reboot; the release is then not installed either"
     )
+    add_force(parser)
     everyone.add_arguments(parser, timeout_s=1800)
 
 
@@ -59,6 +61,8 @@ def run(args: argparse.Namespace, rig: Rig | None = None, architecture: str = "a
         robot = Provisioning(ssh, host, asked(host), packages, tell, rig or Rig())
         if args.check:
             return await robot.check()
+        if not args.force:
+            await refuse_standing(ssh, host)
         ready = await robot.carry_out(reboot=not args.no_reboot)
         if not ready:
             return f"{robot.changed} steps changed; reboot it, then provision it again"

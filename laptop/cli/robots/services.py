@@ -6,6 +6,7 @@ from pathlib import Path
 
 from laptop.cli import hand
 from laptop.fleet import apps
+from laptop.fleet.posture import add_force, refuse_standing
 from laptop.fleet.ssh import everyone, robot_command
 from laptop.fleet.ssh.ssh import Host
 from laptop.fleet.units import SERVICES, units
@@ -21,6 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "services", nargs="*", metavar="SERVICE", help="bus, mesh, balancer, dwm or an app (default: all services)"
     )
     robot_command.add_simulation(parser)
+    add_force(parser)
     everyone.add_arguments(parser, timeout_s=60)
 
 
@@ -30,8 +32,11 @@ def run(args: argparse.Namespace) -> int:
     if (there := robot_command.simulated(args)) is not None:
         return _simulated(args, there)
     _, robots, ssh = everyone.recipients(args)
+    ends_balancer = args.action != "start" and (not args.services or "balancer" in args.services)
 
     async def job(host: Host, _: everyone.ReportProgress) -> str:
+        if ends_balancer and not args.force:
+            await refuse_standing(ssh, host)
         return await apps.systemctl(ssh, host, args.action, names)
 
     return everyone.run(args, robots, job)

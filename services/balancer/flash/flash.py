@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from services.balancer.core.control.controller import BALANCING, LYING_DOWN, STANDING_UP
+from services.balancer.core.control.controller import ON_ITS_FEET
 from services.balancer.core.devices import balboa
 from services.balancer.core.flashing import avr109, image
 from services.balancer.flash import usb_port
@@ -39,7 +39,6 @@ STATE_S = 1.5
 """Seconds until a running balancer has published its mode, which it does 25 times a second."""
 _STEP = 0.25
 """Share of the work between two reports of progress."""
-_ON_ITS_FEET = (STANDING_UP, BALANCING, LYING_DOWN)
 
 Say = Callable[[str], None]
 
@@ -104,7 +103,7 @@ def here(
     """Flash this robot's board; raises `SwarmError`. The balancer runs again afterwards, however it ends."""
     if os.geteuid() != 0:
         raise LocalError("on a robot this needs root: sudo swarm flash ... --here")
-    if not force and (mode := _mode()) in _ON_ITS_FEET:
+    if not force and (mode := _mode()) in ON_ITS_FEET:
         raise LocalError(
             f"the robot is {mode.replace('_', ' ')}, and would fall: lay it down first (swarm balance lie), or --force"
         )

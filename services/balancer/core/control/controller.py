@@ -33,6 +33,8 @@ BALANCING = "balancing"
 LYING_DOWN = "lying_down"
 TESTING = "testing"
 FAULT = "fault"
+ON_ITS_FEET = (STANDING_UP, BALANCING, LYING_DOWN)
+"""Modes in which the robot falls where the balancer ends."""
 
 COMMANDS = ("stand", "rest", "lie", "calibrate")
 
@@ -197,7 +199,7 @@ class Controller:
             turn = self._drive.turn(estimate.heading, estimate.dt)
         if self.mode == TESTING:
             return self._testing(estimate)
-        if self.mode not in (STANDING_UP, BALANCING, LYING_DOWN):
+        if self.mode not in ON_ITS_FEET:
             return 0.0, 0.0
         if self.mode != BALANCING:
             turn = 0.0

@@ -4,7 +4,7 @@ import re
 from typing import Any
 
 import pytest
-from fake_releases import make_release
+from fake_releases import add_python, make_release
 from fake_robots import FakeRobots, Run, outcomes
 from needs import needs_ssh
 
@@ -118,6 +118,49 @@ def test_a_robot_that_hangs_is_given_up_after_its_first_question(
     robots.add("r0", hook="echo $$ >> hung; exec sleep 1000")
     assert run(*words) == 1
     assert "within 0.3 s" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "words", [("deploy", "release.tar.gz"), ("services", "stop"), ("services", "restart", "balancer"), ("provision",)]
+)
+def test_work_that_ends_the_balancer_of_a_standing_robot_is_refused_without_force(
+    robots: FakeRobots,
+    run: Run,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    words: tuple[str, ...],
+) -> None:
+    """r0 stands, and r1 tells no mode: its services are down."""
+    monkeypatch.chdir(robots.folder)
+    make_release(robots.folder / "release.tar.gz", "1-a", {})
+    state = '{"key": "swarm/r0/balancer/state", "value": {"mode": "lying_down"}}'
+    for name in ("r0", "r1"):
+        add_python(robots.add(name))
+        answer = f"echo '{state}'" * (name == "r0")
+        text = f'shift; case "$*" in */z_sub*) [ "$2" != swarm/r0/balancer/state ] || {answer or "true"} ;;'
+        robots.script(name, "sudo", f'{text} *) touch $HOME/done; exec "$@" ;; esac')
+    run(*words, "--json")
+    found = outcomes(capsys)
+    assert (found["r0"]["ok"], found["r0"]["text"]) == (
+        False,
+        "it is lying down, and would fall when its balancer ends: lay it down first "
+        "(swarm balance lie --robots r0), or --force",
+    )
+    assert "would fall" not in str(found["r1"]["text"])
+    assert not (robots.folder / "r0/done").exists()
+    run(*words, "--json", "--force", "--robots", "r0")
+    assert "would fall" not in str(outcomes(capsys)["r0"]["text"])
+    assert (robots.folder / "r0/done").exists()
+
+
+@pytest.mark.parametrize("words", [("start",), ("restart", "dwm"), ("stop", "mesh")])
+def test_services_that_leave_the_balancer_alone_ask_no_robot_whether_it_stands(
+    robots: FakeRobots, run: Run, words: tuple[str, ...]
+) -> None:
+    robots.add("r0")
+    robots.script("r0", "sudo", 'shift; case "$*" in */z_sub*) touch $HOME/asked ;; *) exec "$@" ;; esac')
+    assert run("services", *words) == 0
+    assert not (robots.folder / "r0/asked").exists()
 
 
 @pytest.mark.parametrize(
