@@ -1,7 +1,8 @@
 """`swarm commission ROBOT`: the shell around the procedure: one robot's bus, the person's keys, and the report's file.
 
 It speaks to a robot of a simulation that runs here, else to this robot itself. With `--json` each line is a JSON
-object: `say` for people, `report` at the end; that is what a laptop reads over ssh.
+object: `say` for people, `so_far` with the report as it is after each step, `report` at the end; that is what a laptop
+reads over ssh.
 """
 
 import argparse
@@ -27,7 +28,16 @@ from swarm.onboard.body.keyboard import Keyboard
 from swarm.onboard.buses import buses
 from swarm.onboard.buses.ask import PATIENCE
 from swarm.onboard.commission.core.motor_steps import REASON
-from swarm.onboard.commission.core.procedure import PASSED, Action, Ask, Procedure, Say, SendCommand, Subject
+from swarm.onboard.commission.core.procedure import (
+    PASSED,
+    Action,
+    Ask,
+    Procedure,
+    Say,
+    SendCommand,
+    StepResult,
+    Subject,
+)
 from swarm.onboard.commission.core.steps import STEPS
 from swarm.process.arguments import add_json
 from swarm.process.simulations import config_for
@@ -129,6 +139,7 @@ class _Session:
 
     def __init__(self, bus: Bus, robot: str, procedure: Procedure, *, as_json: bool) -> None:
         self._bus, self._robot, self._procedure, self._as_json = bus, robot, procedure, as_json
+        self._told: dict[str, StepResult] = {}
         self._heard: queue.Queue[tuple[str, bytes]] = queue.Queue(_QUEUE)
         self.keys = Keyboard(sys.stdin)
         for topic in TOPICS:
@@ -182,8 +193,14 @@ class _Session:
                     self._say(text, what)
                 case SendCommand(message):
                     self.command(message)
+        if self._as_json and self._told != self._procedure.results:  # a laptop keeps it, should the connection break
+            self._told = dict(self._procedure.results)
+            self._write({"so_far": self._procedure.report()})
 
     def _say(self, text: str, what: str = "") -> None:
         said = {"say": text} | ({"ask": what} if what else {})
-        write_lines([json.dumps(said) if self._as_json else (f"  ? {text}" if what else text)])
+        self._write(said if self._as_json else f"  ? {text}" if what else text)
+
+    def _write(self, line: dict[str, Any] | str) -> None:
+        write_lines([line if isinstance(line, str) else json.dumps(line)])
         sys.stdout.flush()

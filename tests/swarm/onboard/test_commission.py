@@ -16,6 +16,7 @@ from sim.core.actions import MISWIRINGS
 from sim.scenario import commission_report
 from swarm.messages import Stop, Stopped, TryMotors
 from swarm.onboard.commission import command
+from swarm.onboard.commission.core.procedure import PASSED, StepResult
 from swarm.onboard.halt import Row
 
 LOW_POWER = 0.2
@@ -247,3 +248,16 @@ def test_the_report_is_written_also_when_the_person_does_not_wait_until_the_stop
     with pytest.raises(KeyboardInterrupt):
         stopped_by_space(tmp_path, monkeypatch, MagicMock(side_effect=KeyboardInterrupt))
     assert "not all robots have confirmed" in json.loads((tmp_path / "report.json").read_text())["ended"]
+
+
+def test_a_laptop_gets_the_report_after_each_step(capsys: pytest.CaptureFixture[str]) -> None:
+    world = World()
+    session = command._Session(MagicMock(), "r0", world.procedure, as_json=True)
+    session._do([])
+    assert not capsys.readouterr().out
+    for name in ("ready", "bus"):
+        world.procedure.results[name] = StepResult(name, PASSED, 1, {})
+        session._do([])
+        session._do([])
+        (line,) = capsys.readouterr().out.splitlines()
+        assert json.loads(line)["so_far"] == world.procedure.report()

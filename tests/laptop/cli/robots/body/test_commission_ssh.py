@@ -28,7 +28,23 @@ def test_the_report_of_a_real_robot_is_kept_on_the_laptop(
     assert (tmp_path / "r0" / "asked").read_text().strip().endswith("/opt/swarm/current/bin/swarm commission --json")
 
 
-def test_a_connection_that_breaks_leaves_no_report(
+def test_a_connection_that_breaks_leaves_the_report_of_the_steps_until_then(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    rows = [{"name": "ready", "verdict": "passed"}, {"name": "bus", "verdict": "not tried"}]
+    so_far = REPORT | {"verdict": "failed", "steps": rows}
+    robots.add("r0")
+    robots.script("r0", "sudo", f"echo '{json.dumps({'so_far': so_far})}'; exit 255")
+    out = tmp_path / "report.json"
+    assert run("commission", "r0", "--out", str(out)) == 1
+    ended = "r0: the connection is lost, or there was none; the robot stops by itself"
+    assert json.loads(out.read_text()) == so_far | {"ended": ended}
+    assert capsys.readouterr().out.splitlines() == [
+        "ready      passed", "bus        not tried", ended, f"r0: failed; report: {out}"
+    ]  # fmt: skip
+
+
+def test_a_command_that_ends_before_any_step_leaves_no_report(
     robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     robots.add("r0")
