@@ -18,7 +18,7 @@ from services.balancer.core.control.estimation.estimator import BodyEstimate, Es
 from services.balancer.core.control.estimation.gyro import GyroZero, Zero
 from services.balancer.core.control.estimation.posture import at_rest, posture
 from services.balancer.core.devices import balboa, imu
-from services.balancer.core.devices.battery import EMPTY, LOW, OK, BatteryGuard
+from services.balancer.core.devices.battery import LOW, OK, BatteryGuard
 from services.balancer.core.devices.leds import LedClaim, Shown, shown
 from services.balancer.core.faults import MotorFault
 from services.balancer.core.slack.wire_time import WireTime
@@ -101,7 +101,7 @@ class Balancer:
         self.estimate: BodyEstimate | None = None
         self.duty = (0.0, 0.0)
         self.battery: float | None = None
-        """The battery's voltage, V."""
+        """The battery's voltage, V; None before it was read, and where the last reading is too old."""
         self.firmware: tuple[int, int] | None = None
         """Layout and revision of the ATmega's; None before it was found."""
         self.motion = balboa.MotionBlock(0, 0, 0, False)
@@ -154,12 +154,12 @@ class Balancer:
 
     @property
     def battery_level(self) -> str:
-        """ok, low or empty."""
+        """ok, low, empty or unknown."""
         return self._guard.level
 
     @property
     def battery_time_left(self) -> float | None:
-        """s until it lies down, roughly; None before the battery was read."""
+        """s until it lies down, roughly; None where its voltage is not known."""
         return self._guard.time_left(moving=self.mode == BALANCING)
 
     def command(self, mode: str, now: float) -> None:
@@ -170,8 +170,8 @@ class Balancer:
         self._controller.check(mode)
         if mode != "rest" and self._unreachable is not None:
             raise LocalError(f"mode {mode}: the robot's devices do not answer ({self._unreachable.reason})")
-        if mode == "stand" and self._guard.level == EMPTY:
-            raise LocalError(f"mode stand: the battery is empty ({self._guard.volts:.1f} V): charge or change it")
+        if mode == "stand" and (fault := self._guard.fault) is not None:
+            raise LocalError(f"mode stand: {fault.reason}: {fault.recovery}")
         if mode == "calibrate":
             self._calibrate()
         elif mode == "lie":
@@ -270,15 +270,15 @@ class Balancer:
 
     def watch_battery(self, now: float) -> None:
         """Judge the battery by its last reading: warn, or lie down; for the slack, once a second."""
-        if self.battery is None or not self._guard.update(self.battery, now):
+        if not self._guard.update(self.battery, now):
             return
-        volts = f"{self._guard.volts:.1f} V"
-        if self._guard.level == LOW:
+        if (fault := self._guard.fault) is not None:
+            self._wish = "rest"
+            self._controller.lie_down(now, fault)
+        elif self._guard.level == LOW:
+            volts = f"{self._guard.volts:.1f} V"
             _log.warning("battery low: %s", volts)
             self.notices.append(("battery", f"low: {volts}, the robot lies down at {self._guard.limit:.1f} V"))
-        elif self._guard.level == EMPTY:
-            self._wish = "rest"
-            self._controller.lie_down(now, MotorFault(faults.BATTERY, f"battery empty: {volts}"))
 
     def leds_wanted(self, now: float) -> Shown | None:
         """Return the LEDs to write at `now`; None where they are lit so already."""

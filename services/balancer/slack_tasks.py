@@ -204,7 +204,9 @@ class SlackTasks:
             if self._imu_next <= now < self._imu_until:
                 news.append(self._sample(now))
             self._judge(now)
-        if self._health.found is not None:
+        if self._health.overdue(now):
+            balancer.battery = None
+        elif self._health.found is not None:
             balancer.battery = self._health.found.battery
         for remark in self._health.remarks:
             _log.warning("%s", remark)

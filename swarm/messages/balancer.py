@@ -21,7 +21,7 @@ class BalancerState:
     """Motor command, -1..1."""
     duty_right: float
     battery: float | None
-    """V; None before it was read."""
+    """V; None before it was read, and where it was not read for 60 s."""
     ticks: int
     """Control steps since the loop started."""
     late_p99: float
@@ -40,9 +40,10 @@ class BalancerState:
     demanded_turn_rate: float = 0.0
     """The commanded turn rate after limits and ramps, rad/s to the left."""
     battery_level: str = "ok"
-    """ok, low (a warning) or empty (it lies down, and does not stand up)."""
+    """ok, low (a warning), empty, or unknown: not read for 60 s. With the last two it lies down, and does not stand
+    up."""
     battery_left: float | None = None
-    """Seconds until it lies down, a rough estimate; None before the battery was read."""
+    """Seconds until it lies down, a rough estimate; None where the battery's voltage is not known."""
     scl: float = 0.0
     """Hz: the clock of the I2C bus as its transfers show it, the kernel's time for them included; 0 where unknown."""
     behind: str = ""

@@ -8,7 +8,7 @@ const SPARK_MS = 400;
 const LOW_S = 45 * 60;
 const WIDE = 200, HIGH = 20; // of a sparkline, before it is drawn out
 
-const PHASES = new Map([["fault", "bad"], ["waiting", "warn"]]), BATTERIES = new Map([["low", "warn"], ["empty", "bad"]]);
+const PHASES = new Map([["fault", "bad"], ["waiting", "warn"]]), BATTERIES = new Map([["low", "warn"], ["empty", "bad"], ["unknown", "bad"]]);
 
 const SVG = "http://www.w3.org/2000/svg";
 

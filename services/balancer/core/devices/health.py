@@ -1,6 +1,7 @@
 """The health of the board: battery, and the firmware's counters."""
 
 from services.balancer.core.devices import balboa
+from services.balancer.core.devices.battery import UNKNOWN_S
 from services.balancer.core.slack.transfers import piece
 from services.balancer.core.slack.wire_time import WHOLE, Room, Transfer
 from swarm.messages import Battery
@@ -17,11 +18,16 @@ class BoardHealth:
         """What is to be told; whoever takes it sets None."""
         self.found: balboa.Housekeeping | None = None
         """The last look."""
+        self._found_at = now
         self.remarks: list[str] = []
         """What the firmware noticed; whoever takes them clears the list."""
         self._look_at = self._tell_at = now
         self._data = b""
         """What was read of it so far."""
+
+    def overdue(self, now: float) -> bool:
+        """Return whether the last look is too old to judge the battery by."""
+        return now > self._found_at + UNKNOWN_S
 
     def next(self, now: float, room: Room = WHOLE) -> Transfer | None:
         if now < self._look_at:
@@ -34,7 +40,7 @@ class BoardHealth:
             return
         data, self._data = self._data, b""
         found, before = balboa.decode_housekeeping(data), self.found
-        self.found, self._look_at = found, now + LOOK_S
+        self.found, self._found_at, self._look_at = found, now, now + LOOK_S
         if now >= self._tell_at:
             self._tell_at = max(self._tell_at + TELL_S, now)
             self.news = Battery(now, found.battery)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from services.balancer.balancer import WISH_S
 from services.balancer.core import faults
 from services.balancer.core.control.controller import STUCK_TICKS
-from services.balancer.core.devices.battery import EMPTY, LOW, OK, WINDOW_S, BatteryGuard
+from services.balancer.core.devices.battery import EMPTY, LOW, OK, UNKNOWN, WINDOW_S, BatteryGuard
 from services.balancer.core.devices.leds import CLAIM_S, shown
 from sim.core.balboa import REST_TILT
 from swarm.errors import LocalError
@@ -54,7 +54,7 @@ def test_a_weak_battery_is_told_and_an_empty_one_lays_the_robot_down() -> None:
     assert (rig.balancer.mode, rig.balancer.posture) == ("fault", "front")
     assert rig.balancer.fault == ("battery", "battery empty: 5.9 V")
     assert rig.robot.atmega.motors == (0.0, 0.0)
-    with pytest.raises(LocalError, match=r"mode stand: the battery is empty \(5.9 V\)"):
+    with pytest.raises(LocalError, match=r"mode stand: battery empty: 5\.9 V: charge or change"):
         rig.balancer.command("stand", rig.now)
     set_battery(rig, FULL)
     run_watched(rig, 13)
@@ -62,6 +62,27 @@ def test_a_weak_battery_is_told_and_an_empty_one_lays_the_robot_down() -> None:
     rig.balancer.command("stand", rig.now)
     rig.run(8)
     assert rig.balancer.mode == "balancing"
+
+
+def test_a_robot_whose_battery_is_not_read_any_more_lies_down_and_stands_again_when_it_is() -> None:
+    rig = upright()
+    run_watched(rig, 15)
+    rig.balancer.battery = None
+    run_watched(rig, 4)
+    assert (rig.balancer.mode, rig.balancer.posture) == ("fault", "front")
+    assert rig.balancer.fault == ("bus", "the battery's voltage was not read for 60 s")
+    assert (rig.balancer.battery_level, rig.balancer.battery_time_left) == (UNKNOWN, None)
+    with pytest.raises(LocalError, match="mode stand: the battery's voltage was not read"):
+        rig.balancer.command("stand", rig.now)
+    set_battery(rig, FULL)
+    run_watched(rig, 1)
+    rig.balancer.command("stand", rig.now)
+
+
+def test_a_battery_that_was_never_read_is_not_judged() -> None:
+    guard = BatteryGuard(6.6, 6.0)
+    assert not guard.update(None, 100.0)
+    assert guard.level == OK
 
 
 def test_a_dip_under_load_is_no_empty_battery() -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from slack_rig import AT_100_KHZ, Ticking
 
 from services.balancer.core.control.lqr import PERIOD_S
-from services.balancer.core.devices import balboa, uwb
+from services.balancer.core.devices import balboa, health, uwb
 from services.balancer.core.devices.buttons import ButtonCounter
 from services.balancer.core.devices.display import ScreenText
 from services.balancer.core.devices.mailbox import check_request
@@ -71,6 +71,29 @@ def test_the_battery_is_published_each_second() -> None:
     ticking.run(1.0)
     assert ticking.of(Battery)[-1].voltage == 6.9
     assert ticking.rig.balancer.battery == 6.9
+
+
+def test_a_battery_that_is_not_read_any_more_has_no_voltage(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its transfers fail, and those of the control loop do not: the last voltage counts for a time only."""
+    monkeypatch.setattr(health, "UNKNOWN_S", 3.0)
+    ticking = Ticking().run(1.0)
+    driver, balancer = ticking.rig.balancer.balboa, ticking.rig.balancer
+    transfer = driver.transfer
+
+    def failing(each: Transfer) -> bytes:
+        if each.data[0] == balboa.BUTTONS:
+            raise OSError(121, "Remote I/O error", "atmega")
+        return transfer(each)
+
+    driver.transfer = failing
+    ticking.run(2.0)
+    assert balancer.battery == 7.4
+    ticking.run(1.5)
+    assert balancer.battery is None
+    assert balancer.connected
+    driver.transfer = transfer
+    ticking.run(0.6)
+    assert balancer.battery == 7.4
 
 
 def test_what_the_firmware_noticed_is_told_once() -> None:
