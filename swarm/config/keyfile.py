@@ -73,9 +73,14 @@ def new_key_file(path: Path, now: float) -> int:
     """Make a file with a new key; returns its id. Never touches a file that is there. `now` in s since 1970."""
     key_id = int(now) & 0xFFFFFFFF
     try:
-        if os.path.lexists(path):
-            raise LocalError(f"{path}: is there already and is left alone (`swarm key rotate` replaces a key)")
-        atomic_write(path, _text({key_id: os.urandom(KEY_SIZE)}), mode=0o600)
+        os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))  # of two calls at a time, one has the name
+        try:
+            atomic_write(path, _text({key_id: os.urandom(KEY_SIZE)}), mode=0o600)
+        except BaseException:
+            path.unlink()
+            raise
+    except FileExistsError:
+        raise LocalError(f"{path}: is there already and is left alone (`swarm key rotate` replaces a key)") from None
     except OSError as error:
         raise LocalError(f"{path}: cannot be made: {error.strerror}; name another file, such as swarm.key") from None
     return key_id

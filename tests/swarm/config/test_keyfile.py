@@ -4,6 +4,7 @@ import contextlib
 import os
 import stat
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import pytest
 from hypothesis import given
@@ -64,6 +65,28 @@ def test_a_file_that_is_there_is_left_alone(path):
     link.symlink_to(path.with_name("elsewhere"))
     with pytest.raises(LocalError, match="is there already"):
         new_key_file(link, NOW)
+
+
+def test_of_two_that_make_a_key_at_the_same_time_one_is_refused(path, monkeypatch):
+    """Both find no file; the other one goes on before the first has written its key."""
+    draw = os.urandom
+
+    def other_first(size):
+        monkeypatch.setattr(os, "urandom", draw)
+        with pytest.raises(LocalError, match="is there already"):
+            new_key_file(path, NOW + 1)
+        return draw(size)
+
+    monkeypatch.setattr(os, "urandom", other_first)
+    key_id = new_key_file(path, NOW)
+    assert list(read_keys(path)) == [key_id]
+
+
+def test_a_key_that_cannot_be_written_leaves_no_file(path, monkeypatch):
+    monkeypatch.setattr(os, "fsync", MagicMock(side_effect=OSError(28, "No space left on device")))
+    with pytest.raises(LocalError, match="cannot be made: No space left"):
+        new_key_file(path, NOW)
+    assert not list(path.parent.iterdir())
 
 
 def test_a_folder_that_is_not_there(tmp_path):
