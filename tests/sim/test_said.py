@@ -89,6 +89,8 @@ def test_of_a_run_the_last_lines_of_each_robot_and_of_the_apps_that_are_named(
     assert printed("consensus") == ["no app has printed or logged anything in this run"]
     with pytest.raises(LocalError, match="no app nosuch is recorded; there are: consensus, talks"):
         logs.run(parser.parse_args([run, "nosuch"]))
+    with pytest.raises(LocalError, match="r1 is a robot, and not an app: name robots by --robots r1"):
+        logs.run(parser.parse_args([run, "r1"]))
     with pytest.raises(LocalError, match="nothing new comes"):
         logs.run(parser.parse_args([run, "-f"]))
 

@@ -58,5 +58,6 @@ def run(args: argparse.Namespace) -> int:
 
     code = everyone.run(args, robots, job)
     if nowhere := [name for name in args.runs if name not in found]:
-        complain("swarm", f"no robot has told of a run, or of runs of an app, called {', '.join(nowhere)}")
+        hint = "".join(f"; {name} is a robot: --robots {name}" for name in nowhere if name in config.names)
+        complain("swarm", f"no robot has told of a run, or of runs of an app, called {', '.join(nowhere)}{hint}")
     return 1 if nowhere else code

@@ -29,6 +29,7 @@ HELP = "show the logs of all robots, or of the apps in a recorded run"
 
 FOREVER_S = 1e9
 LINES = 20
+WANTED = "a service, an app or a run"
 MOST_RUNS = 8
 """Runs that an error names."""
 
@@ -55,14 +56,15 @@ def run(args: argparse.Namespace) -> int:
     if args.services and _is_run(args.services[0]):
         return _of_run(args)
     args.lines = LINES if args.lines is None else args.lines
-    if args.services and "/" in args.services[0]:
+    if args.services and not is_name(args.services[0]):
         raise LocalError(f"{args.services[0]}: there is no such run{_runs(Path(args.services[0]).parent)}")
     if args.follow and args.json:
         raise LocalError("--follow and --json do not go together: there is no end to report")
     if (there := robot_command.simulated(args)) is not None:
         return _simulated(args, there)
     _known(args)
-    _, robots, ssh = everyone.recipients(args)
+    config, robots, ssh = everyone.recipients(args)
+    everyone.refuse_robots(args.services, config.names, WANTED)
     which = " ".join(f"--unit={name}" for name in map(unit, args.services)) or JOURNAL_OF_ALL
     command = f"sudo -n journalctl --no-pager --output=short-iso --lines={args.lines} {which}"
     if args.follow:
@@ -96,7 +98,7 @@ def _runs(place: Path) -> str:
     """Return the recorded runs in a folder as the rest of a message."""
     files = sorted(place.glob(f"*/*{SUFFIX}")) + sorted(place.glob(f"*/*/*{SUFFIX}"))
     found = list(dict.fromkeys(str(file.parent) for file in files))[:MOST_RUNS]
-    return f"; there are: {', '.join(found)}" if found else ""
+    return f"; there are: {', '.join(found)}" if found else "; swarm fetch brings those of the robots"
 
 
 def _of_run(args: argparse.Namespace) -> int:
@@ -107,6 +109,7 @@ def _of_run(args: argparse.Namespace) -> int:
     recorded, apps = Run(Path(args.services[0])), set(args.services[1:])
     there = {topic.split("/")[3] for topic in recorded.topics if "/app/" in topic}
     if strange := apps - there:
+        everyone.refuse_robots(strange, recorded.robots, "an app")
         raise LocalError(f"{recorded.path}: no app {min(strange)} is recorded; there are: {', '.join(sorted(there))}")
     wanted = set(args.robots or recorded.robots)
     if odd := wanted - set(recorded.robots):
@@ -141,6 +144,7 @@ def _simulated(args: argparse.Namespace, there: Mapping[str, Path]) -> int:
     wanted = {f"{name}.log" if name in SERVICES else f"app.{name}.log": name for name in args.services}
     written = {path.name for runtime in there.values() for path in runtime.glob("*.log")}
     if odd := [name for file, name in wanted.items() if file not in written]:
+        everyone.refuse_robots(odd, there, WANTED)
         names = ", ".join(sorted(name.removesuffix(".log").removeprefix("app.") for name in written))
         raise LocalError(f"{odd[0]}: no robot of the simulation that runs here has such a log; there are: {names}")
     files = [

@@ -31,7 +31,8 @@ def run(args: argparse.Namespace) -> int:
     names = units(args.services)
     if (there := robot_command.simulated(args)) is not None:
         return _simulated(args, there)
-    _, robots, ssh = everyone.recipients(args)
+    config, robots, ssh = everyone.recipients(args)
+    everyone.refuse_robots(args.services, config.names, "a service or an app")
     ends_balancer = args.action != "start" and (not args.services or "balancer" in args.services)
 
     async def job(host: Host, _: everyone.ReportProgress) -> str:

@@ -4,7 +4,7 @@ import argparse
 import asyncio
 import sys
 import time
-from collections.abc import Awaitable, Callable, Coroutine, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Collection, Coroutine, Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
@@ -89,6 +89,12 @@ def named(args: argparse.Namespace) -> None:
     if args.which and args.robots:
         raise LocalError("name the robots by --robots or as arguments, not by both")
     args.robots = args.which or args.robots
+
+
+def refuse_robots(words: Iterable[str], robots: Collection[str], wanted: str) -> None:
+    """Raise `LocalError` where robots' names were given in place of what is `wanted`."""
+    if given := [word for word in words if word in robots]:
+        raise LocalError(f"{given[0]} is a robot, and not {wanted}: name robots by --robots {','.join(given)}")
 
 
 async def check_answer(ssh: Ssh, host: Host) -> None:

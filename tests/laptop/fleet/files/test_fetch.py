@@ -85,6 +85,8 @@ def test_a_run_that_no_robot_has_is_told(robots: FakeRobots, run: Run, capsys: p
     assert capsys.readouterr().err == ""
     assert run("fetch", "goto-1", "goto-2", *words) == 1
     assert "called goto-2\n" in capsys.readouterr().err
+    assert run("fetch", "r1", *words) == 1
+    assert "called r1; r1 is a robot: --robots r1\n" in capsys.readouterr().err
 
 
 def test_a_robot_that_dies_in_mid_transfer_goes_on_where_it_was(

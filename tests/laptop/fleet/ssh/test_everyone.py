@@ -153,6 +153,26 @@ def test_work_that_ends_the_balancer_of_a_standing_robot_is_refused_without_forc
     assert (robots.folder / "r0/done").exists()
 
 
+@pytest.mark.parametrize("words", [("logs", "r0"), ("logs", "mesh", "r0"), ("services", "restart", "dwm", "r0")])
+def test_the_name_of_a_robot_where_another_name_is_wanted_says_where_it_belongs(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], words: tuple[str, ...]
+) -> None:
+    home = robots.add("r0")
+    robots.script("r0", "sudo", "touch done")
+    assert run(*words) == 2
+    assert re.search("r0 is a robot, and not a service.*: name robots by --robots r0\n", capsys.readouterr().err)
+    assert not (home / "done").exists()
+
+
+def test_a_run_that_is_not_here_is_no_service_of_the_robots(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(robots.folder)
+    robots.add("r0")
+    assert run("logs", "consensus-1234567890abcdef") == 2
+    assert "no such run; swarm fetch brings those of the robots" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("words", [("start",), ("restart", "dwm"), ("stop", "mesh")])
 def test_services_that_leave_the_balancer_alone_ask_no_robot_whether_it_stands(
     robots: FakeRobots, run: Run, words: tuple[str, ...]
