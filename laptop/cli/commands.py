@@ -7,8 +7,8 @@ FAR = "laptop.cli.far"
 
 SECTIONS: Sections = {
     "write an app, simulate it, look at runs": {
-        "new": Command("sim.rehearsal.new", help="write a commented app and its test"),
-        "check": Command("sim.rehearsal.check", help="check an app before any robot moves: size, time, convergence"),
+        "new": Command("sim.rehearsal.new"),
+        "check": Command("sim.rehearsal.check"),
         "sim": Command("laptop.cli.runs.sim", help="simulate a swarm of real service processes, or in virtual time"),
         "demo": Command("laptop.cli.runs.demo", help="let three simulated robots find a target, in under a minute"),
         "sweep": Command("laptop.cli.runs.sweep", help="run an app over parameters, topologies and seeds"),

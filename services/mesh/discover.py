@@ -5,36 +5,40 @@ For writing a swarm.toml, and for seeing what a radio sees. Needs PyBluez (pytho
 
 import argparse
 import json
-import sys
 
 from services.mesh.links import pybluez
 from swarm.config import load
 from swarm.errors import ConfigError, LocalError
-from swarm.process.terminal import guard, write_lines
+from swarm.process.arguments import number
+from swarm.process.terminal import write_lines
+
+HELP = "list Bluetooth devices in range, and which are robots"
 
 
-def main() -> None:
-    """Print what answers an inquiry."""
-    parser = argparse.ArgumentParser(
-        prog="swarm discover", description="List the Bluetooth devices in range, and which of them are robots."
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare how long is searched, and how much is asked."""
     parser.add_argument(
-        "--seconds", type=float, default=8 * pybluez.INQUIRY_UNIT, metavar="S", help="length of the search (10.24)"
+        "--seconds",
+        type=number(0, unit="s", above=True),
+        default=8 * pybluez.INQUIRY_UNIT,
+        metavar="S",
+        help="length of the search (10.24)",
     )
     parser.add_argument(
         "--adapter", default="", metavar="NAME", help="adapter that searches: hci1, or its address (default: the first)"
     )
     parser.add_argument("--services", action="store_true", help="ask each device whether it has a mesh (slow)")
     parser.add_argument("--json", action="store_true", help="one JSON object a line")
-    arguments = parser.parse_args()
-    guard()
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print what answers an inquiry. Raises `LocalError` where none can be made."""
     try:
-        lines = _lines(arguments)
-    except LocalError as error:
-        sys.exit(f"swarm: {error}")
+        lines = _lines(args)
     except OSError as error:
-        sys.exit(f"swarm: no Bluetooth inquiry: {error}")
+        raise LocalError(f"no Bluetooth inquiry: {error}") from None
     write_lines(lines)  # anybody in range may name a device
+    return 0
 
 
 def _lines(arguments: argparse.Namespace) -> list[str]:
@@ -58,7 +62,3 @@ def _robots() -> dict[str, str]:
     except ConfigError:
         return {}
     return {robot.bluetooth: robot.name for robot in config.robots if robot.bluetooth is not None}
-
-
-if __name__ == "__main__":
-    main()

@@ -15,9 +15,9 @@ from functools import partial
 from typing import Any
 
 from services.apps.loader import BUILT_IN
-from swarm.errors import LocalError, PayloadError
+from swarm.errors import PayloadError
 from swarm.messages.json_input import read_json
-from swarm.process import service
+from swarm.process.arguments import add_json, whole
 
 PI_FACTOR = 10.0
 """A Pi Zero 2 W (Cortex-A53, 1 GHz) runs plain Python about this much slower than a laptop [estimated: 8 to 15]."""
@@ -32,21 +32,16 @@ graphs ends by itself after 20 s."""
 SEEDS = ("1", "2")
 """Seeds of Python's hashing, one for each process: sets and dicts of text come in another order."""
 
-DESCRIPTION = (
-    "Examine an app before any robot moves: what it declares, the size of its messages, the time of a step, and "
-    "how it behaves on five graphs."
-)
+HELP = "check an app before any robot moves: its messages, the time of a step, five graphs"
 
 Json = dict[str, Any]
 
 
-def main() -> int:
-    """Return exit code 0 if nothing is wrong with the app, 1 if something is; the code is 2 if it cannot be
-    examined."""
-    parser = argparse.ArgumentParser(prog="swarm check", description=DESCRIPTION)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the app, and how it is rehearsed."""
     parser.add_argument("app", metavar="APP", help=f"a file with an app, or {', '.join(BUILT_IN)}")
-    parser.add_argument("--robots", type=int, default=6, metavar="N", help="robots in the rehearsal (6)")
-    parser.add_argument("--iterations", type=int, default=300, metavar="K", help="iterations on each graph (300)")
+    parser.add_argument("--robots", type=whole(1), default=6, metavar="N", help="robots in the rehearsal (6)")
+    parser.add_argument("--iterations", type=whole(4), default=300, metavar="K", help="iterations on each graph (300)")
     parser.add_argument(
         "--set",
         action="append",
@@ -54,13 +49,15 @@ def main() -> int:
         metavar="[ROBOT.]NAME=VALUE",
         help="a parameter or first value, for all robots or for one",
     )
-    parser.add_argument("--json", action="store_true", help="one JSON object")
-    options = parser.parse_args()
-    if options.robots < 1 or options.iterations < 4:
-        raise LocalError("--robots is at least 1, --iterations at least 4")
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Return exit code 0 if nothing is wrong with the app, 1 if something is; the code is 2 if it cannot be
+    examined."""
     with ThreadPoolExecutor() as both:
-        found = judge(*both.map(partial(_rehearse, options), SEEDS))
-    sys.stdout.write(json.dumps(found) + "\n" if options.json else text(found))
+        found = judge(*both.map(partial(_rehearse, args), SEEDS))
+    sys.stdout.write(json.dumps(found) + "\n" if args.json else text(found))
     return 0 if found["ok"] else 1
 
 
@@ -197,7 +194,3 @@ def _step(app: Json) -> str:
 def _first_difference(one: list[int], other: list[int]) -> int | None:
     """Return the first index at which two histories differ, up to the end of the shorter one."""
     return next((k for k, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), None)
-
-
-if __name__ == "__main__":
-    service.run(main)

@@ -12,32 +12,34 @@ from sim.rehearsal.templates import KINDS, fill
 from swarm import packages
 from swarm.errors import LocalError
 from swarm.messages.keys import is_name
-from swarm.process import service
+
+HELP = "write a commented app and its test, or copy an example"
 
 EXAMPLES = packages.PARTS / "examples"
 
 
-def main() -> int:
-    """Write an app and its test, both or none; or copy an example."""
-    parser = argparse.ArgumentParser(
-        prog="swarm new", description="Write a commented app that runs, and its test beside it, or copy an example."
-    )
-    what = parser.add_mutually_exclusive_group(required=True)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the file of an app, or an example."""
     help_file = "its name without .py is the app's name on the bus"
-    what.add_argument("file", type=Path, nargs="?", metavar="FILE.py", help=help_file)
-    what.add_argument("--from", dest="example", metavar="NAME", help=f"copy an example here: {', '.join(examples())}")
+    parser.add_argument("file", type=Path, nargs="?", metavar="FILE.py", help=help_file)
+    parser.add_argument("--from", dest="example", metavar="NAME", help=f"copy an example here: {', '.join(examples())}")
     kinds = "sync: all robots step together (default); periodic: each by its own clock; event: handlers"
     parser.add_argument("--kind", choices=list(KINDS), help=kinds)
-    options = parser.parse_args()
-    if options.example is not None:
-        if options.kind is not None:
-            parser.error("--kind goes with FILE.py: an example has the kind it has")
-        sys.stdout.write(f"wrote {copy(options.example, Path())}\n")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write an app and its test, both or none; or copy an example. Raises `LocalError`."""
+    if (args.file is None) == (args.example is None):
+        raise LocalError("new: expected either FILE.py for an app, or --from NAME for an example")
+    if args.example is not None:
+        if args.kind is not None:
+            raise LocalError("--kind goes with FILE.py: an example has the kind it has")
+        sys.stdout.write(f"wrote {copy(args.example, Path())}\n")
         return 0
-    kind = options.kind or "sync"
-    for path in write(options.file, kind):
+    kind = args.kind or "sync"
+    for path in write(args.file, kind):
         sys.stdout.write(f"wrote {path}\n")
-    file, test = options.file, beside(options.file)
+    file, test = args.file, beside(args.file)
     start = " --set r2.value=6" if kind == "sync" else ""  # all begin at zero otherwise: nothing would move
     install = "" if importlib.util.find_spec("pytest") else "pip install pytest; "
     sys.stdout.write(f"next: swarm check {file}; {install}pytest {test}; swarm sim {file} --robots 6{start}\n")
@@ -104,7 +106,3 @@ def copy(name: str, folder: Path) -> Path:
 def beside(path: Path) -> Path:
     """Return the path of an app's test."""
     return path.with_name(f"test_{path.stem}.py")
-
-
-if __name__ == "__main__":
-    service.run(main)

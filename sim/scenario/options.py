@@ -39,7 +39,7 @@ from swarm.app.run_options import RunOptions
 from swarm.config.types import LINKS
 from swarm.errors import ConfigError
 from swarm.frozen import frozen
-from swarm.process.arguments import number, picture_name, whole
+from swarm.process.arguments import HintingParser, number, picture_name, whole
 
 FROM_START, SETTLED, DELAY = "start", "settled", "delay"
 MESHES = (FROM_START, SETTLED, DELAY)
@@ -129,7 +129,7 @@ class Options:
     """Whether the page's address is only printed."""
 
 
-def parser(kind: type[argparse.ArgumentParser] = argparse.ArgumentParser) -> argparse.ArgumentParser:
+def parser(kind: type[argparse.ArgumentParser] = HintingParser) -> argparse.ArgumentParser:
     """Return the argument parser of `swarm sim`."""
     p = kind(
         prog="swarm sim",
@@ -328,7 +328,7 @@ class _Refusing(argparse.ArgumentParser):
 def parse(arguments: list[str], *, ends: bool = True) -> Options:
     """Read the command line; where it is wrong, argparse ends the process with code 2 and a message, or with `ends`
     false `ConfigError` is raised."""
-    reader = parser(argparse.ArgumentParser if ends else _Refusing)
+    reader = parser(HintingParser if ends else _Refusing)
     read = _tuples(reader.parse_intermixed_args(negative_joined(arguments)))
     read.like = None if read.like is None else commission_report.read(read.like)
     if read.latency is None:

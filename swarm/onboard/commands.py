@@ -54,7 +54,7 @@ PARAM = Command("swarm.onboard.param", help="show or change parameters of a runn
 TOOLS = {
     "dwm": Command("services.dwm.tool", help="show, configure and check UWB modules"),
     "calibrate": Command("services.dwm.calibrate.__main__", help="calibrate the UWB module of a robot"),
-    "discover": Command("services.mesh.discover", help="list Bluetooth devices in range, and which are robots"),
+    "discover": Command("services.mesh.discover"),
     "config": Command("swarm.onboard.config"),
     "key": Command("swarm.onboard.key"),
 }

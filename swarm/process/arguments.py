@@ -1,12 +1,13 @@
 """Arguments that many commands have in common, and the types of what is given for them."""
 
 import argparse
+import difflib
 import json
 import math
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from swarm.messages.keys import is_name
 from swarm.process.terminal import write_lines
@@ -15,7 +16,20 @@ PICTURES = (".png", ".pdf", ".svg")
 """Endings of pictures' names."""
 
 
-class CommandParser(argparse.ArgumentParser):
+class HintingParser(argparse.ArgumentParser):
+    """A parser that names the option that is spelled like an unknown one."""
+
+    def error(self, message: str) -> NoReturn:
+        unknown = message.removeprefix("unrecognized arguments: ")
+        if unknown != message:
+            known = list(self._option_string_actions)
+            words = [word.partition("=")[0] for word in unknown.split() if word.startswith("--")]
+            near = [each for word in words for each in difflib.get_close_matches(word, known, n=1)]
+            message += f"; did you mean {near[0]}?" if near else ""
+        super().error(message)
+
+
+class CommandParser(HintingParser):
     """A parser that takes words behind options, too, as in `swarm replay RUN --json KEY`, and refuses words that are
     left. For the words of a verb argparse has the parser above it do so, with a usage that is not the verb's."""
 

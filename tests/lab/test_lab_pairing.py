@@ -234,7 +234,7 @@ def test_pybluez_finds_the_robot_and_its_mesh(robots: Robots) -> None:
     rows: list[dict[str, Any]] = []
 
     def found() -> bool:
-        said = robots.first.run(command("-m services.mesh.discover --seconds 2.56 --services --json"), 180)
+        said = robots.first.run(command("-m swarm.onboard discover --seconds 2.56 --services --json"), 180)
         rows[:] = map(json.loads, said.splitlines())
         return {row["address"]: row["channel"] for row in rows} == {b: 4}
 

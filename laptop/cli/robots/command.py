@@ -10,6 +10,7 @@ HELP = "run a shell command on every robot, over ssh"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command, which is one argument or several, and the way by ssh."""
+    parser.usage = "swarm command [OPTION ...] 'COMMAND'   (with its options in quotes: swarm command 'ls -l')"
     parser.add_argument("command", nargs="+", metavar="COMMAND", help="command for the robots' shell, in quotes")
     everyone.add_arguments(parser, timeout_s=60)
 

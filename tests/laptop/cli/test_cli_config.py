@@ -162,6 +162,29 @@ def test_words_that_are_too_many_are_refused_with_the_usage_of_the_verb(words, c
     assert "unrecognized arguments: " in shown
 
 
+@pytest.mark.parametrize(
+    ("words", "near"),
+    [
+        (("status", "--wach"), "--watch"),
+        (("new", "app.py", "--knd", "sync"), "--kind"),
+        (("check", "consensus", "--iteratoins=4"), "--iterations"),
+        (("discover", "--secnds", "3"), "--seconds"),
+        (("key", "new", "--jsn"), "--json"),
+        (("sim", "consensus", "--vrtual"), "--virtual"),
+    ],
+)
+def test_an_unknown_option_is_refused_with_the_one_that_is_meant(words, near, capsys):
+    assert run(*words) == 2
+    assert capsys.readouterr().err.endswith(f"; did you mean {near}?\n")
+    assert run(*words[:1], "--qqq") == 2
+    assert "did you mean" not in capsys.readouterr().err
+
+
+def test_options_of_a_shell_command_without_quotes_are_refused_with_an_example(capsys):
+    assert run("command", "ls", "-l") == 2
+    assert "in quotes: swarm command 'ls -l'" in capsys.readouterr().err
+
+
 def test_a_picture_of_a_kind_that_is_not_written_is_refused_with_those_that_are(tmp_path, capsys):
     assert run("view", "run", "--screenshot", str(tmp_path / "x.jpg")) == 2
     assert "x.jpg': a picture is a file that ends in .png\n" in capsys.readouterr().err

@@ -17,6 +17,7 @@ from sim.rehearsal import check, examine, limits, new, rehearse, trends
 from sim.scenario import imports
 from swarm.app import settings
 from swarm.errors import AppError, LocalError
+from swarm.onboard.command_line import Command, parser_of
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 
@@ -65,10 +66,10 @@ def test_new_says_what_its_test_needs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for there, said in ((True, "; pytest "), (False, "; pip install pytest; pytest ")):
-        monkeypatch.setattr(sys, "argv", ["swarm new", str(tmp_path / f"app_{there}.py".lower())])
         known = {"pytest": ModuleSpec("pytest", None) if there else None}
         monkeypatch.setattr(new.importlib.util, "find_spec", known.get)
-        assert new.main() == 0
+        parser = parser_of("new", Command("sim.rehearsal.new"))
+        assert new.run(parser.parse_args([str(tmp_path / f"app_{there}.py".lower())])) == 0
         assert said in capsys.readouterr().out
 
 
@@ -90,12 +91,17 @@ def test_an_example_that_does_not_exist_names_those_that_do(tmp_path: Path) -> N
     assert new.copy("find_target", tmp_path).name == "find_target.py"
 
 
-def test_an_example_has_no_kind_to_choose(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    for words, said in ((["--from", "mocap", "--kind", "event"], "--kind goes with FILE.py"), ([], "is required")):
-        monkeypatch.setattr(sys, "argv", ["swarm new", *words])
-        with pytest.raises(SystemExit) as ended:
-            new.main()
-        assert (ended.value.code, said in capsys.readouterr().err) == (2, True)
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--from", "mocap", "--kind", "event"], "--kind goes with FILE.py"),
+        ([], "either FILE.py for an app, or --from NAME"),
+        (["app.py", "--from", "mocap"], "either FILE.py for an app, or --from NAME"),
+    ],
+)
+def test_new_makes_an_app_of_a_kind_or_copies_an_example(words: list[str], said: str) -> None:
+    with pytest.raises(LocalError, match=said):
+        new.run(parser_of("new", Command("sim.rehearsal.new")).parse_args(words))
 
 
 BAD = {
@@ -215,8 +221,8 @@ def test_a_rehearsal_that_is_ended_from_outside_is_not_said_to_have_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(check, "PATIENCE", 0.2)
-    monkeypatch.setattr(sys, "argv", ["swarm check", write(tmp_path, "import time\ntime.sleep(100)\n")])
-    assert check.main() == 1
+    file = write(tmp_path, "import time\ntime.sleep(100)\n")
+    assert check.run(parser_of("check", Command("sim.rehearsal.check")).parse_args([file])) == 1
     told = capsys.readouterr().out
     assert "bad.py: the rehearsal was not over after 0.2 s and was ended: likely the app hangs" in told
     assert "code" not in told
@@ -496,7 +502,7 @@ def test_an_app_that_prints_without_an_end_of_the_line_hides_no_fault(tmp_path: 
         "from swarm import SyncApp\nclass Dots(SyncApp):\n    value: float\n    def step(self, neighbours):\n"
         "        print('.', end='')\n        if self.k == 5:\n            raise ValueError('broken')\n"
     )
-    command = [sys.executable, "-m", "sim.rehearsal.check", str(file), "--robots", "3", "--iterations", "20"]
+    command = [sys.executable, "-m", "laptop.cli", "check", str(file), "--robots", "3", "--iterations", "20"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 1
     assert "ValueError: broken" in done.stdout
@@ -508,7 +514,7 @@ def test_an_app_that_ends_its_process_is_told_by_its_code_and_last_words(tmp_pat
         "import os\nfrom swarm import SyncApp\nclass Leaves(SyncApp):\n    value: float\n"
         "    def step(self, neighbours):\n        print('all is well', flush=True)\n        os._exit(3)\n"
     )
-    command = [sys.executable, "-m", "sim.rehearsal.check", str(file), "--robots", "3", "--iterations", "20"]
+    command = [sys.executable, "-m", "laptop.cli", "check", str(file), "--robots", "3", "--iterations", "20"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 1
     assert "the app's process ended with code 3; the last line it wrote: all is well" in done.stdout
