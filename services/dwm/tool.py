@@ -28,7 +28,7 @@ from swarm.config.find import find
 from swarm.errors import ConfigError, LocalError
 from swarm.onboard.buses import buses
 from swarm.onboard.command_line import add_verb
-from swarm.process.arguments import add_json, show
+from swarm.process.arguments import add_json, number, show
 from swarm.process.simulations import CONFIG
 
 SECONDS = 3.0
@@ -56,9 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             verb.add_argument("--auto", action="store_true", help="find the anchors' places from their distances")
             verb.add_argument("--ranges", type=Path, metavar="FILE", help="with --auto: lines `D001 D002 1.94` (m)")
         if name in ("anchors", "check"):
-            verb.add_argument(
-                "--seconds", type=float, metavar="S", help="time of listening (3; --auto: 5 at each place; --truth: 10)"
-            )
+            listening = "time of listening (3; --auto: 5 at each place; --truth: 10)"
+            verb.add_argument("--seconds", type=number(0, unit="s", above=True), metavar="S", help=listening)
         if name == "check":
             against = "compare with the places on this key (motion capture); sim/truth: those of a simulation"
             verb.add_argument("--truth", metavar="KEY", help=against)

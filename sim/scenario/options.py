@@ -26,6 +26,7 @@ from sim.scenario.quantities import (
     loss,
     negative_joined,
     rate,
+    run_length,
     setting,
     skew,
     slots,
@@ -273,12 +274,9 @@ def parser(kind: type[argparse.ArgumentParser] = HintingParser) -> argparse.Argu
     )
     run = p.add_argument_group("the run")
     end = run.add_mutually_exclusive_group()
-    end.add_argument("--seconds", type=duration, metavar="S", help="end after this time")
+    end.add_argument("--seconds", type=run_length, metavar="S", help="end after this time")
     end.add_argument(
-        "--iterations",
-        type=whole(1),
-        metavar="K",
-        help="end after K iterations (100, or all of a replay)",
+        "--iterations", type=whole(1), metavar="K", help="end after K iterations (100, or all of a replay)"
     )
     run.add_argument(
         "--seed", type=whole(0), default=1, metavar="S", help="seed of noise, jitter and random topologies (1)"

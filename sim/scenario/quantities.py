@@ -56,6 +56,14 @@ def duration(text: str) -> float:
     return _quantity(text, _DURATION, "a time such as 30ms or 3s")
 
 
+def run_length(text: str) -> float:
+    """Parse the length of a run as `duration` does: above zero, or nothing would happen."""
+    value = duration(text)
+    if value <= 0:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a time above 0, such as 30ms or 3s")
+    return value
+
+
 def rate(text: str) -> float:
     """Parse a rate `78kB`, `1MB` or a bare number of bytes; return bytes per second."""
     value = _quantity(text, _SIZE, "a rate such as 78kB (per second)")

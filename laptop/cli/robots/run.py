@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the apps, and how they run, in the words of `swarm sim APP`."""
     parser.add_argument("app", nargs="+", metavar="APP", help="names of built-in apps, or Python files of yours")
     parser.add_argument("--algorithm", metavar="NAME", help="algorithm of the first app")
-    parser.add_argument("--iterations", type=whole(0), metavar="K", help="end after K iterations (default: no end)")
+    parser.add_argument("--iterations", type=whole(1), metavar="K", help="end after K iterations (default: no end)")
     run_options.add_arguments(parser)
     parser.add_argument(
         "--set",

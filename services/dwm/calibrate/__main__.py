@@ -23,7 +23,7 @@ from swarm.files import atomic_write, make_folder
 from swarm.onboard.buses import buses
 from swarm.onboard.command_line import add_verb
 from swarm.process import log, service
-from swarm.process.arguments import CommandParser
+from swarm.process.arguments import CommandParser, number, whole
 from swarm.process.simulations import CONFIG, default_run_dir, is_live
 from swarm.recording.thesis_ranges import read_recording
 
@@ -278,7 +278,7 @@ def options_of(argv: list[str], far: str = "") -> argparse.Namespace:
     found.add_argument(
         "recording", type=Path, metavar="RECORDING", help="report of swarm commission, or folder of a run"
     )
-    found.add_argument("--index", type=int, default=0, metavar="N", help="number of the robot's file in a run (0)")
+    found.add_argument("--index", type=whole(0), default=0, metavar="N", help="number of the robot's file in a run (0)")
     found.add_argument("--place", nargs=2, type=float, metavar=("X", "Y"), help="place of the robot in that run, m")
     found.add_argument("--write", action="store_true", help="add it to the robot's calibration file")
     options = parser.parse_args(argv)
@@ -289,7 +289,8 @@ def options_of(argv: list[str], far: str = "") -> argparse.Namespace:
 
 def _session_arguments(parser: argparse.ArgumentParser, step: float, samples: str) -> None:
     parser.add_argument("--places", metavar="LIST", help="'x,y x,y ...' in m, or a file (a grid over the anchors)")
-    parser.add_argument("--step", type=float, default=step, metavar="M", help=f"spacing of the grid ({step})")
+    text = f"spacing of the grid ({step})"
+    parser.add_argument("--step", type=number(0, unit="m", above=True), default=step, metavar="M", help=text)
     parser.add_argument(
         "--orientations",
         type=int,
@@ -299,7 +300,7 @@ def _session_arguments(parser: argparse.ArgumentParser, step: float, samples: st
         help="1 to 4 orientations at each place (4)",
     )
     parser.add_argument(
-        "--count", type=int, default=SAMPLES, metavar="N", help=f"reports for each orientation ({SAMPLES})"
+        "--count", type=whole(1), default=SAMPLES, metavar="N", help=f"reports for each orientation ({SAMPLES})"
     )
     parser.add_argument("--samples", type=Path, metavar="FILE", help=samples)
 

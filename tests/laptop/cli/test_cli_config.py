@@ -132,11 +132,22 @@ def test_help_of_a_group_lists_its_commands(group, capsys):
         ("film", "run", "x.mp4", "--from", "nan"),
         ("film", "run", "x.mp4", "--to", "inf"),
         ("replay", "run", "--start", "nan"),
+        ("sim", "consensus", "--seconds", "0"),
+        ("dwm", "check", "--seconds", "0"),
+        ("calibrate", "distance", "--robots", "r0", "--step", "0"),
     ],
 )
 def test_a_number_that_is_none_of_its_kind_is_named(words, capsys):
     assert run(*words) == 2
     assert f"argument {words[-2]}: '{words[-1]}': expected a " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words", [("run", "consensus", "--iterations", "0"), ("calibrate", "distance", "--count", "0")]
+)
+def test_a_number_with_which_nothing_would_be_done_is_refused(words, capsys):
+    assert run(*words) == 2
+    assert f"argument {words[-2]}: '0': expected 1 or more, a whole number" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -197,6 +197,7 @@ def test_periodic_apps_and_channels_are_runs_too() -> None:
         ({"faults": ["cut r0-r1"]}, "--cut: 'r0-r1' is not a cut"),
         ({"topology": "ring"}, "--topology ring"),
         ({"iterations": 3, "seconds": 2.0}, "not allowed with"),
+        ({"seconds": 0}, "--seconds: '0': expected a time above 0, such as 30ms or 3s"),
         ({"values": [1.0]}, r'values: expected them by name, such as {"x": \[1.0, 2.0\]}, got \[1.0\]'),
         ({"faults": [1]}, r"faults: expected a list of texts, got \[1\]"),
         ({"faults": None}, "faults: expected a list of texts, got None"),
