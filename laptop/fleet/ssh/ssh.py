@@ -142,14 +142,7 @@ class Ssh:
                     task.cancel()
                 await asyncio.gather(reading, complaining, writing, return_exceptions=True)
         finally:
-            if process.returncode is None:
-                _kill(process)
-                # asyncio sees the end when what is still in the pipes was read; a connection that ssh shares may hold
-                # them open.
-                with contextlib.suppress(TimeoutError):
-                    async with asyncio.timeout(_END_S):
-                        await process.communicate()
-                        await _closed(process.stdin)
+            await _end(process)
         if code == CLIENT_FAILED:
             raise HostError(explain(host, err))
         return Done(code, out, err)
@@ -195,11 +188,7 @@ async def _spawn(arguments: Sequence[str]) -> asyncio.subprocess.Process:
         # Cancelled in between, asyncio would wait for ever for the end of pipes that it has not opened yet.
         return await asyncio.shield(spawning)
     except asyncio.CancelledError:
-        process = await spawning
-        assert process.stdin is not None
-        _kill(process)
-        await process.communicate()
-        await _closed(process.stdin)
+        await _end(await spawning)
         raise
     except FileNotFoundError:
         raise LocalError(NO_SSH) from None
@@ -207,10 +196,24 @@ async def _spawn(arguments: Sequence[str]) -> asyncio.subprocess.Process:
         raise HostError(f"ssh cannot be started: {error.strerror or error}") from None
 
 
-def _kill(process: asyncio.subprocess.Process) -> None:
-    """End a process whose end asyncio has not told of: `process.kill` may find its end first, and asyncio complains."""
-    with contextlib.suppress(ProcessLookupError):
-        os.kill(process.pid, signal.SIGKILL)
+async def _end(process: asyncio.subprocess.Process) -> None:
+    """End a process and close its pipes, which a connection that ssh shares may hold open beyond its end. asyncio would
+    complain of them when its loop has ended."""
+    assert process.stdin is not None
+    if process.returncode is None:
+        with contextlib.suppress(ProcessLookupError):  # `process.kill` may find its end first, and asyncio complains
+            os.kill(process.pid, signal.SIGKILL)
+        # asyncio sees the end when what is still in the pipes was read. Not `asyncio.timeout`: in Python 3.11.2 it
+        # raises CancelledError in a job that was cancelled before.
+        reading = asyncio.ensure_future(process.communicate())
+        await asyncio.wait([reading], timeout=_END_S)
+        reading.cancel()
+        await asyncio.gather(reading, return_exceptions=True)
+    if process.stdin.transport.get_write_buffer_size():
+        process.stdin.transport.abort()
+    process._transport.close()  # type: ignore[attr-defined]  # closes the pipes that are read, which have no name
+    await _closed(process.stdin)
+    await asyncio.sleep(0)  # the loop closes pipes in its next round
 
 
 _BROKEN = (BrokenPipeError, ConnectionResetError)

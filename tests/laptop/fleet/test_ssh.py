@@ -4,12 +4,13 @@ import asyncio
 import errno
 import gc
 import os
+import signal
 
 import pytest
 from fake_robots import FakeRobots, Run, outcomes
 from needs import needs_ssh
 
-from laptop.fleet.ssh import everyone
+from laptop.fleet.ssh import everyone, ssh
 from laptop.fleet.ssh.ssh import Host, HostError, Ssh, explain
 
 pytest_plugins = ["fleet_fixtures"]
@@ -97,6 +98,36 @@ def test_a_command_that_is_cancelled_ends_without_a_word(monkeypatch: pytest.Mon
     asyncio.run(main())
     gc.collect()
     assert complaints == []
+
+
+@pytest.mark.parametrize("ended", [False, True])
+def test_a_command_whose_pipes_another_process_holds_is_cancelled_without_a_word(
+    monkeypatch: pytest.MonkeyPatch, ended: bool
+) -> None:
+    """As the connection that ssh shares does. Ctrl-C also ends ssh itself, which asyncio may see before the job."""
+    monkeypatch.setattr(ssh, "_END_S", 0.05)
+    monkeypatch.setattr(Ssh, "arguments", lambda *_: ["sh", "-c", f"sleep 600 & echo $!; {'' if ended else 'wait'}"])
+    spawn, started, holder = ssh._spawn, [], []
+
+    async def noted(arguments: list[str]) -> asyncio.subprocess.Process:
+        started.append(await spawn(arguments))
+        return started[-1]
+
+    monkeypatch.setattr(ssh, "_spawn", noted)
+
+    async def main() -> None:
+        running = asyncio.create_task(Ssh().run(Host("r0", "r0"), "", feed=[bytes(1_000_000)], on_line=holder.append))
+        while not holder or (ended and started[0].returncode is None):
+            await asyncio.sleep(0)
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+
+    try:
+        asyncio.run(main())
+        started.clear()
+        gc.collect()
+    finally:
+        os.kill(int(holder[0]), signal.SIGKILL)
 
 
 def test_jobs_that_are_cancelled_have_time_to_end() -> None:
