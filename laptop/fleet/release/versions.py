@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping
 
 from laptop.fleet.ssh import sections
-from laptop.fleet.ssh.ssh import CURRENT, OWN_NAME
+from laptop.fleet.ssh.ssh import CURRENT, NOT_INSTALLED, OWN_NAME
 from swarm.errors import PayloadError, RemoteError
 from swarm.frozen import frozen
 from swarm.messages.json_input import read_json
@@ -43,7 +43,7 @@ def parse(text: str) -> Versions:
     parts = sections.read(text)
     release = parts.get("release", "").rpartition("/")[2]
     if not release:
-        raise RemoteError("Balboa Swarm is not installed on it: swarm deploy")
+        raise RemoteError(NOT_INSTALLED)
     found = _SUM.match(parts.get("config", ""))
     return Versions(
         release, found[0] if found else None, firmware(parts.get("firmware", "")), parts.get("name") or None

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import swarm
-from laptop.fleet.ssh.ssh import Host, HostError, Ssh, explained
+from laptop.fleet.ssh.ssh import ROBOT_REASONS, Host, HostError, Ssh, explained
 from swarm.errors import LocalError, PayloadError
 from swarm.messages.json_input import read_json
 
@@ -42,13 +42,7 @@ tell({"result": importlib.import_module(load["main"]).main(load["request"], tell
 """
 
 _REASONS = (
-    ("a password is required", "its user may not use sudo without a password: add 'NAME ALL=(ALL) NOPASSWD: ALL' "
-     "to /etc/sudoers.d there"),
-    ("a terminal is required", "its user may not use sudo without a password: add 'NAME ALL=(ALL) NOPASSWD: ALL' "
-     "to /etc/sudoers.d there"),
-    ("not in the sudoers file", "its user may not use sudo: log in as one who may"),
-    ("sudo: not found", "it has no sudo: flash Raspberry Pi OS Lite, or apt-get install sudo"),
-    ("sudo: command not found", "it has no sudo: flash Raspberry Pi OS Lite, or apt-get install sudo"),
+    *ROBOT_REASONS,
     ("python3: not found", "it has no python3: flash Raspberry Pi OS Lite, Bookworm or Trixie, 64 bit"),
     ("python3: command not found", "it has no python3: flash Raspberry Pi OS Lite, Bookworm or Trixie, 64 bit"),
     ("No space left on device", "its disk is full: remove what is not needed"),

@@ -286,6 +286,21 @@ _REASONS = (
 )  # fmt: skip
 """What a message of ssh means. Those about keys come last: another key may have been taken."""
 
+ROBOT_REASONS = (
+    ("a password is required", "its user may not use sudo without a password: add 'NAME ALL=(ALL) NOPASSWD: ALL' "
+     "to /etc/sudoers.d there"),
+    ("a terminal is required", "its user may not use sudo without a password: add 'NAME ALL=(ALL) NOPASSWD: ALL' "
+     "to /etc/sudoers.d there"),
+    ("not in the sudoers file", "its user may not use sudo: log in as one who may"),
+    ("sudo: not found", "it has no sudo: flash Raspberry Pi OS Lite, or apt-get install sudo"),
+    ("sudo: command not found", "it has no sudo: flash Raspberry Pi OS Lite, or apt-get install sudo"),
+)  # fmt: skip
+"""What a message of a robot's shell means."""
+
+NOT_INSTALLED = "Balboa Swarm is not installed on it: swarm deploy"
+_NO_RELEASE = re.compile(rf"{CURRENT}/bin/\w+\W{{0,3}}: (command )?not found$|{CURRENT}/bin/\w+\W{{0,5}}No such file")
+"""What a shell, sudo (the first) or env (the second) says of a program of the release that is not there."""
+
 _FORGET = re.compile(r"^\s*(ssh-keygen -f .*)$", re.MULTILINE)
 """The line in which ssh itself says how to forget a host key; not every system's does."""
 
@@ -304,8 +319,11 @@ def explained(err: str, reasons: Iterable[tuple[str, str]]) -> str:
 
 
 def last_words(text: str) -> str:
-    """Return the last line that says something, in printable form."""
-    return next((printable(line.strip()) for line in reversed(text.splitlines()) if line.strip()), "")
+    """Return the last line that says something, in printable form; where it is known what it means, that."""
+    last = next((printable(line.strip()) for line in reversed(text.splitlines()) if line.strip()), "")
+    if _NO_RELEASE.search(last):
+        return NOT_INSTALLED
+    return next((reason for sign, reason in ROBOT_REASONS if sign in last), last)
 
 
 def copy_text(source: IO[bytes], to: TextIO) -> None:

@@ -11,7 +11,7 @@ from fake_robots import FakeRobots, Run, outcomes
 from needs import needs_ssh
 
 from laptop.fleet.ssh import everyone, ssh
-from laptop.fleet.ssh.ssh import Host, HostError, Ssh, explain
+from laptop.fleet.ssh.ssh import Host, HostError, Ssh, explain, last_words
 
 pytest_plugins = ["fleet_fixtures"]
 
@@ -57,6 +57,21 @@ def test_the_command_that_forgets_a_host_key_is_one_that_works(said: str, comman
     """ssh knows a host by its address and port, and never by its user."""
     text = explain(Host("r0", "me@r0"), f"@ WARNING: REMOTE HOST IDENTIFICATION HAS CHANGED! @\n{said}")
     assert text == f"its host key has changed; if set up anew: {command}"
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        ("sudo: a password is required\n", "its user may not use sudo without a password"),
+        ("sudo: /opt/swarm/current/bin/swarm: command not found", "not installed on it: swarm deploy"),
+        ("sh: 1: /opt/swarm/current/bin/z_sub: not found", "not installed on it: swarm deploy"),
+        ("env: '/opt/swarm/current/bin/swarm': No such file or directory", "not installed on it: swarm deploy"),
+        ("swarm: /opt/swarm/current/bin/x.hex cannot be read: No such file or directory", "x.hex cannot be read"),
+        ("swarm: no app nosuch\n\n", "swarm: no app nosuch"),
+    ],
+)
+def test_the_last_words_of_a_command_say_what_is_to_be_done_where_that_is_known(said: str, told: str) -> None:
+    assert told in last_words(f"before\n{said}")
 
 
 @needs_ssh

@@ -131,7 +131,7 @@ def test_what_is_wrong_at_first_is_said(swarm: Swarm) -> None:
         swarm.view("r9")
     # Several at once: what each of them says is said.
     said = {
-        "r2": ("echo 'sudo: a password is required' >&2; exit 1", "sudo: a password is required"),
+        "r2": ("echo 'sudo: a password is required' >&2; exit 1", "its user may not use sudo without a password"),
         "r3": ("echo 'No module named swarm.onboard.lookout' >&2; exit 1", "its release is older than this program"),
         "r4": ("echo garbage", "it says what this program does not understand"),
         "r5": ("true", "its lookout has ended"),
