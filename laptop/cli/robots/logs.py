@@ -66,12 +66,14 @@ def run(args: argparse.Namespace) -> int:
     config, robots, ssh = everyone.recipients(args)
     everyone.refuse_robots(args.services, config.names, WANTED)
     which = " ".join(f"--unit={name}" for name in map(unit, args.services)) or JOURNAL_OF_ALL
-    command = f"sudo -n journalctl --no-pager --output=short-iso --lines={args.lines} {which}"
+    command = f"sudo -n journalctl --quiet --no-pager --output=short-iso --lines={args.lines} {which}"
+    what = ", ".join(args.services) or "any service"
     if args.follow:
         command, args.timeout = command + " --follow", FOREVER_S
 
     async def job(host: Host, tell: everyone.ReportProgress) -> str:
-        return f"{await ssh.follow(host, command, tell)} lines"
+        count = await ssh.follow(host, command, tell)
+        return f"{count} lines" if count or not args.lines else f"nothing is logged there by {what}"
 
     return everyone.run(args, robots, job)
 

@@ -86,7 +86,8 @@ def read_release(path: Path) -> Release:
             entries = {entry.name.partition("/")[2]: entry for entry in archive.getmembers() if entry.isfile()}
             files = {name: archive.extractfile(entry).read() for name, entry in entries.items()}  # type: ignore[union-attr]
     except (OSError, tarfile.TarError, EOFError, zlib.error) as error:
-        raise LocalError(f"{path}: no release can be read: {error}; swarm deploy without a release makes one") from None
+        why = getattr(error, "strerror", None) or error
+        raise LocalError(f"{path}: no release can be read: {why}; swarm deploy without a release makes one") from None
     try:
         identity = files["ID"].decode().strip()
         machine, python = files["FOR"].decode().split()

@@ -145,6 +145,8 @@ def test_what_is_no_release(robots: FakeRobots, run: Run, capsys: pytest.Capture
     (robots.folder / "x.tar.gz").write_bytes(b"no tar")
     assert run("deploy", str(robots.folder / "x.tar.gz")) == 2
     assert "no release can be read" in capsys.readouterr().err
+    assert run("deploy", "nosuch.tar.gz") == 2
+    assert "nosuch.tar.gz: no release can be read: No such file or directory; swarm deploy" in capsys.readouterr().err
 
 
 def test_a_release_with_a_wrong_byte_is_none(tmp_path: Path) -> None:

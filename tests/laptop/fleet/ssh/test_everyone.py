@@ -44,6 +44,17 @@ def test_logs_are_those_that_root_may_read(robots: FakeRobots, run: Run, capsys:
     assert "r0: an entry\n" in capsys.readouterr().out
 
 
+def test_a_service_that_has_logged_nothing_is_named(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Such as a misspelled one: journalctl itself succeeds, and prints a line that is none of the journal."""
+    robots.add("r0")
+    robots.script("r0", "journalctl", 'case "$*" in *--quiet*) ;; *) echo "-- No entries --" ;; esac')
+    assert run("logs", "mehs", "--json") == 0
+    outcome = outcomes(capsys)["r0"]
+    assert (outcome["lines"], outcome["text"]) == ([], "nothing is logged there by mehs")
+
+
 def test_one_computer_is_not_made_two_robots(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("r0", "r1"):
         robots.add(name, up=False)
