@@ -32,11 +32,10 @@ def main() -> int:
     args, words = way.parse_known_args(sys.argv[1:])
     options = calibrate.options_of(words, FAR_OPTIONS)
     args.run_dir = options.run_dir
-    if options.command not in _SESSIONS or (options.samples and options.samples.exists()):
-        args.run_dir = args.run_dir or Path()  # files alone: no robot is asked
+    files_alone = options.command not in _SESSIONS or (options.samples and options.samples.exists())
     if args.config is not None:
         os.environ["SWARM_CONFIG"] = str(args.config.absolute())
-    if not robot_command.is_far(args):
+    if files_alone or not robot_command.is_far(args):
         return calibrate.main(words)
     config = load(args.config)
     os.environ["SWARM_CONFIG"] = str(config.path.absolute())

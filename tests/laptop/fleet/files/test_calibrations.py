@@ -119,6 +119,18 @@ def test_a_session_on_a_robot_is_led_from_here_and_fitted_here(robots: FakeRobot
     assert not (robots.folder / "r0/s.csv").exists()
 
 
+def test_a_fit_of_samples_that_are_here_asks_no_robot(
+    robots: FakeRobots, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Also where the configuration is named that the robots have."""
+    monkeypatch.setenv("SWARM_CONFIG", "")
+    words = ["fit", str(tmp_path / "none.csv"), "--robots", "r0", "--config", str(robots.config)]
+    robots.add("r0")
+    monkeypatch.setattr(sys, "argv", ["swarm", *words])
+    with pytest.raises(LocalError, match=r"none\.csv: cannot be read"):
+        calibrate_by_ssh.main()
+
+
 def test_samples_stay_on_the_robot_until_they_are_on_the_disk_here(
     robots: FakeRobots, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
