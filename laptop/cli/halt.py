@@ -26,6 +26,7 @@ from swarm.process.arguments import show
 from swarm.process.paths import DEFAULT_RUNTIME
 from swarm.process.simulations import default_run_dir, is_live, robots
 from swarm.process.terminal import columns
+from swarm.process.text import printable
 
 THERE_S = 3.0
 """Seconds for which the command on the robot waits for the robot's own balancer and mesh."""
@@ -197,7 +198,7 @@ def command(robots: tuple[Host, ...], ssh: Ssh, *, stop: bool, reason: str, bega
         if not stop:
             raise HostError(problem)
         stop_it = f"sudo -n systemctl stop swarm-balancer.service && {{ {OWN_NAME}; }}"
-        found = (await ssh.check(host, stop_it)).strip()
+        found = printable((await ssh.check(host, stop_it)).strip())
         if found not in ("", host.robot):
             raise HostError(f"its balancer was stopped, but it says that it is {found}: correct `host` in swarm.toml")
         return f"its balancer was stopped ({problem}): swarm services start balancer, when all is well"

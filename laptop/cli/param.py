@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Show or set parameters. Return 1 where a robot does not answer, or refuses."""
-    if not (args.real or robot_command.is_meant(args)):
+    if not (robot_command.is_meant(args) or args.real):
         return param.run(args)
     wanted = param.settings_of(args)  # what is wrong is said here, not by each robot
     _, robots, ssh = everyone.recipients(args)

@@ -45,6 +45,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _simulated(args: argparse.Namespace, there: Mapping[str, Path]) -> int:
     """Restart services of simulated robots, which the simulation does whenever one ends; start or stop their apps."""
+    everyone.refuse_robots(args.services, there, "a service or an app")
     done: dict[str, str] = {}
     for name, runtime in there.items():
         said = []

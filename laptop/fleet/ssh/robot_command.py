@@ -32,9 +32,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     everyone.add_config(parser, "swarm.toml with the robots and their hosts, for ssh")
 
 
+def _names_real(args: argparse.Namespace) -> bool:
+    """Return whether the options name real robots. Raises `LocalError` where they name a simulation as well."""
+    real = bool(args.real or args.config or args.ssh_config)
+    if real and args.run_dir:
+        raise LocalError("--run-dir means a simulation, and --real, --config and --ssh-config real robots: choose one")
+    return real
+
+
 def is_far(args: argparse.Namespace) -> bool:
-    """Return whether real robots are meant that ssh reaches."""
-    if args.real or args.config or args.ssh_config:
+    """Return whether real robots are meant that ssh reaches. Raises `LocalError` where two swarms are meant."""
+    if _names_real(args):
         return True
     if args.run_dir or os.environ.get("SWARM_RUNTIME") or DEFAULT_RUNTIME.is_dir():
         return False
@@ -56,7 +64,7 @@ def add_simulation(parser: argparse.ArgumentParser) -> None:
 def simulated(args: argparse.Namespace) -> dict[str, Path] | None:
     """Return the runtime directories of the simulated robots that are meant; None where real ones are. Raises
     `LocalError`."""
-    if args.real or args.config or args.ssh_config:
+    if _names_real(args):
         return None
     directory = (args.run_dir or default_run_dir()).absolute()
     if is_live(directory):

@@ -45,6 +45,16 @@ def test_a_command_names_robots_of_a_simulation_and_real_ones(name: str) -> None
     assert command.far or "--ssh-config" in text
 
 
+@pytest.mark.parametrize("words", ["status", "services restart mesh", "app param consensus", "balance rest", "mesh"])
+def test_a_command_that_names_a_simulation_and_real_robots_is_refused(
+    words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as end:
+        main([*words.split(), "--run-dir", str(tmp_path), "--real"])
+    assert end.value.code == 2
+    assert "--run-dir means a simulation, and --real," in capsys.readouterr().err
+
+
 SUDO = 'echo "$*" >>$HOME/asked; echo "line of $HOME" | sed s#$HOME/*#robot#; [ ! -e $HOME/bad ] || exit 1'
 THERE = "-n env SWARM_ROBOT={} SWARM_RUNTIME=/run/swarm /opt/swarm/current/bin/swarm "
 
