@@ -68,9 +68,10 @@ def run(args: argparse.Namespace) -> int:
 
     Returns 1 where a robot that can be reached has not confirmed in time.
     """
-    if args.no_ssh or args.run_dir or os.environ.get("SWARM_RUNTIME") or DEFAULT_RUNTIME.is_dir():
+    alone = args.run_dir and not (args.config or args.ssh_config)  # otherwise real robots are meant as well
+    if args.no_ssh or alone or os.environ.get("SWARM_RUNTIME") or DEFAULT_RUNTIME.is_dir():
         return halt.run(args)
-    found = _simulated()
+    found = _simulated(args.run_dir)
     try:
         config = load(args.config, addressed=False)
     except LocalError as error:
@@ -115,9 +116,9 @@ def stop_all(reason: str, args: argparse.Namespace, *, as_json: bool = False) ->
     run(own)
 
 
-def _simulated() -> dict[str, Path]:
+def _simulated(run_dir: Path | None) -> dict[str, Path]:
     """Return the runtime directories of the robots of a simulation that runs here; none where none runs."""
-    directory = default_run_dir().absolute()
+    directory = (run_dir or default_run_dir()).absolute()
     return robots(directory) if is_live(directory) else {}
 
 
@@ -126,7 +127,7 @@ def _without_config(args: argparse.Namespace, error: LocalError) -> int:
     cannot be used, real robots may be meant: nobody has told them, and the exit code is not 0."""
     if args.config is None and find.find() is None:
         return halt.run(args)
-    if args.config is not None or not _simulated():
+    if args.config is not None or not _simulated(None):
         raise error
     code = halt.run(args)
     sys.stderr.write(f"swarm: {error}; no real robot was told\n")

@@ -121,7 +121,7 @@ def test_a_bus_that_does_not_answer_here_keeps_no_robot_from_its_stop(
     def refuse(*_: object, **__: object) -> None:
         raise LocalError("no bus is there")
 
-    monkeypatch.setattr(halt_ssh, "_simulated", lambda: {"r0": home})
+    monkeypatch.setattr(halt_ssh, "_simulated", lambda _: {"r0": home})
     monkeypatch.setattr(halt_ssh.halt, "stop_or_arm", refuse)
     assert run("estop") == 0
     shown = capsys.readouterr()
@@ -133,7 +133,7 @@ def test_a_stop_that_reaches_no_robot_at_all_is_not_confirmed(
     robots: FakeRobots, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     robots.add("r0")
-    monkeypatch.setattr(halt_ssh, "_simulated", lambda: {"s0": Path("/nowhere")})
+    monkeypatch.setattr(halt_ssh, "_simulated", lambda _: {"s0": Path("/nowhere")})
     lost = [Row("s0", "no bus", None, None, False)]  # its bus has ended meanwhile
     monkeypatch.setattr(halt_ssh.halt, "stop_or_arm", lambda *_, **__: lost)
     assert run("estop", "--robots", "s0") == 1
@@ -154,7 +154,7 @@ def simulation(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
     monkeypatch.setattr(halt_ssh.halt, "stop_or_arm", give)
     monkeypatch.setattr(halt_ssh.halt.buses, "directories_of", find)
-    monkeypatch.setattr(halt_ssh, "_simulated", lambda: dict.fromkeys(("r0", "r1", "s0"), Path("/nowhere")))
+    monkeypatch.setattr(halt_ssh, "_simulated", lambda _: dict.fromkeys(("r0", "r1", "s0"), Path("/nowhere")))
     return told
 
 
@@ -181,6 +181,15 @@ def test_robots_that_are_named_are_told_real_and_simulated(
     assert run("estop", "--robots", names) == 0
     assert [name for name, home in homes.items() if (home / "asked").exists()] == real
     assert simulation == simulated
+
+
+def test_a_stop_that_names_a_simulation_and_a_config_reaches_the_robots_of_both(
+    robots: FakeRobots, run: Run, simulation: list[str]
+) -> None:
+    home = add(robots, "r0", answer("r0"))
+    assert run("estop", "--run-dir", str(robots.folder)) == 0
+    assert (home / "asked").exists()
+    assert "s0" in simulation
 
 
 @pytest.mark.parametrize("way", [(), ("--no-ssh",)])
