@@ -23,14 +23,15 @@ def take_lock(descriptor: int, *, wait: bool = False) -> None:
 
 
 @contextlib.contextmanager
-def folder_lock(folder: Path) -> Iterator[None]:
-    """Hold the lock of a folder, as soon as it is free. Raises `OSError` where it cannot be opened."""
+def folder_lock(folder: Path, *, wait: bool = True) -> Iterator[None]:
+    """Hold the lock of a folder, as soon as it is free; without `wait`, raises `BlockingIOError` where it is not.
+    Raises `OSError` where the folder cannot be opened."""
     if fcntl is None:
         yield
         return
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        take_lock(descriptor, wait=True)
+        take_lock(descriptor, wait=wait)
         yield
     finally:
         os.close(descriptor)

@@ -4,14 +4,18 @@ Calibrations that were made on robots come along, to where `swarm.toml` says.
 """
 
 import argparse
+import contextlib
+from collections.abc import Sequence
 from pathlib import Path
 
 from laptop.fleet.files.calibrations import bring_back
 from laptop.fleet.files.fetch import RecordingFetch
 from laptop.fleet.ssh import everyone
-from laptop.fleet.ssh.ssh import Host, HostError
+from laptop.fleet.ssh.ssh import Host, HostError, Ssh
+from swarm.config import Config
 from swarm.errors import LocalError
 from swarm.onboard.command_line import complain
+from swarm.process.locks import folder_lock
 
 HELP = "copy the recordings and logs of all robots to this computer, over ssh"
 
@@ -30,11 +34,22 @@ def run(args: argparse.Namespace) -> int:
     """Fetch the files. Return 0 where all files of every robot are here. A transfer that broke off goes on the next
     time."""
     config, robots, ssh = everyone.recipients(args)
-    try:
-        args.into.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise LocalError(f"{args.into}: {error.strerror}") from None
+    with contextlib.ExitStack() as held:
+        try:
+            args.into.mkdir(parents=True, exist_ok=True)
+            held.enter_context(folder_lock(args.into, wait=False))
+        except BlockingIOError:
+            raise LocalError(
+                f"{args.into}: another swarm fetch writes to it: let it end, or choose another --into"
+            ) from None
+        except FileExistsError:
+            raise LocalError(f"{args.into}: it is no folder") from None
+        except OSError as error:
+            raise LocalError(f"{args.into}: {error.strerror}") from None
+        return _fetch(args, config, robots, ssh)
 
+
+def _fetch(args: argparse.Namespace, config: Config, robots: Sequence[Host], ssh: Ssh) -> int:
     found: set[str] = set()
 
     async def job(host: Host, tell: everyone.ReportProgress) -> str:

@@ -9,6 +9,7 @@ from fake_robots import FakeRobots, Run, outcomes
 from needs import needs_ssh
 
 from laptop.fleet.core import collect
+from swarm.process.locks import folder_lock
 
 pytest_plugins = ["fleet_fixtures"]
 pytestmark = needs_ssh
@@ -163,6 +164,20 @@ def test_no_room_here_is_told_for_each_robot(robots: FakeRobots, run: Run, capsy
     assert "cannot be kept here" in str(outcomes(capsys)["r0"]["text"])
     assert (home / "runs/goto-1/r0.a").exists()
     assert run("fetch", "--into", str(into / "goto-1" / "x")) == 2
+
+
+def test_two_that_fetch_into_one_folder_at_the_same_time_do_not_mix_their_data(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    add(robots, "r0", {"goto-1/r0.a": b"a"})
+    into = robots.folder / "here"
+    into.mkdir()
+    with folder_lock(into):
+        assert run("fetch", "--into", str(into)) == 2
+    assert "here: another swarm fetch writes to it: let it end, or choose another --into" in capsys.readouterr().err
+    assert run("fetch", "--into", str(into), "--no-logs") == 0
+    assert run("fetch", "--into", str(into / "goto-1/r0.a")) == 2
+    assert "r0.a: it is no folder" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", [("fetch",), ("logs",)])
