@@ -68,9 +68,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "name", nargs="?", metavar="ROBOT", help="a robot of the simulation, or over ssh (default: this robot)"
     )
-    parser.add_argument("--out", type=Path, metavar="FILE", help="file for the report (commission-ROBOT-DATE.json)")
+    parser.add_argument("--out", type=_report, metavar="FILE", help="file for the report (commission-ROBOT-DATE.json)")
     add_json(parser)
     buses.add_arguments(parser)
+
+
+def _report(text: str) -> Path:
+    """Return the path of the report. What is wrong with it is said before all of the work."""
+    path = Path(text)
+    if path.is_dir() or not path.parent.is_dir():
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a file in a folder that is there")
+    return path
 
 
 def run(args: argparse.Namespace) -> int:
@@ -117,12 +125,14 @@ def subject_of(config: Config, robot: str) -> Subject:
 
 
 def finish(report: dict[str, Any], out: Path | None) -> None:
-    """Write the report to its file and say how it ended; raises `LocalError` where it cannot be written."""
+    """Write the report to its file and say how it ended. Where it cannot be written, it is shown, and `LocalError`
+    raised."""
     path = out or Path(f"commission-{report['robot']}-{re.sub('[^0-9TZ]', '', str(report['date']))}.json")
     try:
         atomic_write(path, json.dumps(report, indent=2).encode() + b"\n")
     except OSError as error:
-        raise LocalError(f"{path}: {error.strerror}") from None
+        write_lines([json.dumps(report)])
+        raise LocalError(f"{path}: {error.strerror}; the report is the line above, keep it in a file") from None
     lines = [f"{row['name']:<10} {row['verdict']}" for row in report["steps"]]
     if report.get("ended"):
         lines.append(str(report["ended"]))

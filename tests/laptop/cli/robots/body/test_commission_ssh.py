@@ -44,6 +44,20 @@ def test_a_connection_that_breaks_leaves_the_report_of_the_steps_until_then(
     ]  # fmt: skip
 
 
+def test_a_report_that_could_not_be_written_is_refused_before_the_work_and_shown_after_it(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    robots.add("r0")
+    robots.script("r0", "sudo", f"touch asked; mkdir {tmp_path}/out; echo '{json.dumps({'report': REPORT})}'")
+    assert run("commission", "r0", "--out", str(tmp_path / "none/report.json")) == 2
+    assert "expected a file in a folder that is there" in capsys.readouterr().err
+    assert not (tmp_path / "r0/asked").exists()
+    assert run("commission", "r0", "--out", str(tmp_path / "out")) == 2
+    shown = capsys.readouterr()
+    assert json.loads(shown.out) == REPORT
+    assert "out: Is a directory; the report is the line above, keep it in a file" in shown.err
+
+
 def test_a_command_that_ends_before_any_step_leaves_no_report(
     robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
