@@ -38,6 +38,8 @@ MOST_PRESSES = 100
 """The most presses of a button that an app is told of after one message."""
 SILENT = 2.0
 """Seconds without a message of the balancer after which the robot's posture counts as unknown."""
+BATTERY_LOST = 60.0
+"""Seconds without a reading after which the battery's voltage counts as unknown, as for the balancer."""
 POSE_LOST = 5.0
 """Seconds after which a pose is too old to be used."""
 
@@ -84,6 +86,7 @@ class Devices:
         self._state: BalancerState | None = None
         self._state_came = -math.inf
         self._battery: float | None = None
+        self._battery_came = -math.inf
         self._held: tuple[str, ...] = ()
         self._presses: tuple[int, ...] | None = None
         self._on_button: Callable[[str], None] | None = None
@@ -122,9 +125,9 @@ class Devices:
 
     @property
     def battery(self) -> float | None:
-        """V; None before it was read."""
+        """V; None before it was read, and where it was not read for `BATTERY_LOST`."""
         self._watch("battery", "balancer", Battery, self._take_battery)
-        return self._battery
+        return self._battery if self._now() - self._battery_came <= BATTERY_LOST else None
 
     @property
     def buttons(self) -> tuple[str, ...]:
@@ -254,7 +257,7 @@ class Devices:
         self._state, self._state_came = state, self._now()
 
     def _take_battery(self, battery: Battery) -> None:
-        self._battery = battery.voltage
+        self._battery, self._battery_came = battery.voltage, self._now()
 
     def _take_buttons(self, buttons: Buttons) -> None:
         held = (buttons.a, buttons.b, buttons.c)

@@ -181,7 +181,7 @@ class Robot:
 
     @property
     def battery(self) -> float | None:
-        """The battery's voltage, V; None before the first reading."""
+        """The battery's voltage, V; None before the first reading, and where none came for 60 s."""
         return self._devices().battery
 
     @property

@@ -199,7 +199,7 @@ def battery(robot: ExaminedRobot) -> Finding:
     """Check that the batteries are charged."""
     volts = robot.said("balancer/battery").get("voltage", robot.said("balancer/state").get("battery"))
     if volts is None:
-        return bad("not read yet", "see devices")
+        return bad("its voltage is not read", "see devices")
     limits = robot.config.balancing_of(robot.name)
     left = robot.said("balancer/state").get("battery_left")
     text = f"{volts:.2f} V" + ("" if left is None else f", about {left / 60:.0f} min")

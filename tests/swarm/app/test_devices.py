@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from swarm.app.devices import (
+    BATTERY_LOST,
     DRIVE_CLAIM,
     DRIVE_REPEAT,
     LED_CLAIM,
@@ -120,6 +121,8 @@ def test_an_unreadable_message_leaves_the_battery_as_it_was(rig: Rig) -> None:
     rig.bus.come("balancer/battery", Battery(0.0, 7.2))
     rig.bus.callbacks["swarm/r0/balancer/battery"]("x", b"rubbish")
     assert rig.devices.battery == 7.2
+    rig.now += BATTERY_LOST + 0.1
+    assert rig.devices.battery is None
 
 
 def test_presses_are_counted_held_buttons_are_seen(rig: Rig) -> None:

@@ -150,7 +150,7 @@ export class Robots {
     const body = get("balancer/state"), battery = get("balancer/battery"), clock = get("mesh/clock");
     const links = list(get("mesh/links")?.links), up = links.filter((each) => each?.state === "up").length;
     const [app, progress] = this.app(name), left = body?.battery_left;
-    const volts = body?.battery ?? battery?.voltage, waits = list(progress?.waiting_for);
+    const volts = body ? body.battery : battery?.voltage, waits = list(progress?.waiting_for);
     return [
       [app ? String(this.k(name, app, progress)) : "-"],
       [waits.join(" ") || "-", waits.length ? "warn" : ""],

@@ -174,6 +174,16 @@ def test_what_is_no_number_harms_nothing(page: Any) -> None:
     assert near(page, 2.0, 0.0, 6)[page.evaluate("swarmView.store.colour('r2')")] > 20
 
 
+def test_a_battery_that_is_not_read_any_more_has_no_voltage(page: Any) -> None:
+    row = page.locator("tr[data-robot=r1]")
+    for volts, level in ((7.31, "ok"), (None, "unknown")):
+        state = {"t": 1.0, "mode": "idle", "tilt": 0.0, "battery": volts, "battery_level": level}
+        tell(page, r1={"balancer/battery": {"t": 1.0, "voltage": 7.31}, "balancer/state": state})
+        page.evaluate("swarmView.show()")
+        shows = expect(row)
+        (shows.to_contain_text if volts else shows.not_to_contain_text)("7.31 V", timeout=PATIENCE_MS)
+
+
 def test_all_can_be_reached_by_keys(page: Any) -> None:
     page.locator("#time").focus()
     for _ in range(40):
