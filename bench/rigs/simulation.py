@@ -94,7 +94,7 @@ class Simulation:
         output, _ = self.process.communicate(timeout=timeout_s)
         if self.process.returncode not in (0, 128 + signal.SIGINT):
             raise SimulationError(f"code {self.process.returncode}\n{output[-500:]}\n{self.said()}")
-        result: dict[str, object] = json.loads(output.splitlines()[-1])
+        result: dict[str, object] = json.loads(output)
         return result
 
     def said(self) -> str:

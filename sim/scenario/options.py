@@ -282,7 +282,7 @@ def parser(kind: type[argparse.ArgumentParser] = HintingParser) -> argparse.Argu
         "--seed", type=whole(0), default=1, metavar="S", help="seed of noise, jitter and random topologies (1)"
     )
     run_options.add_arguments(p)
-    run.add_argument("--json", action="store_true", help="one JSON object as the last line of the output")
+    run.add_argument("--json", action="store_true", help="print one JSON object")
     run.add_argument("--plot", type=picture_name, metavar="FILE.png", help="draw the run")
     run.add_argument("--record", type=Path, metavar="DIR", help="write the recording of the run to this folder")
     run.add_argument("--run-dir", type=Path, metavar="DIR", help="directory for sockets and logs during the run")

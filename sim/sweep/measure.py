@@ -1,8 +1,10 @@
 """The measurement of one run of a sweep, in a process of its own, on this machine or on another."""
 
+import contextlib
 import logging
 import math
 import statistics
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import field
 
@@ -68,7 +70,9 @@ def measure(job: Job, app: LoadedApp | None = None) -> SweptRun:
     before = logging.root.manager.disable
     logging.disable(logging.WARNING)  # twenty runs at once would tell the same twenty times
     try:
-        report, outcome = run_virtually(*job.arguments, rows=True, app=app)
+        # Standard output is for the sweep's results: an app's module may print while it is imported.
+        with contextlib.redirect_stdout(sys.stderr):
+            report, outcome = run_virtually(*job.arguments, rows=True, app=app)
     except SwarmError as error:
         return SweptRun(job.point, job.seed, 0, None, None, 0.0, None, 0.0, str(error))
     finally:

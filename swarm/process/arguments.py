@@ -1,13 +1,14 @@
 """Arguments that many commands have in common, and the types of what is given for them."""
 
 import argparse
+import contextlib
 import difflib
 import json
 import math
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TextIO
 
 from swarm.messages.keys import is_name
 from swarm.process.terminal import write_lines
@@ -51,13 +52,22 @@ class CommandParser(HintingParser):
         return found, rest
 
 
-def add_json(parser: argparse.ArgumentParser) -> None:
+def add_json(parser: argparse._ActionsContainer) -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def show(args: argparse.Namespace, data: object, lines: Iterable[str]) -> None:
     """Write what a command has found: `data` as JSON where `--json` was given, else `lines` for people."""
     write_lines([json.dumps(data)] if args.json else lines)
+
+
+@contextlib.contextmanager
+def json_alone(as_json: bool) -> Iterator[TextIO]:
+    """Yield standard output. With `as_json` everything else that is printed within this, also by an app that is being
+    imported, goes to standard error."""
+    out = sys.stdout
+    with contextlib.redirect_stdout(sys.stderr if as_json else out):
+        yield out
 
 
 def add_robots(parser: argparse._ActionsContainer, text: str) -> None:

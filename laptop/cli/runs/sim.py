@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import TextIO
 
 from sim import report, report_table
 from sim.processes.progress import say
@@ -20,6 +21,7 @@ from sim.scenario.options import Options
 from sim.scenario.scenario import Scenario
 from swarm.errors import LocalError
 from swarm.process import log, service
+from swarm.process.arguments import json_alone
 from swarm.process.simulations import claim, default_run_dir
 from swarm.recording import folder
 
@@ -33,15 +35,20 @@ def main() -> int:
 def run_simulation(options: Options, words: Sequence[str]) -> int:
     """Run one simulation with these options, and keep `words`, from which they were read, in its recording; returns the
     exit code."""
+    with json_alone(options.json) as out:
+        return _simulated(options, words, out)
+
+
+def _simulated(options: Options, words: Sequence[str], out: TextIO) -> int:
     if options.virtual:
         with tempfile.TemporaryDirectory(prefix="swarm-sim-") as place:
             # What is drawn is what was recorded.
             keeps = options.record is None and options.plot is not None
-            return _virtual(replace(options, record=Path(place) / "run") if keeps else options, words)
+            return _virtual(replace(options, record=Path(place) / "run") if keeps else options, words, out)
     run_dir = (options.run_dir or default_run_dir()).absolute()
     with claim(run_dir):
         try:
-            return _run(options, run_dir, words)
+            return _run(options, run_dir, words, out)
         except OSError as error:
             if error.errno in (errno.ENOSPC, errno.EDQUOT):
                 raise LocalError(f"the disk is full: {error.filename or run_dir}") from None
@@ -50,7 +57,7 @@ def run_simulation(options: Options, words: Sequence[str]) -> int:
             _clear(run_dir)
 
 
-def _virtual(options: Options, words: Sequence[str]) -> int:
+def _virtual(options: Options, words: Sequence[str], out: TextIO) -> int:
     from sim.virtual import run as virtual  # most of the services: a quarter of what a simulation imports
 
     if options.record is not None:
@@ -60,7 +67,7 @@ def _virtual(options: Options, words: Sequence[str]) -> int:
     for note in plan.notes:
         sys.stderr.write(note + "\n")
     run = virtual.VirtualRun(options, plan, said=partial(say, sys.stderr))
-    tell = partial(_tell, options, plan, options.record or Path())
+    tell = partial(_tell, options, plan, options.record or Path(), out)
     if options.view:
         from laptop.view import virtual_page  # the server is heavy, and of the extra `lab`
 
@@ -68,7 +75,7 @@ def _virtual(options: Options, words: Sequence[str]) -> int:
     return tell(run.go())
 
 
-def _run(options: Options, run_dir: Path, words: Sequence[str]) -> int:
+def _run(options: Options, run_dir: Path, words: Sequence[str], out: TextIO) -> int:
     _clear(run_dir)
     plan, records = scenario.build(options, run_dir), options.record or run_dir / "records"
     from sim.processes.run import ProcessRun  # virtual time runs where processes cannot: on Windows
@@ -76,20 +83,19 @@ def _run(options: Options, run_dir: Path, words: Sequence[str]) -> int:
     with ProcessRun(options, plan, run_dir, sys.stderr) as run:
         keep_command(records, words)
         outcome = run.watch()
-    return _tell(options, plan, records, outcome)
+    return _tell(options, plan, records, out, outcome)
 
 
-def _tell(options: Options, plan: Scenario, records: Path, outcome: report.RunOutcome) -> int:
+def _tell(options: Options, plan: Scenario, records: Path, out: TextIO, outcome: report.RunOutcome) -> int:
     found = report.summary(outcome)
-    print(report_table.table(found, outcome))
+    out.write(f"{json.dumps(found) if options.json else report_table.table(found, outcome)}\n")
     if options.plot is not None and plan.app is not None:
         from laptop.cli.runs import plot  # matplotlib's helpers are wanted here alone
 
         references = {name: recorded.estimates for name, recorded in plan.recorded.items()}
         plot.draw(records, plan.app, options.plot, references)
-        print(f"plot        {options.plot}")
-    if options.json:
-        print(json.dumps(found))
+        if not options.json:
+            out.write(f"plot        {options.plot}\n")
     if found["problems"]:
         return 1
     return 128 + outcome.ended_by if outcome.ended_by else 0

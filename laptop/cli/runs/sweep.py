@@ -17,7 +17,7 @@ from sim.sweep.measure import check
 from sim.sweep.plan import SweepPoint, jobs_of, points_of, seeds_of, setting_of, values_of
 from swarm.errors import ConfigError
 from swarm.process import log, service
-from swarm.process.arguments import number, picture, whole
+from swarm.process.arguments import add_json, json_alone, number, picture, whole
 from swarm.process.terminal import bar, steer
 
 WITHIN = 0.01
@@ -70,7 +70,7 @@ def parser() -> argparse.ArgumentParser:
     )
     where.add_argument("--scheduler", metavar="ADDRESS", help="address of a running Dask cluster, e.g. tcp://big:8786")
     out = p.add_argument_group("what comes out")
-    out.add_argument("--json", action="store_true", help="one JSON object as the last line of the output")
+    add_json(out)
     out.add_argument("--plot", type=picture, metavar="FILE.png", help="draw the results")
     return p
 
@@ -79,6 +79,11 @@ def main() -> int:
     """Run the sweep. Return 0 where no run failed, or, with `--limit`, where each point has a value that settles."""
     log.setup("sweep")
     args, rest = parser().parse_known_args()
+    with json_alone(args.json) as out:
+        return _sweep(args, rest, out)
+
+
+def _sweep(args: argparse.Namespace, rest: list[str], out: TextIO) -> int:
     lists = [(name, getattr(args, name)) for name in ("robots", "topology", "algorithm") if getattr(args, name)]
     points = points_of([*lists, *args.settings])
     if any(word.partition("=")[0] == "--record" for word in rest):
@@ -90,21 +95,24 @@ def main() -> int:
     check(jobs_of(args.app, points, args.seeds[:1], rest, args.within))
     engine = dask(args.jobs, args.scheduler) if args.engine == "dask" else local(args.jobs)
     if args.limit is not None:
-        return _limits(args, points, rest, engine)
+        return _limits(args, points, rest, engine, out)
     jobs = jobs_of(args.app, points, args.seeds, rest, args.within)
     began = time.monotonic()
     progress = _Progress(sys.stderr, len(jobs))
     with engine as run:
         found = run(jobs, progress.done)
     progress.close()
-    print(sweep_results.table(points, found))
-    computed = sum(each.computed_s for each in found)
-    print(f"\n{len(jobs)} runs, {computed:.1f} s of computing in {time.monotonic() - began:.1f} s")
+    if args.json:
+        text = json.dumps({"app": args.app, "points": sweep_results.as_json(points, found)})
+    else:
+        computed = sum(each.computed_s for each in found)
+        took = f"{len(jobs)} runs, {computed:.1f} s of computing in {time.monotonic() - began:.1f} s"
+        text = f"{sweep_results.table(points, found)}\n\n{took}"
+    out.write(f"{text}\n")
     if args.plot is not None:
         sweep_results.draw(args.app, points, found, args.plot)
-        print(f"plot {args.plot}")
-    if args.json:
-        print(json.dumps({"app": args.app, "points": sweep_results.as_json(points, found)}))
+        if not args.json:
+            out.write(f"plot {args.plot}\n")
     return 1 if any(each.problem for each in found) else 0
 
 
@@ -113,6 +121,7 @@ def _limits(
     points: list[SweepPoint],
     rest: list[str],
     engine: contextlib.AbstractContextManager[Engine],
+    out: TextIO,
 ) -> int:
     name, values = setting_of(args.limit)
     try:
@@ -127,10 +136,9 @@ def _limits(
     with engine as run:
         brackets = search(args.app, points, args.seeds, rest, args.within, name, (low, high), run, progress.done)
     progress.close()
-    print(sweep_results.limits(points, name, brackets))
-    if args.json:
-        rows = [{**dict(point.choices), **asdict(each)} for point, each in zip(points, brackets, strict=True)]
-        print(json.dumps({"app": args.app, "limit": name, "points": rows}))
+    rows = [{**dict(point.choices), **asdict(each)} for point, each in zip(points, brackets, strict=True)]
+    found = {"app": args.app, "limit": name, "points": rows}
+    out.write(f"{json.dumps(found) if args.json else sweep_results.limits(points, name, brackets)}\n")
     return 1 if any(each.good is None for each in brackets) else 0
 
 

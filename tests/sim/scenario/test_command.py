@@ -1,5 +1,6 @@
 """The command in the folder of a recording repeats the run."""
 
+import json
 import shlex
 from pathlib import Path
 
@@ -47,6 +48,20 @@ def test_a_run_is_repeated_from_the_folder_of_its_recording(tmp_path: Path, monk
     words += ["--set", "diverges_above=1e9", "--set", "r1.x=5", "--iterations", "30", "--json", "--record", "run"]
     assert sim.run_simulation(parse(words), words) == 0
     assert repeated(tmp_path / "run", tmp_path / "again", monkeypatch)
+
+
+@pytest.mark.parametrize("words", [["--json"], ["--json", "--plot", "run.png"]])
+def test_with_json_the_output_is_one_object_whatever_the_app_prints(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("talks.py").write_text(f"print('imported')\n{APP}        print('a step')\n")
+    words = ["talks.py", "--virtual", "--iterations", "3", *words]
+    assert sim.run_simulation(parse(words), words) == 0
+    said = capsys.readouterr()
+    assert json.loads(said.out)["iterations"] == 3
+    assert "imported" in said.err
+    assert "a step" in said.err
 
 
 def test_a_run_of_simulate_is_repeated_from_where_it_was_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

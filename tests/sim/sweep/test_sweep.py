@@ -182,7 +182,7 @@ def test_the_command_gives_what_one_process_gives(engine, tmp_path):
          "--plot", str(plot)],
         capture_output=True, text=True, check=True,
     )  # fmt: skip
-    told = json.loads(done.stdout.splitlines()[-1])
+    told = json.loads(done.stdout)
     assert [point["robots"] for point in told["points"]] == ["3", "4"]
     assert plot.stat().st_size > 1000
     for index, point in enumerate(told["points"]):
@@ -191,6 +191,15 @@ def test_the_command_gives_what_one_process_gives(engine, tmp_path):
             arguments = ("consensus", "--robots", point["robots"], "--seed", str(run["seed"]), "--iterations", "30")
             here = measure(Job(index, run["seed"], (*arguments, "--jitter", "5ms"), 0.01))
             assert (run["settled"], run["error"], run["seconds"]) == (here.settled, here.error, here.seconds)
+
+
+def test_an_app_prints_nothing_between_the_results_of_a_sweep(tmp_path, capsys):
+    (tmp_path / "talks.py").write_text(
+        "from swarm import SyncApp\nprint('imported')\nclass Talks(SyncApp):\n    x: float\n"
+        "    def step(self, neighbours):\n        print('a step')\n"
+    )
+    assert measure(Job(0, 1, (str(tmp_path / "talks.py"), "--iterations", "3"), 0.01)).problem == ""
+    assert capsys.readouterr().out == ""
 
 
 def test_a_wrong_command_is_refused_before_anything_runs():
