@@ -1,5 +1,6 @@
 """Tables of the messages that a run has recorded under a topic, on the run's time axis; as CSV, npz, mat or parquet."""
 
+import importlib
 import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -34,20 +35,27 @@ def of_topic(recorded: Run, topic: str) -> Table:
     return {name: [row.get(name) for row in rows] for name in dict.fromkeys(name for row in rows for name in row)}
 
 
+def require(kind: str) -> None:
+    """Raise `MissingPackageError` where a format needs a package that is not installed."""
+    if kind not in _EXTRA:
+        return
+    needed, extra = _EXTRA[kind]
+    try:
+        importlib.import_module(needed)
+    except ImportError:
+        raise MissingPackageError(f"--format {kind}", needed, extra) from None
+
+
 def write(path: Path, table: Table) -> None:
-    """Write a table into a new file, in the format that its ending names. Raises `LocalError` where the format needs
-    what is not installed, or the file is there."""
+    """Write a table into a new file, in the format that its ending names, whose package is installed (`require`).
+    Raises `LocalError` where the file is there."""
     kind = path.suffix.removeprefix(".")
     if kind not in FORMATS:
         raise LocalError(f"{path}: tables are written as {', '.join(FORMATS)}")
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.exists():
         raise LocalError(f"{path}: it is there already; name a new folder")
-    try:
-        _WRITERS[kind](path, table)
-    except ImportError:
-        needed, extra = _EXTRA[kind]
-        raise MissingPackageError(f"--format {kind}", needed, extra) from None
+    _WRITERS[kind](path, table)
 
 
 def _flat(name: str, value: Any, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Any]:

@@ -51,6 +51,8 @@ def run(args: argparse.Namespace) -> int:
     """Write the files and return 0. Raises `LocalError` where there is nothing to export."""
     if not (args.csv or args.table or args.mcap):
         raise LocalError("say what to make of the run: --csv DIR, --table DIR or --mcap FILE")
+    if args.table:
+        tables.require(args.format)  # before anything is written
     recorded = Run(args.run, args.app)
     made: list[Path] = []
     notes: list[str] = []

@@ -58,12 +58,13 @@ def test_an_npz_table_holds_numbers_not_texts(recorded: Path, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(("kind", "needs"), [("mat", "scipy"), ("parquet", "pyarrow")])
-def test_what_is_not_installed_is_named(
+def test_what_is_not_installed_is_named_before_anything_is_written(
     recorded: Path, tmp_path: Path, kind: str, needs: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, needs, None)
     with pytest.raises(LocalError, match=f'--format {kind} needs {needs}: pip install "balboa-swarm'):
-        exported(recorded, "--table", str(tmp_path), "--topic", "sim/truth", "--format", kind)
+        exported(recorded, "--csv", str(tmp_path / "a"), "--table", str(tmp_path / "b"), "--format", kind)
+    assert list(tmp_path.iterdir()) == []
 
 
 MATRIX = """
