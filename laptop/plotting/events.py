@@ -28,7 +28,7 @@ def leds(figure: Any, run: Run) -> None:
     flashes, lit, source = _flashes(run)
     robots = [name for name in run.robots if flashes.get(name)]
     if not robots:
-        raise LocalError(f"{run.path}: no LED has been switched in this recording")
+        raise LocalError("no LED has been switched in this recording")
     figure.set_size_inches(7.0, 2.2 + 0.28 * len(robots) + 2.2)
     grid = figure.add_gridspec(2, 1, height_ratios=(0.6 + 0.28 * len(robots), 2.6))
     top, bottom = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
@@ -90,7 +90,7 @@ def standup(figure: Any, run: Run) -> None:
         )
     robots = [name for name in run.robots if name in tilts]
     if not robots:
-        raise LocalError(f"{run.path}: no state of a balancer is recorded{style.DEVICES}")
+        raise LocalError(f"no state of a balancer is recorded{style.DEVICES}")
     figure.set_size_inches(6.4, 1.0 + 0.55 * len(robots))
     axes = figure.add_subplot()
     for index, name in enumerate(robots):

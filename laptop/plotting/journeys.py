@@ -165,7 +165,7 @@ def _panels(figure: Any, run: Run, requests: Sequence[_Request], what: str) -> t
     """Make axes for the last requests. Return these pairs, and text that tells how many of all they are, empty where
     they are all."""
     if not requests:
-        raise LocalError(f"{run.path}: no app has sent a {what} in this recording")
+        raise LocalError(f"no app has sent a {what} in this recording")
     shown = requests[-PANELS:]
     columns = 1 if len(shown) == 1 else 2
     rows = math.ceil(len(shown) / columns)

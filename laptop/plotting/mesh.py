@@ -50,9 +50,9 @@ def mesh(figure: Any, run: Run) -> None:
         for peer in peers:
             ends.setdefault(pair_of(robot, peer), []).append(seen[pair_of(robot, peer)][robot])
     if not newest:
-        raise LocalError(f"{run.path}: no state of the mesh's links is recorded{style.DEVICES}")
+        raise LocalError(f"no state of the mesh's links is recorded{style.DEVICES}")
     if not ends:
-        raise LocalError(f"{run.path}: at the end no robot had a link")
+        raise LocalError("at the end no robot had a link")
     names = sorted({name for pair in ends for name in pair}, key=natural)
     places = layout(names, list(ends), {name: track[-1][0] for name, track in paths(run).items()})
     links = {}

@@ -105,7 +105,7 @@ def draw_map(figure: Any, run: Run, references: Mapping[str, Sequence[Place]] | 
             _ellipse(axes, place, spread, colour, marks)
             seen += [it.place for it in track[len(track) // 4 :]]
     if not seen:
-        raise LocalError(f"{run.path}: no place is recorded: neither poses nor a target")
+        raise LocalError("no place is recorded: neither poses nor a target")
     frame(axes, seen)
     axes.set(xlabel="x / m", ylabel="y / m", aspect="equal")
     # Below the label of the axis, however high the picture is: distances in lines of text.

@@ -49,7 +49,7 @@ def states(
         _say_left_out(figure, run, every, panels[PANELS:])
         panels = panels[:PANELS]
     else:
-        raise LocalError(f"{run.path}: no column of states can be drawn")
+        raise LocalError("no column of states can be drawn")
     labels = labels or {}
     names = [panel[0].removeprefix("result.") for panel in panels]
     if unused := labels.keys() - {panel[0] for panel in panels} - set(names):
@@ -100,7 +100,7 @@ def _named(run: Run, name: str, panels: Sequence[_Panel]) -> list[_Panel]:
         if found := [panel for label, panel in known if name in (label, label.partition("[")[0])]:
             return found
     there = ", ".join(dict.fromkeys(label for label, _ in plain)) or "none"
-    raise LocalError(f"{run.path}: no such column of states; there are: {there}; got {name!r}")
+    raise LocalError(f"no such column of states; there are: {there}; got {name!r}")
 
 
 def _marked(run: Run, panels: Sequence[_Panel]) -> list[_Panel]:
@@ -156,7 +156,7 @@ def iterations(figure: Any, run: Run) -> None:
     channels = [(name, run.trajectories(channel=name)) for name in run.states()]
     channels = [(name, paths) for name, paths in channels if any(len(path.rows) > 1 for path in paths.values())]
     if not channels:
-        raise LocalError(f"{run.path}: no app's iterations are recorded")
+        raise LocalError("no app's iterations are recorded")
     figure.set_size_inches(5.2, 3.1 * len(channels))
     for panel, (channel, paths) in enumerate(channels):
         axes = figure.add_subplot(len(channels), 1, panel + 1)

@@ -153,8 +153,13 @@ def figure(
     path: str | Path | None, *, settings: Any = None, in_notebook: bool = False, **options: Any
 ) -> Iterator["Figure"]:
     """Yield a matplotlib figure that is written to `path` at the end, where there is one; the ending of `path` gives
-    the format. `settings` are matplotlib's own. `in_notebook`: a notebook shows the figure where its cell ends with it.
-    Raises `LocalError` where the figure cannot be made or written."""
+    the format, and is one of those of the commands (`picture`). `settings` are matplotlib's own. `in_notebook`: a
+    notebook shows the figure where its cell ends with it. Raises `LocalError` where the figure cannot be made or
+    written."""
+    try:
+        path = None if path is None else picture(str(path))
+    except argparse.ArgumentTypeError as error:
+        raise LocalError(str(error)) from None
     try:
         import matplotlib as mpl
     except ImportError:

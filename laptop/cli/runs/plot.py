@@ -79,13 +79,13 @@ def run(args: argparse.Namespace) -> int:
     )
     name = "-".join(filter(None, (args.run.resolve().stem, args.app, kind)))
     path = args.output or Path(f"{name}.png")
-    try:
-        with style.figure(path, settings=style.RC, layout="constrained") as made:
+    with style.figure(path, settings=style.RC, layout="constrained") as made:
+        try:
             drawing(made, recorded)
             if args.between:
                 _cut(made, *args.between)
-    except LocalError as error:  # the damaged part may be what the picture needs
-        raise LocalError("; ".join([str(error), *recorded.damage])) from None
+        except LocalError as error:  # the damaged part may be what the picture needs
+            raise LocalError("; ".join([f"{args.run}: {error}", *recorded.damage])) from None
     damage = list(recorded.damage)
     show(args, {"picture": str(path), "damage": damage}, [*(f"note: {each}" for each in damage), str(path)])
     return 0

@@ -270,6 +270,22 @@ def test_a_run_is_drawn_into_a_figure_and_a_file(tmp_path: Path) -> None:
         run.plot(kind="pie")
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"path": "run.gif"}, "'run.gif': a picture is a file that ends in .png, .pdf, .svg"),
+        ({"path": "away/run.png"}, "'away/run.png': there is no folder away"),
+        ({"kind": "leds"}, "no LED has been switched in this recording"),
+    ],
+)
+def test_a_picture_that_cannot_be_drawn_is_refused_with_the_words_of_the_commands(
+    options: dict[str, str], message: str
+) -> None:
+    with pytest.raises(LocalError) as refused:
+        simulate(Place, robots=1, iterations=1).plot(**options)  # type: ignore[arg-type]
+    assert str(refused.value) == message
+
+
 def test_a_sweep_is_a_table_of_all_combinations(tmp_path: Path) -> None:
     found = sweep(Mean, {"topology": ["line", "loop"], "gain": [1.0, 9.0]}, values={"x": STARTS}, seeds=2)
     assert [(row["topology"], row["gain"], row["runs"], row["failed"]) for row in found.rows] == [
