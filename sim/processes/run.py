@@ -243,6 +243,7 @@ class ProcessRun:
         if len(told) < len(members) or any(progress.phase not in ("done", "fault") for progress in told):
             return False
         self._problems += faults  # the others have gone on without them
+        self._problems += dict.fromkeys(each.reason for each in told if each.phase == "done" and each.reason)
         return True
 
     def _let_happen(self, what: Disturbance, now: float) -> None:

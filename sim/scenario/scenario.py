@@ -56,6 +56,8 @@ STANDING_UP_FROM = "front"
 """The side on which robots lie at the start of an app that is about standing up."""
 
 DEFAULT_ITERATIONS = 100
+MOST_ITERATIONS = 10_000
+"""The most iterations of a run until it has converged, where nothing else ends it."""
 ITERATIONS = {"formation": 600, "goto": 3000, "stand_up": 5}
 """Iterations of apps that need another number. Those of `goto` are its most: it ends when all have arrived."""
 
@@ -190,8 +192,10 @@ def build(options: Options, run_dir: Path, app: loader.LoadedApp | None = None) 
         _check_end(config, app, options)
         _check_measured(config, apps, options)
     iterations = options.iterations
-    if app is not None and iterations is None and options.seconds is None and options.run_options.rule is None:
-        iterations = ITERATIONS.get(app.name if app.is_built_in else "", DEFAULT_ITERATIONS)
+    rule = options.run_options.rule
+    if app is not None and iterations is None and options.seconds is None and (rule is None or rule.seconds is None):
+        usual = ITERATIONS.get(app.name if app.is_built_in else "", DEFAULT_ITERATIONS)
+        iterations = usual if rule is None else MOST_ITERATIONS
     if recordings:
         rows = min(len(recording.rows) for recording in recordings)
         iterations = rows if options.iterations is None else min(rows, options.iterations)
@@ -253,8 +257,6 @@ def _study(config: Config, options: Options, iterations: int | None, run_dir: Pa
     assert options.noise is not None
     rule = options.run_options.rule
     seconds = options.seconds or (rule.seconds if rule is not None else None)
-    if not iterations and seconds is None:
-        raise ConfigError("--noise: give --iterations or --seconds, too: they say how many measurements are made")
     rows = iterations or math.ceil((seconds or 0.0) / SHORTEST_ITERATION)
     places = {name: config.simulation.places[name][:2] for name in config.names}
     numbers = random.Random(f"{options.seed} noise")

@@ -271,14 +271,15 @@ class VirtualRun:
     def ended(self, source: Source) -> None:
         """See `Observer`: a robot is at its last iteration, or its app has failed. That ends the run."""
         self._records.progressed(source)
-        progress = source.progress
-        if progress.phase == "fault":
+        if (progress := source.progress).phase == "fault":
             self._problems.append(f"{source.robot} app {progress.reason}")
             if not self._scenario.run_options.drop:
                 self.world.time.stop()
                 return
             self._missing_first.discard(source.robot)  # the others go on without it
             self._look_whether_begun()
+        elif progress.reason and progress.reason not in self._problems:
+            self._problems.append(progress.reason)
         if source.part:
             return
         self._running.discard(source.robot)
@@ -370,8 +371,7 @@ class _Beside:
 
     def ended(self, source: Source) -> None:
         self._progressed(source)
-        progress = source.progress
-        if progress.phase == "fault":
+        if (progress := source.progress).phase == "fault":
             self._problems.append(f"{source.robot} {source.app} {progress.reason}")
 
 

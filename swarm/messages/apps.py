@@ -31,7 +31,7 @@ class AppProgress:
     waiting_for: tuple[str, ...]
     """Neighbours whose value is missing (named within 3 s)."""
     reason: str
-    """Why it is in fault or waits; empty otherwise."""
+    """Why it is in fault or waits, or that it is done and has not converged; empty otherwise."""
 
 
 @frozen

@@ -72,7 +72,7 @@ class LockstepRun:
         self.phase = "starting"
         """starting, running, done or fault."""
         self.reason = ""
-        """The reason of a fault."""
+        """The reason of a fault, or what is amiss with a run that is done."""
         self.waiting: tuple[str, ...] = ()
         """Robots whose value has been missing for a while."""
         self.computed_at = 0.0
@@ -294,6 +294,8 @@ class LockstepRun:
                 self.fail(action.reason, self.progress_at)
             elif type(action) is Finished and self.phase != "fault":
                 self.phase = "done"
+                if self._stopping is not None:
+                    self.reason = self._stopping.unmet(self.k, self._history[-1].own[self._program.size :])
             found.append(action)
             if type(action) is Save and self._first_save:
                 # Not before there is a state: a robot of which this is all there is knows that it has lost its own.
@@ -378,7 +380,7 @@ class LockstepRun:
         self.lost = False
         self.waiting = ()
         if self.phase == "done":
-            self.phase = "running"
+            self.phase, self.reason = "running", ""
         self._program.entered(epoch.k)
         self._lockstep.start(own, now, self._stamp(private), epoch.k)
         self.epochs.k = epoch.k

@@ -61,6 +61,10 @@ class Stopping:
         number: int = _COUNT.unpack(count)[0]
         return number >= self._threshold + self._reach
 
+    def unmet(self, k: int, count: bytes) -> str:
+        """Return what is amiss with a run whose last iteration k has this count: it was to converge, and has not."""
+        return "" if self.rule.rounds is None or self.over(count) else f"not converged within {k} iterations"
+
     @staticmethod
     def first() -> bytes:
         """The count that goes with the first state."""

@@ -30,6 +30,13 @@ def test_settings_hold_for_all_or_for_one(tmp_path):
         build(tmp_path, "consensus", "--set", "r9.value=3")
 
 
+def test_a_run_until_it_has_converged_has_a_last_iteration(tmp_path):
+    assert build(tmp_path, "consensus").iterations == 100
+    assert build(tmp_path, "consensus", "--until", "converged").run_options.last == 10_000
+    assert build(tmp_path, "consensus", "--until", "converged", "--iterations", "7").iterations == 7
+    assert build(tmp_path, "consensus", "--until", "converged", "--for", "9").iterations is None
+
+
 def test_step_sizes_are_given_in_the_thesis_unit(tmp_path):
     plan = build(tmp_path, "localization", "--algorithm", "thesis", "--step-size", "4e-6")
     assert plan.parameters["r0"]["step_size"] == pytest.approx(0.04)
@@ -65,7 +72,6 @@ def test_the_config_a_run_uses_is_a_valid_file(tmp_path):
         (["nonsense"], "expected consensus, flooding_demo, "),
         (["consensus", "--algorithm", "magic"], "expected 'metropolis' or 'thesis'"),
         (["consensus", "--set", "valu=3"], "unknown parameter 'valu'"),
-        (["localization", "--noise", "none", "--until", "converged"], "--noise: give --iterations or --seconds, too"),
         (["flooding_demo", "--iterations", "5"], "--iterations: flooding_demo has none, it reacts to events"),
         (["stand_up", "--until", "converged"], "--until and --for are for apps in lockstep, which stand_up is not"),
         (["flooding_demo", "--for", "5"], "--until and --for are for apps in lockstep"),

@@ -220,6 +220,14 @@ def test_the_locksteps_of_an_event_driven_app_hear_the_links_in_force_where_they
     assert run.world.robots["r0"].meshes_bus.wanted(key("r0", "mesh", "topology")) == bool(absent)
 
 
+def test_a_run_that_has_not_converged_at_its_last_iteration_says_so_once():
+    words = ("consensus", "--robots", "3", "--until", "converged", "--rounds", "2")
+    report, _ = run_virtually(*words, "--iterations", "9")
+    assert report["problems"] == ["not converged within 9 iterations"]
+    assert run_virtually(*words, "--tolerance", "1e-2", "--iterations", "99")[0]["problems"] == []
+    assert run_virtually(*words, "--for", "0.2s")[0]["problems"] == []
+
+
 def test_an_error_in_converged_is_the_apps_fault(tmp_path):
     app = tmp_path / "unsure.py"
     app.write_text(
