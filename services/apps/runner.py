@@ -215,6 +215,9 @@ def metrics_of(kind: type[BaseApp]) -> tuple[str, ...]:
     return (ERROR, *own) if {"x", "y"} <= told and ERROR not in kind.spec.schema.names else own
 
 
+UNDECIDED = "converged() returned None: the change of the state decides, see --tolerance"
+
+
 class Runner(AppRunner):
     """Drives one app of the synchronous kind from state to state."""
 
@@ -236,6 +239,8 @@ class Runner(AppRunner):
         """For each field, the iteration whose step took the newest input of this epoch, and that input."""
         self._again: dict[str, object] | None = None
         """The inputs of steps that are done again, before the first step of an epoch; None after that step."""
+        self.undecided = False
+        """Whether the app's own `converged` has returned None."""
         self.changed: Callable[[], None] | None = None
         """Called when other parameters are in force."""
 
@@ -325,6 +330,9 @@ class Runner(AppRunner):
         said: object = self._call(f"converged() at iteration {self.k}", self.app.converged, "converged")
         if said is not None:
             return bool(said)
+        if not self.undecided and type(self.app).converged is not SyncApp.converged:
+            self.undecided = True
+            self.app.robot.log.warning("%s", UNDECIDED)
         before, after = (_numbers(self.schema.unpack(own)) for own in self._step)
         return all(abs(a - b) <= self._tolerance for a, b in zip(before, after, strict=True))
 

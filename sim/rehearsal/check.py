@@ -18,6 +18,7 @@ from services.apps.loader import BUILT_IN
 from swarm.errors import PayloadError
 from swarm.messages.json_input import read_json
 from swarm.process.arguments import add_json, whole
+from swarm.process.terminal import columns
 
 PI_FACTOR = 10.0
 """A Pi Zero 2 W (Cortex-A53, 1 GHz) runs plain Python about this much slower than a laptop [estimated: 8 to 15]."""
@@ -127,19 +128,23 @@ def text(found: Mapping[str, Any]) -> str:
                 f"{found['pi_factor']:g}"
             ]
         if ran:
-            lines += ["", f"{'graph':<10} {'iterations':>10} {'settles at':>10} {'spread at the end':>18}"]
-        for entry in ran:
-            trend = entry["trend"]
-            settles, spread = trend.get("settles"), trend.get("spread")
-            word = "diverges" if trend.get("grows") else "-" if settles is None else str(settles)
-            told = "-" if spread is None else f"{spread:.3g}"
-            lines.append(f"{entry['graph']:<10} {entry['iterations']:>10} {word:>10} {told:>18}")
+            rows = [["graph", "iterations", "settles at", "spread at the end"]]
+            rows += [[entry["graph"], str(entry["iterations"]), *_trend(entry["trend"])] for entry in ran]
+            lines += ["", *columns(rows)]
         lines += ["", f"ran         {_ran(found)}"]
     lines += [f"warning     {warning}" for warning in found["warnings"]]
     lines += [f"problem     {problem}" for problem in found["problems"]]
     if found["ok"]:
         lines.append("ok          same step, same result; in two processes too")
     return "\n".join(lines) + "\n"
+
+
+def _trend(trend: Mapping[str, Any]) -> tuple[str, str]:
+    """Return when the results settle, and how far the robots differ at the end, each with the result that it is of."""
+    if trend.get("spread") is None:
+        return "-", "-"
+    settles = "diverges" if trend["grows"] else "-" if trend["settles"] is None else trend["settles"]
+    return f"{settles} ({trend['slowest']})", f"{trend['spread']:.3g} ({trend['widest']})"
 
 
 def _ran(found: Mapping[str, Any]) -> str:

@@ -5,7 +5,7 @@ from functools import partial
 from itertools import count
 from typing import Any
 
-from services.apps.runner import Runner
+from services.apps.runner import UNDECIDED, Runner
 from sim.rehearsal import tracing, trends
 from sim.rehearsal.examine_report import GraphFinding, Task, cut_short, digest, make_all, write_line
 from sim.rehearsal.limits import Stopwatch, limited
@@ -129,6 +129,17 @@ class _Examination:
         act()
         return done
 
+    def ask(self, runner: "_ExaminedRunner") -> None:
+        """Let an app say whether it has converged, as a run with `--until converged` does after each step."""
+        try:
+            limited(self.source, runner.content)
+        except AppError as error:
+            self._finding.fault = str(error)
+            raise
+        line = tracing.line_of(type(runner.app), "converged")
+        if runner.undecided and (warning := f"{self.source}, line {line}: {UNDECIDED}") not in self._finding.warnings:
+            self._finding.warnings.append(warning)
+
 
 class _ExaminedRunner(Runner):
     """Drives the app of one robot, and ends a method that takes too long."""
@@ -159,6 +170,8 @@ class _ExaminedRunner(Runner):
             return Runner.step(self, k, own, values, measurement)
 
         done = self._examination.step(self, act, len(values))
+        if type(self.app).converged is not SyncApp.converged:
+            self._examination.ask(self)
         self._private = done[1]
         self._examination.states[self.app.robot.name].append(done[0])
         return done

@@ -22,38 +22,46 @@ WILD = 1e3
 def judge(histories: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, object]:
     """Describe the results of all robots over the iterations.
 
-    `settles`: the iteration from which all stay near their last values (None where they still move); `spread`: the
-    largest difference between two robots at the end; `grows`: whether they diverge.
+    `settles`: the iteration from which all stay near their last values (None where they still move), and `slowest`: the
+    name of the result that moves last; `spread`: the largest difference between two robots at the end, and `widest`:
+    the name of the result that has it (no names without results); `grows`: whether they diverge.
     """
     rows = {name: [numbers(result.values()) for result in history] for name, history in histories.items()}
     count = min((len(row) for row in rows.values()), default=0)
     width = min((len(row[0]) for row in rows.values() if row), default=0)
     if count < 4 or width == 0:
         return {"settles": None, "spread": None, "grows": False}
+    names = [name for name, value in next(iter(histories.values()))[0].items() for _ in numbers([value])]
 
     def size(k: int) -> float:
         return max(abs(value) for row in rows.values() for value in row[k])
 
     half, quarter = size((count - 1) // 2), size((count - 1) // 4)
     grows = size(count - 1) > GROWTH * half > GROWTH**2 * quarter and size(count - 1) > WILD * (size(0) + 1e-9)
-    spread = max(
-        max(row[count - 1][i] for row in rows.values()) - min(row[count - 1][i] for row in rows.values())
-        for i in range(width)
-    )
-    return {"settles": None if grows else _settles(rows, count, width), "spread": spread, "grows": grows}
+    lasts = [_settles(rows, count, i) for i in range(width)]
+    ends = [[row[count - 1][i] for row in rows.values()] for i in range(width)]
+    spreads = [max(values) - min(values) for values in ends]
+    # Near its own last value everything is at the very end; what settles does so with time to spare.
+    in_time = not grows and max(lasts) <= 0.9 * (count - 1)
+    return {
+        "settles": max(lasts) if in_time else None,
+        "slowest": names[lasts.index(max(lasts))],
+        "spread": max(spreads),
+        "widest": names[spreads.index(max(spreads))],
+        "grows": grows,
+    }
 
 
-def _settles(rows: Mapping[str, Sequence[Sequence[float]]], count: int, width: int) -> int | None:
+def _settles(rows: Mapping[str, Sequence[Sequence[float]]], count: int, i: int) -> int:
+    """Return the iteration from which number i of all robots stays near its last value."""
     last = 0
     for row in rows.values():
-        for i in range(width):
-            end = row[count - 1][i]
-            way = max(abs(values[i] - end) for values in row[:count])
-            near = SETTLED * way + ROUNDING * abs(end)
-            moving = [k for k in range(count) if abs(row[k][i] - end) > near]
-            last = max(last, max(moving, default=-1) + 1)
-    # Near its own last value everything is at the very end; what settles does so with time to spare.
-    return last if last <= 0.9 * (count - 1) else None
+        end = row[count - 1][i]
+        way = max(abs(values[i] - end) for values in row[:count])
+        near = SETTLED * way + ROUNDING * abs(end)
+        moving = [k for k in range(count) if abs(row[k][i] - end) > near]
+        last = max(last, max(moving, default=-1) + 1)
+    return last
 
 
 def numbers(values: Iterable[object]) -> list[float]:

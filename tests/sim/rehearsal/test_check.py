@@ -411,8 +411,24 @@ def test_good_apps_are_told_what_they_are(short: None) -> None:
     assert trend["settles"] < 60
     assert trend["spread"] < 1e-9
     told = check.text(found)
+    assert re.search(r"line +\d+ +\d+ \(value\) +\S+ \(value\)", told)
     assert "state       8 bytes (value float), 26 with the frame" in told
     assert "by an estimated factor of 10" in told
+
+
+def test_the_report_names_the_result_that_moves_last_and_the_one_that_differs_most() -> None:
+    histories = {
+        name: [{"fast": 0.5**k, "vector": (1.0, float(k)), "own": 9.0 * robot} for k in range(40)]
+        for robot, name in enumerate(("r0", "r1"))
+    }
+    found = trends.judge(histories)
+    assert (found["settles"], found["slowest"], found["spread"], found["widest"]) == (None, "vector", 9.0, "own")
+
+
+def test_a_test_of_convergence_that_returns_nothing_is_named(tmp_path: Path, short: None) -> None:
+    body = "        pass\n    def converged(self):\n        self.value < 1\n"
+    found = check.judge(findings(write(tmp_path, HEAD + "    def step(self, neighbours):\n" + body)), [])
+    assert [it for it in found["warnings"] if "line 8: converged() returned None: the change of the state" in it]
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:
