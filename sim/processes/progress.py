@@ -3,7 +3,8 @@
 import contextlib
 import math
 import os
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import TextIO
 
 from sim.processes.monitor import Seen
@@ -56,6 +57,11 @@ class ProgressDisplay:
         self._erase()
         _write(self._stream, sentence)
         self._stream.flush()
+
+    def pass_on(self, lines: Iterable[tuple[str, AppLog]], began: float) -> None:
+        """Print what apps have printed and logged, with the time since `began`."""
+        for robot, line in lines:
+            self.say(said(robot, replace(line, t=line.t - began)))
 
     def close(self) -> None:
         """Take the block away: the report follows."""

@@ -7,7 +7,6 @@ import os
 import signal
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TextIO
 
@@ -31,7 +30,7 @@ from sim.disturbances import (
 from sim.processes import footprint
 from sim.processes.monitor import START_LIMIT_S, Monitor, Seen, StartTimeout, unrecorded
 from sim.processes.processes import APP_FAULT, Processes
-from sim.processes.progress import ProgressDisplay, said
+from sim.processes.progress import ProgressDisplay
 from sim.processes.radio import LATENESS
 from sim.report import RunOutcome
 from sim.scenario.options import PRESS_S, Options
@@ -157,8 +156,7 @@ class ProcessRun:
             if now - asked > (ASK_S if started is None else ASK_AGAIN_S):
                 asked = now
                 self._monitor.ask_status()
-            for robot, line in self._monitor.said():
-                self._progress.say(said(robot, replace(line, t=line.t - self._commanded)))
+            self._progress.pass_on(self._monitor.said(), self._commanded)
             seen = self._monitor.look()
             missing = {name: robot.not_ready(self._services) for name, robot in seen.items()}
             self._progress.show(now, now - self._commanded, seen, missing, self._power.off_now)
@@ -307,6 +305,7 @@ class ProcessRun:
         memory = {name: footprint.resident_mib(self._processes.of(name)) for name in names}
         found = self._world.look(lambda record, contacts: scene.seen(self._scenario, record, contacts, self._commanded))
         self._processes.stop()  # only then are the recordings complete
+        self._progress.pass_on(self._monitor.said(), self._commanded)  # lines without an end come last
         late = {}
         with contextlib.suppress(OSError, ValueError):  # it has ended in another way
             late = json.loads((self._run_dir / RADIO / LATENESS).read_text())

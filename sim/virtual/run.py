@@ -128,11 +128,21 @@ class VirtualRun:
 
     @_without_looking_for_garbage()
     @broken_off()
-    @prints_heard()
     def go(self) -> RunOutcome:
         """Run from beginning to end."""
-        scenario, world = self._scenario, self.world
         began = real_time.perf_counter()
+        self._run()
+        self._problems += self._lost()
+        ended_at = self.world.time.now
+        for records in (self._records, *self._beside.values()):
+            records.close(self._notes(ended_at))
+        self.computed = real_time.perf_counter() - began
+        return self._outcome(ended_at)
+
+    @prints_heard()
+    def _run(self) -> None:
+        """Start all apps, and let time pass."""
+        scenario, world = self._scenario, self.world
         if scenario.loaded is not None:
             launches = [self._launch(scenario.loaded, "", scenario.run_options, self._records, self)]
             for each in scenario.beside:
@@ -148,12 +158,6 @@ class VirtualRun:
         else:
             self._first_done()
         self._watch()
-        self._problems += self._lost()
-        ended_at = world.time.now
-        for records in (self._records, *self._beside.values()):
-            records.close(self._notes(ended_at))
-        self.computed = real_time.perf_counter() - began
-        return self._outcome(ended_at)
 
     def _records_of(self, app: str) -> AppRecords:
         return AppRecords(self.world, app, keep=self._rows, skewed=bool(self._options.clock_skew))
@@ -310,14 +314,10 @@ class VirtualRun:
         if self._options.seconds is None and self._running.isdisjoint(self._members):
             self.world.time.stop()
 
-    def _messages(self) -> int:
-        """Return the number of app frames that all meshes have sent."""
-        return sum(robot.sent for robot in self.world.robots.values())
-
     def _notes(self, ended_at: float) -> dict[str, str]:
         """Return the outcome's part that a recording keeps."""
         return {
-            "messages": str(self._messages()),
+            "messages": str(self.world.sent),
             "problems": json.dumps(self._problems),
             "never": json.dumps(self._never(ended_at)),
             "scene": json.dumps(self._seen()),
@@ -345,7 +345,7 @@ class VirtualRun:
             trajectories=self._records.trajectories() if self._scenario.app else {},
             beside={name: records.trajectories() for name, records in self._beside.items()},
             bodies={name: robot.balancer.state() for name, robot in self.world.robots.items()},
-            messages=self._messages(),
+            messages=self.world.sent,
             rss_mib={},
             restarts={
                 name: max(0, self.world.robots[name].starts - (2 if name in self._late else 1)) for name in names

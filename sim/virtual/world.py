@@ -169,6 +169,11 @@ class VirtualWorld:
         if config.simulation.moving:
             self.time.soon(self._tell_target)
 
+    @property
+    def sent(self) -> int:
+        """The number of app frames that all meshes have sent."""
+        return sum(robot.sent for robot in self.robots.values())
+
     def switch_off(self, robot: str, seconds: float, *, falls: bool = True) -> None:
         """Switch a robot off: its mesh and its apps end at once, and with them what they knew, but for its votes. After
         `seconds` they start anew. Its body falls (or where it does not `falls`, as one that is still held, stays as it

@@ -34,6 +34,8 @@ class Talks({kind}):
             self.robot.log.warning("three is %d", self.n)
         if self.n == 4:
             print("two\\nlines")
+        if self.n == 6:
+            print("the end", end="")
 """
 
 
@@ -55,7 +57,13 @@ def test_every_line_comes_with_its_robot_and_is_recorded(
         options, build(options, PLACE), said=lambda robot, line: heard.append((robot, line.level, line.text))
     ).go()
     assert sys.stdout is before
-    lines = [("print", "hello there"), ("warning", "three is 3"), ("print", "two"), ("print", "lines")]
+    lines = [
+        ("print", "hello there"),
+        ("warning", "three is 3"),
+        ("print", "two"),
+        ("print", "lines"),
+        ("print", "the end"),
+    ]
     for robot in ("r0", "r1"):
         assert [(level, text) for who, level, text in heard if who == robot] == lines
     assert capsys.readouterr().out == ""
@@ -68,6 +76,7 @@ def test_every_line_comes_with_its_robot_and_is_recorded(
         "warning: three is 3",
         "two",
         "lines",
+        "the end",
     ]
 
 
@@ -84,8 +93,8 @@ def test_of_a_run_the_last_lines_of_each_robot_and_of_the_apps_that_are_named(
         assert logs.run(parser.parse_args([run, *words])) == 0
         return [line.rpartition(" s  ")[2] for line in capsys.readouterr().out.splitlines()]
 
-    assert sorted(printed("-n", "1")) == ["r0  lines", "r1  lines"]
-    assert len(printed("talks")) == len(printed()) == 8
+    assert sorted(printed("-n", "1")) == ["r0  the end", "r1  the end"]
+    assert len(printed("talks")) == len(printed()) == 10
     assert printed("consensus") == ["no app has printed or logged anything in this run"]
     with pytest.raises(LocalError, match="no app nosuch is recorded; there are: consensus, talks"):
         logs.run(parser.parse_args([run, "nosuch"]))

@@ -70,13 +70,15 @@ def let_speak(robot: Robot, bus: BusLike, parent: logging.Logger | None, *sinks:
 
 @contextlib.contextmanager
 def prints_heard(log: logging.Logger | None = None) -> Iterator[None]:
-    """Take what apps print as lines of those apps, and write it to `log`, too. Other prints go to stdout."""
+    """Take what apps print as lines of those apps, and write it to `log`, too. Other prints go to stdout. At the end of
+    this the lines that have no end are told, too."""
     before = sys.stdout
-    sys.stdout = _Printed(before, log)
+    sys.stdout = printed = _Printed(before, log)
     try:
         yield
     finally:
         sys.stdout = before
+        printed.end()
 
 
 class _Handler(logging.Handler):
@@ -98,20 +100,31 @@ class _Printed(io.TextIOBase):
     def __init__(self, before: TextIO, log: logging.Logger | None) -> None:
         self._before = before
         self._log = log
-        self._begun: dict[str, str] = {}
-        """Lines that are not at their end, by robot."""
+        self._begun: dict[tuple[str, str], tuple[Robot, str]] = {}
+        """Lines that are not at their end, by robot and app."""
 
     def write(self, text: str) -> int:
         robot = _speaking(sys._getframe(1))
         if robot is None or robot.said is None:
             return self._before.write(text)
-        *lines, rest = (self._begun.get(robot.name, "") + text).split("\n")
-        self._begun[robot.name] = rest[-MAX_LINE:]
+        which = robot.name, robot.app
+        *lines, rest = (self._begun.pop(which, (robot, ""))[1] + text).split("\n")
+        if rest:
+            self._begun[which] = robot, rest[-MAX_LINE:]
         for line in lines:
-            robot.said(PRINTED, line)
-            if self._log is not None:
-                self._log.info("%s", line)
+            self._tell(robot, line)
         return len(text)
+
+    def end(self) -> None:
+        """Tell the lines that are not at their end: nothing comes any more."""
+        for robot, line in self._begun.values():
+            self._tell(robot, line)
+
+    def _tell(self, robot: Robot, line: str) -> None:
+        if robot.said is not None:
+            robot.said(PRINTED, line)
+        if self._log is not None:
+            self._log.info("%s", line)
 
     def flush(self) -> None:
         self._before.flush()
