@@ -3,6 +3,7 @@
 import itertools
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from laptop.plotting import style
@@ -12,8 +13,8 @@ from swarm.recording.reader import PLOTTED
 from swarm.recording.run import Run
 from swarm.recording.trajectory import Trajectory
 
-_Panel = tuple[str, str, dict[str, Trajectory]]
-"""Label, column, and the robots' trajectories."""
+_Panel = tuple[str, str, dict[str, Trajectory], tuple[str, ...]]
+"""Label, column, the robots' trajectories, and the names that stand at 0, 1, ... where values have names."""
 
 DOTS = 120
 """The most iterations that are drawn with a dot each."""
@@ -23,6 +24,8 @@ AWAY_S = 0.5
 STOPS: dict[str, Any] = {"marker": "x", "linestyle": "", "markersize": 5}
 GOES_ON: dict[str, Any] = {"marker": "o", "linestyle": "", "markersize": 5, "fillstyle": "none"}
 """The marks at the ends of a gap in a line: over iterations the ends are side by side."""
+MOST_NAMES = 12
+"""The most different texts of a column that is drawn: an enum has few members."""
 PANELS = 6
 """The most columns that are shown if none are requested."""
 
@@ -35,6 +38,7 @@ def states(
     between: Sequence[float] | None = None,
 ) -> None:
     """Draw a row of two panels for each column: over iterations and over time. Truth values get one panel, over time.
+    Members of an enum, and other texts of which there are few, are steps with their names at the axis.
 
     `columns`: names as in the app, or with the channel before them (`frequency.value`); default: what is shared.
     `labels`: what stands at the axis of a column, with its unit; default: its name. `between`: two times of the run, s;
@@ -56,7 +60,7 @@ def states(
         raise LocalError(f"label of {min(unused)!r}: no such column is drawn; drawn are: {_listed(names)}")
     figure.set_size_inches(7.2, max(2.9, 2.3 * len(panels)))
     grid = figure.add_gridspec(len(panels), 2)
-    for row, (label, column, paths) in enumerate(panels):
+    for row, (label, column, paths, members) in enumerate(panels):
         plain = label.removeprefix("result.")
         title = labels.get(label, labels.get(plain, plain))
         if _is_truth(column, paths):
@@ -64,7 +68,7 @@ def states(
             continue
         left = figure.add_subplot(grid[row, 0])
         right = figure.add_subplot(grid[row, 1], sharey=left)
-        whole = all(_is_whole(path, column) for path in paths.values() if path.rows)
+        whole = bool(members) or all(_is_whole(path, column) for path in paths.values() if path.rows)
         held = whole or any(path.held for path in paths.values())
         most = max(len(path.rows) for path in paths.values())
         for index, (name, path) in enumerate(paths.items()):
@@ -81,7 +85,9 @@ def states(
             begin, end = between
             if ks := [k for path in paths.values() for k, t in path.times.items() if begin <= t <= end]:
                 left.set_xlim(min(ks), max(*ks, min(ks) + 1))
-        if whole:
+        if members:
+            left.set_yticks(range(len(members)), members)
+        elif whole:
             style.integer_ticks(left.yaxis)
         right.tick_params(labelleft=False)
         if row == 0:
@@ -227,12 +233,32 @@ def _again(ks: Sequence[int]) -> list[bool]:
 
 def _columns(run: Run) -> list[_Panel]:
     """Return label, column and trajectories of all that can be drawn: a vector's parts one by one."""
-    found = []
+    found: list[_Panel] = []
     for channel in run.states():
         paths = {name: path for name, path in run.trajectories(channel=channel).items() if path.rows}
         for column in next(iter(paths.values())).columns if paths else ():
+            label = f"{channel}.{column}" if channel else column
             if any(_is_number(path, column) for path in paths.values()):
-                found.append((f"{channel}.{column}" if channel else column, column, paths))
+                found.append((label, column, paths, ()))
+            elif 0 < len(members := _members(paths, column)) <= MOST_NAMES:
+                found.append((label, column, _numbered(paths, column, members), members))
+    return found
+
+
+def _members(paths: Mapping[str, Trajectory], column: str) -> tuple[str, ...]:
+    """Return the texts in a column, in the order in which they come."""
+    cells = [(k, row[path.columns.index(column)]) for path in paths.values() for k, row in path.rows.items()]
+    return tuple(dict.fromkeys(text for _, text in sorted(cells, key=lambda cell: cell[0]) if text))
+
+
+def _numbered(paths: Mapping[str, Trajectory], column: str, members: Sequence[str]) -> dict[str, Trajectory]:
+    """Return the trajectories with the texts of a column replaced by their places in `members`."""
+    numbers = {text: str(index) for index, text in enumerate(members)}
+    found = {}
+    for robot, path in paths.items():
+        at = path.columns.index(column)
+        rows = {k: (*row[:at], numbers.get(row[at], ""), *row[at + 1 :]) for k, row in path.rows.items()}
+        found[robot] = replace(path, rows=rows)
     return found
 
 

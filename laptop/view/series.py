@@ -72,5 +72,7 @@ def _at(items: Sequence[object], name: str) -> object:
 
 
 def _number(value: object) -> float | int | None:
-    """Return a number that a chart can draw, else None."""
+    """Return a number that a chart can draw, of a truth value 0 or 1; else None."""
+    if isinstance(value, bool):
+        return int(value)
     return value if is_number(value) and abs(value) < LARGEST else None

@@ -56,7 +56,7 @@ export class Focus {
     const parent = app.split("/").slice(0, 2).join("/");
     const kept = this.kind === "event"; // told when it changes, and what it was until then
     const steps = this.kind === "periodic"; // each robot's own, that say nothing of the others'
-    const add = (value, label, unit = "") => found.size >= MOST || found.has(value.name) || found.set(value.name, { ...value, label, unit, held: kept, steps });
+    const add = (value, label, unit = "", truth = false) => found.size >= MOST || found.has(value.name) || found.set(value.name, { ...value, label, unit, held: kept, steps, stepped: truth });
     const sample = (topic) => store.names.map((name) => store.get(name, topic)).find((value) => value !== undefined);
     const told = sample(`${app}/state`) ?? {}, result = told.result ?? {};
     const target = this.target(), seen = store.names.some((name) => Math.abs(store.get(name, `${app}/state`)?.result?.x) < FAR);
@@ -73,11 +73,12 @@ export class Focus {
       }
       if (found.size > 8) break;
     }
-    const numbers = (part) => Object.entries(told[part] ?? {}).filter(([, value]) => typeof value === "number");
+    const numbers = (part) => Object.entries(told[part] ?? {}).filter(([, value]) => typeof value === "number" || typeof value === "boolean");
     const labels = new Set([...found.values()].map((each) => each.label));
-    const rest = numbers("result").sort(([a], [b]) => PLACE.test(a) - PLACE.test(b));
-    for (const [name] of rest) if (!labels.has(name)) add(plain(`${app}/state`, ["result", name]), name, this.unit(name));
-    for (const [name] of numbers("state")) if (!(name in result)) add(plain(`${app}/state`, ["state", name]), name, this.unit(name));
+    const rest = numbers("result").sort(([a, x], [b, y]) => (typeof x === "boolean") - (typeof y === "boolean") || PLACE.test(a) - PLACE.test(b));
+    const field = (part, name, value) => add(plain(`${app}/state`, [part, name]), typeof value === "boolean" ? `${name} (1 = true)` : name, this.unit(name), typeof value === "boolean");
+    for (const [name, value] of rest) if (!labels.has(name)) field("result", name, value);
+    for (const [name, value] of numbers("state")) if (!(name in result)) field("state", name, value);
     // What an event app records are its marks; what it comes to is its result.
     const all = [...found.values()], marks = ({ sources: [{ topic }] }) => kept && topic.startsWith(`${parent}/record/`);
     return [...all.filter((each) => !marks(each)), ...all.filter(marks)];

@@ -136,7 +136,7 @@ export class Series {
   }
 }
 
-const number = (value) => (typeof value === "number" && Number.isFinite(value) ? value : null);
+const number = (value) => (typeof value === "boolean" ? Number(value) : typeof value === "number" && Number.isFinite(value) ? value : null);
 
 // The last point at or before a time; null where there is none.
 export function held(points, t) {

@@ -1,5 +1,6 @@
 """Pictures show what an author marks, counts in steps, and names that keep clear of each other."""
 
+from enum import Enum
 from itertools import combinations
 from pathlib import Path
 from typing import Annotated
@@ -77,6 +78,36 @@ class Lit(Steady):
 def test_a_truth_value_has_a_gap_where_its_robot_was_off() -> None:
     axes, *_ = simulate(Lit, robots=2, seconds=6, faults=["off r1@2s,2s"], progress=False).plot("lit").axes
     assert [int(isnan(line.get_ydata()).sum()) for line in axes.lines] == [0, 1]
+
+
+class Mood(Enum):
+    """What a robot is about."""
+
+    SEARCHES = 1
+    HAS_FOUND = 2
+
+
+class Moody(SyncApp):
+    """Has a state of an enum, and a result with more texts than are drawn."""
+
+    mood: Mood = Mood.SEARCHES
+
+    def step(self, neighbours: object) -> None:
+        """Find in the end."""
+        if self.k == 14:
+            self.mood = Mood.HAS_FOUND
+
+    def result(self) -> dict[str, object]:
+        """Texts."""
+        return {"mood": self.mood.name, "text": f"after {self.k}"}
+
+
+def test_members_of_an_enum_are_steps_with_their_names() -> None:
+    made = simulate(Moody, robots=2, iterations=20, progress=False).plot()
+    assert len(made.axes) == 2
+    assert [tick.get_text() for tick in made.axes[0].get_yticklabels()] == ["SEARCHES", "HAS_FOUND"]
+    assert made.axes[0].lines[1].get_drawstyle() == "steps-post"
+    assert list(made.axes[0].lines[1].get_ydata()) == [0.0] * 15 + [1.0] * 6
 
 
 class ManyMarked(Marked):

@@ -37,6 +37,12 @@ def test_parts_of_a_list_are_called_by_their_peer_and_else_by_their_place() -> N
     assert rows([(3.0, {"k": 7, **links})], [("links", "r1", "rtt"), ("nothing",)]) == [[3.0, 7, 0.1, None]]
 
 
+def test_truth_values_are_drawn_as_numbers_and_texts_are_not() -> None:
+    assert rows([(1.0, {"on": True, "mode": "REST"}), (2.0, {"on": False})], [("on",), ("mode",)]) == [
+        [1.0, None, 1, None], [2.0, None, 0, None],
+    ]  # fmt: skip
+
+
 @given(st.integers(0, 10_000))
 def test_a_chart_of_many_robots_has_few_points_of_each(robots: int) -> None:
     assert 20 <= most_of(robots) <= MOST

@@ -68,7 +68,7 @@ export class Chart {
     const shift = over === "k" && at !== null ? held(this.series.points(entry, robots[0]), at)?.[2] ?? null : at;
     const lines = [...this.lines(entry, robots, counts && this.over === "k" ? 2 : 0, value, off), ...claims()];
     const from = over === "t" ? this.store.zoom : recording && this.zoomed ? this.counted(entry, robots, this.store.zoom) : null;
-    this.plot.draw({ lines, scale, log: this.log, over, at: shift, selected, from, stepped: value.held, top: this.top?.(entry, robots) ?? null });
+    this.plot.draw({ lines, scale, log: this.log, over, at: shift, selected, from, stepped: value.held || value.stepped, top: this.top?.(entry, robots) ?? null });
   }
 
   // Whether charts show a part of the recording; all of it may be shorter than the run beside.
