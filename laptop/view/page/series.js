@@ -2,6 +2,7 @@
 // then what the page is told is added; of a recording the whole run comes at once.
 
 const WINDOW = 120; // s of a running swarm
+const AWAY_S = 1; // the shortest gap in a line
 
 // One field of one key.
 export const plain = (topic, path) => ({
@@ -137,6 +138,15 @@ export class Series {
 }
 
 const number = (value) => (typeof value === "boolean" ? Number(value) : typeof value === "number" && Number.isFinite(value) ? value : null);
+
+// The points with one of null in each gap: where a robot with a pace told nothing for long. It was off, or out of reach.
+export function withGaps(points) {
+  const steps = points.slice(1).map(([t], index) => t - points[index][0]), ordered = steps.toSorted((a, b) => a - b);
+  const median = ordered[ordered.length >> 1], paced = steps.length >= 10 && ordered[Math.floor(0.9 * steps.length)] <= 3 * median;
+  if (!paced) return points;
+  const long = Math.max(AWAY_S, 10 * median);
+  return points.flatMap((point, index) => (index && steps[index - 1] > long ? [[points[index - 1][0] + 1e-3, null, null], point] : [point]));
+}
 
 // The last point at or before a time; null where there is none.
 export function held(points, t) {

@@ -13,6 +13,7 @@ const RIGHT = 84; // px for names and values
 // for the way.
 const LEAST = 1e-12; // the least width of an axis, as a share of its largest number
 const MOST = 1e30; // the largest number on an axis
+const EXPAND = 2; // of uPlot: a gap goes on at the times of other lines
 const sync = uPlot.sync("swarm");
 
 export class Plot {
@@ -22,7 +23,7 @@ export class Plot {
     this.shape = "";
   }
 
-  // `lines`: [{name, colour, points: [[x, y], ...], dash, strong}]. `scale`: {unit, factor} of what is written. `at`: what is shown now, on the x axis. `log`: a logarithmic y axis. `top`: the largest y of a linear axis; what is above it leaves the chart.
+  // `lines`: [{name, colour, points: [[x, y], ...], dash, strong}]; a y of null is a gap. `scale`: {unit, factor} of what is written. `at`: what is shown now, on the x axis. `log`: a logarithmic y axis. `top`: the largest y of a linear axis; what is above it leaves the chart.
   draw({ lines, scale, log = false, over = "t", at = null, selected = null, from = null, stepped = false, top = null }) {
     const [width, height] = sizeOf(this.element);
     if (!lines.length || width < 60 || height < 60) return;
@@ -31,7 +32,7 @@ export class Plot {
     const own = lines.filter((each) => !each.dash);
     const drawn = own.length > MANY ? [...bands(own), ...own.filter((each) => each.name === selected), ...lines.filter((each) => each.dash)] : lines;
     this.lines = drawn;
-    const data = uPlot.join(drawn.map(({ points }) => columns(points, scale.factor, log)));
+    const data = uPlot.join(drawn.map(({ points }) => columns(points, scale.factor, log)), drawn.map(() => [0, EXPAND]));
     const shape = JSON.stringify([drawn.map((line) => [line.name, line.dash, few(line)]), log, over, theme.version, selected, scale.unit, stepped]);
     this.range = from;
     if (this.plot && shape === this.shape) {
@@ -54,7 +55,7 @@ export class Plot {
         { ...axis, size: 22, values: (_, ticks) => ticks.map((each, index) => `${+each.toPrecision(6)}${over === "t" && index === ticks.length - 1 ? " s" : ""}`) },
         { ...axis, size: 44, space: 34, values: (_, ticks) => ticks.map((each) => (each === null ? "" : log ? short(each) : String(+each.toPrecision(4)))) },
       ],
-      series: [{}, ...drawn.map((line) => ({ label: line.name, stroke: stroke(line, selected), width: line.name === selected || line.strong ? 2.4 : 1.5, dash: line.dash ? [5, 4] : undefined, spanGaps: true, paths: stepped ? uPlot.paths.stepped({ align: 1 }) : undefined, points: { show: few(line) } }))],
+      series: [{}, ...drawn.map((line) => ({ label: line.name, stroke: stroke(line, selected), width: line.name === selected || line.strong ? 2.4 : 1.5, dash: line.dash ? [5, 4] : undefined, paths: stepped ? uPlot.paths.stepped({ align: 1 }) : undefined, points: { show: few(line) } }))],
       hooks: { draw: [(plot) => this.ends(plot)] },
     }, data, this.element);
   }
@@ -140,9 +141,9 @@ function columns(points, factor, log) {
   const kept = [];
   for (const point of points) {
     while (kept.length && kept.at(-1)[0] >= point[0]) kept.pop();
-    if (!log || point[1] > 0) kept.push(point);
+    if (!log || point[1] > 0 || point[1] === null) kept.push(point);
   }
-  return [kept.map(([x]) => x), kept.map(([, y]) => y * factor)];
+  return [kept.map(([x]) => x), kept.map(([, y]) => (y === null ? null : y * factor))];
 }
 
 // Names, none on another one: moved as little as can be.
@@ -168,7 +169,7 @@ function bands(lines) {
     const x = low + ((high - low) * step) / STEPS, values = [];
     lines.forEach(({ points }, index) => {
       while (next[index] < points.length && points[next[index]][0] <= x) next[index] += 1;
-      if (next[index]) values.push(points[next[index] - 1][1]);
+      if (next[index] && points[next[index] - 1][1] !== null) values.push(points[next[index] - 1][1]);
     });
     values.sort((a, b) => a - b);
     if (values.length) names.forEach(([, share], index) => found[index].points.push([x, values[Math.round(share * (values.length - 1))]]));

@@ -1,7 +1,7 @@
 // Panels with charts of series: the app's own values, and how wrong robots are about their place.
 
 import { column, largest, median, scaled, short, SIGMAS, write } from "../numbers.js";
-import { held, isDistance, plain } from "../series.js";
+import { held, isDistance, plain, withGaps } from "../series.js";
 import { sizeOf, theme } from "../theme.js";
 import { Plot } from "./plot.js";
 
@@ -85,15 +85,16 @@ export class Chart {
 
   // On a logarithmic axis what ends on zero: distances as they are, all else as the distance from the mean of all.
   lines(entry, robots, x, value, off) {
-    const from = (mean) => (points) => points.map((point) => [point[x], off ? Math.abs(point[1] - mean(point[0])) : point[1]]);
+    const drawn = (points) => (value.held || x !== 0 ? points : withGaps(points));
+    const from = (mean) => (points) => drawn(points).map((point) => [point[x], off && point[1] !== null ? Math.abs(point[1] - mean(point[0])) : point[1]]);
     const of = from(off && means(this.series, entry, robots));
     const now = this.store.zoom?.[1] ?? this.store.t; // until something is told a held value is what it was
     const until = (points) => (value.held && x === 0 && points.at(-1)[0] < now ? [...points, [now, points.at(-1)[1]]] : points);
     const lines = robots.map((name) => ({ name, colour: this.store.colour(name), points: of(until(this.series.points(entry, name))) }));
     const beside = this.series.beside ? this.series.robots(entry, "beside") : [];
-    const its = from(off && means(this.series, entry, beside, "beside")), drawn = beside.map((name) => [name, its(this.series.points(entry, name, "beside"))]);
-    if (drawn.length > SIX) lines.push({ name: "B median", colour: theme.colour("--text"), dash: true, points: middle(drawn.map(([, points]) => points)) });
-    else for (const [name, points] of drawn) lines.push({ name: `B ${name}`, colour: this.store.colour(name), dash: true, points });
+    const its = from(off && means(this.series, entry, beside, "beside")), others = beside.map((name) => [name, its(this.series.points(entry, name, "beside"))]);
+    if (others.length > SIX) lines.push({ name: "B median", colour: theme.colour("--text"), dash: true, points: middle(others.map(([, points]) => points)) });
+    else for (const [name, points] of others) lines.push({ name: `B ${name}`, colour: this.store.colour(name), dash: true, points });
     return lines;
   }
 
@@ -119,7 +120,7 @@ export class Chart {
 function middle(all) {
   const first = Math.min(...all.map((points) => points[0][0])), last = Math.max(...all.map((points) => points.at(-1)[0])), found = [];
   for (let step = 0; step <= STEPS; step += 1) {
-    const x = first + ((last - first) * step) / STEPS, known = all.map((points) => held(points, x)?.[1]).filter((each) => each !== undefined);
+    const x = first + ((last - first) * step) / STEPS, known = all.map((points) => held(points, x)?.[1]).filter(Number.isFinite);
     found.push([x, median(known)]);
   }
   return found;
