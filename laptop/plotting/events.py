@@ -3,6 +3,7 @@
 import math
 from bisect import bisect_left
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -23,12 +24,19 @@ STANDING = "balancing"
 
 def leds(figure: Any, run: Run) -> None:
     """Draw the flashes of robots: the end of the run in detail, and each flash relative to those of the first robot
-    that flashes to the end, over the whole run. Nobody knows when the LEDs of real robots shone in truth: the picture
-    says whose word and which clock it shows."""
+    that flashes to the end, over the whole run. Where no two robots flash, LEDs are drawn over the whole run. Nobody
+    knows when the LEDs of real robots shone in truth: the picture says whose word and which clock it shows."""
     flashes, lit, source = _flashes(run)
     robots = [name for name in run.robots if flashes.get(name)]
     if not robots:
         raise LocalError("no LED has been switched in this recording")
+    if sum(len(flashes[name]) > 1 for name in robots) < 2:
+        figure.set_size_inches(7.0, 1.6 + 0.28 * len(robots))
+        axes = figure.add_subplot()
+        _draw_lit(axes, robots, lit)
+        axes.set(xlim=(0.0, None), title="LED on")
+        style.say_below(figure, f"{source}, by the time of {run.basis}")
+        return
     figure.set_size_inches(7.0, 2.2 + 0.28 * len(robots) + 2.2)
     grid = figure.add_gridspec(2, 1, height_ratios=(0.6 + 0.28 * len(robots), 2.6))
     top, bottom = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
@@ -40,9 +48,6 @@ def leds(figure: Any, run: Run) -> None:
     farthest = 0.0
     for index, name in enumerate(robots):
         colour = style.colour(index, len(robots))
-        for on, off in lit[name]:
-            if off >= begin and on <= end + period / 2:
-                top.barh(index, off - on, left=on, height=0.62, color=colour)
         apart = [(t, _nearest(flashes[first], t)) for t in flashes[name]]
         # Half a period is the most while the first robot flashes.
         offsets = [(t, 1e3 * offset) for t, offset in apart if abs(offset) < 0.75 * period]
@@ -55,8 +60,9 @@ def leds(figure: Any, run: Run) -> None:
             markersize=3.2,
             label=name,
         )
-    style.rows_of_robots(top, robots)
-    top.set(xlabel=style.TIME, xlim=(begin, end + period / 2), title="LED on, the last flashes")
+    shown = {name: [(on, off) for on, off in lit[name] if off >= begin and on <= end + period / 2] for name in robots}
+    _draw_lit(top, robots, shown)
+    top.set(xlim=(begin, end + period / 2), title="LED on, the last flashes")
     bottom.set(
         xlabel=style.TIME,
         ylabel=f"flash after that of {first} / ms",
@@ -70,6 +76,15 @@ def leds(figure: Any, run: Run) -> None:
     style.legend(bottom, len(robots))
     doubt = " (the LEDs follow it too: its errors are not to be seen)" if run.basis == MESH_CLOCK else ""
     style.say_below(figure, f"{source}, by the time of {run.basis}{doubt}")
+
+
+def _draw_lit(axes: Any, robots: Sequence[str], lit: Mapping[str, Sequence[tuple[float, float]]]) -> None:
+    """Draw a row for each robot, with a bar for each stretch in which its LED was on."""
+    for index, name in enumerate(robots):
+        for on, off in lit[name]:
+            axes.barh(index, off - on, left=on, height=0.62, color=style.colour(index, len(robots)))
+    style.rows_of_robots(axes, robots)
+    axes.set(xlabel=style.TIME)
 
 
 def standup(figure: Any, run: Run) -> None:
@@ -121,8 +136,9 @@ def _with_silence(tilts: list[tuple[float, float, bool]]) -> list[tuple[float, f
 
 
 def _flashes(run: Run) -> tuple[dict[str, list[float]], dict[str, list[tuple[float, float]]], str]:
-    """Return the times at which each robot's flashing LED came on, the stretches it was on, and who says so: the
-    registers of the simulated robots, or the balancers. The LED is the one that was switched most often."""
+    """Return the times at which each robot's flashing LED came on, the stretches it was on, at most to the last state
+    of an app, and who says so: the registers of the simulated robots, or the balancers. The LED is the one that was
+    switched most often."""
     simulated = any(name.endswith("/sim/leds") for name in run.topics)
     topic = "sim/leds" if simulated else "balancer/leds"
     changes: Counter[str] = Counter()
@@ -134,6 +150,9 @@ def _flashes(run: Run) -> tuple[dict[str, list[float]], dict[str, list[tuple[flo
             changes.update(led for led in ("red", "yellow", "green") if message[led] != before[-1][1][led])
         before.append((sample.t, message))
     led = max(("red", "yellow", "green"), key=lambda name: changes[name])
+    last = max(
+        (path.newest for channel in run.states() for path in run.trajectories(channel=channel).values()), default=0
+    )
     flashes: dict[str, list[float]] = {}
     lit: dict[str, list[tuple[float, float]]] = {}
     for robot, entries in states.items():
@@ -146,6 +165,8 @@ def _flashes(run: Run) -> tuple[dict[str, list[float]], dict[str, list[tuple[flo
                 lit.setdefault(robot, []).append((on, t))
                 on = None
         lit.setdefault(robot, [])
+        if on is not None and on < last:
+            lit[robot].append((on, last))
     source = "registers of the simulated LEDs" if simulated else "LEDs as the balancers report them"
     return (flashes if changes[led] else {}), lit, source
 

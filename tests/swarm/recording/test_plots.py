@@ -332,3 +332,18 @@ def test_flashes_of_a_robot_that_others_went_on_without_are_compared_with_none(t
     assert below.get_ylabel() == "flash after that of r1 / ms"
     assert max(abs(y) for line in below.lines for y in line.get_ydata()) < 500
     assert max(below.lines[2].get_xdata()) > 8.0
+
+
+def test_leds_that_do_not_flash_are_drawn_over_the_whole_run_alone(tmp_path):
+    (tmp_path / "lamps.py").write_text(
+        "from swarm import SyncApp\n\nclass Lamps(SyncApp):\n    x: int\n\n    def step(self, neighbours):\n"
+        "        self.x += 1\n        if self.x == 10 and self.robot.name == 'r1':\n"
+        "            self.robot.leds(red=True)\n"
+    )
+    run_virtually(str(tmp_path / "lamps.py"), "--robots", "2", "--iterations", "40", "--record", str(tmp_path / "run"))
+    with figure(tmp_path / "leds.svg", settings=style.RC) as made:
+        KINDS["leds"](made, Run(tmp_path / "run"))
+    (only,) = made.axes
+    (bar,) = only.patches  # it shines to the end
+    assert bar.get_x() == pytest.approx(0.4, abs=0.1)
+    assert bar.get_x() + bar.get_width() == pytest.approx(1.26, abs=0.1)
