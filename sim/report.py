@@ -1,6 +1,7 @@
 """The results of a run, as one object for programs; `report_table` writes it for people."""
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import field
 
@@ -143,6 +144,12 @@ def summary(outcome: RunOutcome) -> Json:
         whole = iterations >= min(recording.steps for recording in scenario.recorded.values())
         report["early_ends"] = early_ends(list(scenario.recorded.values())) if whole else []
     return report
+
+
+def fault(robot: str, app: str, reason: str) -> str:
+    """Return the reason of an app's fault, with the robot and the app before it unless the author's code has failed:
+    such a reason begins with both."""
+    return reason if re.match(rf"\w+ on {re.escape(robot)}[,:]", reason) else f"{robot} {app} {reason}"
 
 
 def is_consensus(scenario: Scenario) -> bool:

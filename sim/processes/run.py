@@ -32,7 +32,7 @@ from sim.processes.monitor import START_LIMIT_S, Monitor, Seen, StartTimeout, un
 from sim.processes.processes import APP_FAULT, Processes
 from sim.processes.progress import ProgressDisplay
 from sim.processes.radio import LATENESS
-from sim.report import RunOutcome
+from sim.report import RunOutcome, fault
 from sim.scenario.options import PRESS_S, Options
 from sim.scenario.scenario import Scenario
 from sim.world import BodyWorld
@@ -347,7 +347,9 @@ def _members(seen: Mapping[str, Seen]) -> tuple[str, ...]:
 
 
 def _faults(seen: Mapping[str, Seen]) -> list[str]:
-    return [f"{name} app {robot.progress.reason}" for name, robot in seen.items() if robot.progress and _failed(robot)]
+    return [
+        fault(name, "app", robot.progress.reason) for name, robot in seen.items() if robot.progress and _failed(robot)
+    ]
 
 
 def _held_up(seen: Mapping[str, Seen]) -> list[str]:

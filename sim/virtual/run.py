@@ -20,7 +20,7 @@ from sim import scene
 from sim.core import actions
 from sim.core.scene_record import SceneRecord
 from sim.disturbances import Cut, Disturbance, Kill, Off, ScheduledPress, ScheduledPush, never
-from sim.report import Json, RunOutcome, summary
+from sim.report import Json, RunOutcome, fault, summary
 from sim.scenario.options import PRESS_S, Options
 from sim.scenario.options import parse as arguments_of
 from sim.scenario.scenario import Scenario, build
@@ -276,7 +276,7 @@ class VirtualRun:
         """See `Observer`: a robot is at its last iteration, or its app has failed. That ends the run."""
         self._records.progressed(source)
         if (progress := source.progress).phase == "fault":
-            self._problems.append(f"{source.robot} app {progress.reason}")
+            self._problems.append(fault(source.robot, "app", progress.reason))
             if not self._scenario.run_options.drop:
                 self.world.time.stop()
                 return
@@ -372,7 +372,7 @@ class _Beside:
     def ended(self, source: Source) -> None:
         self._progressed(source)
         if (progress := source.progress).phase == "fault":
-            self._problems.append(f"{source.robot} {source.app} {progress.reason}")
+            self._problems.append(fault(source.robot, source.app, progress.reason))
 
 
 def _has_no_steps(source: Source) -> bool:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from sim.report import summary
+from sim.report import fault, summary
 from sim.report_table import table
 from sim.scenario.options import parse
 from sim.scenario.scenario import build
@@ -335,3 +335,14 @@ def test_an_authors_app_with_the_name_of_a_built_in_one_is_the_authors(tmp_path,
     assert outcome.scenario.lying is None
     assert not report.keys() & {"error_cm", "misfit_m", "synchronous_after_s"}
     table(report, outcome)
+
+
+def test_a_problem_names_robot_and_app_once(tmp_path):
+    app = tmp_path / "fails.py"
+    app.write_text(
+        "from swarm import SyncApp\n\nclass Fails(SyncApp):\n    x: float\n\n    def step(self, neighbours):\n"
+        "        if self.k == 2 and self.robot.name == 'r1':\n            raise ValueError('two')\n"
+    )
+    report, _ = run_virtually(str(app), "--robots", "2")
+    assert report["problems"] == [f"Fails on r1, iteration 2: {app}, line 8: ValueError: two"]
+    assert fault("r1", "app", "state lost at r1") == "r1 app state lost at r1"

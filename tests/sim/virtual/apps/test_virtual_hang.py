@@ -55,7 +55,7 @@ def test_a_step_that_hangs_is_named(tmp_path, how):
     words = ("--robots", "3", "--iterations", "20", "--record", str(tmp_path / "run"))
     report, outcome = run_virtually(app(tmp_path, SYNC.format(how=how)), *words, rows=True)
     (problem,) = report["problems"]
-    assert problem.startswith("r1 app Hanging on r1, iteration 7: ")
+    assert problem.startswith("Hanging on r1, iteration 7: ")
     assert "hanging.py, line 10: Hangs: it has not ended within" in problem
     assert outcome.trajectories["r1"].last == 7
     # The recording is kept, and says the same.
