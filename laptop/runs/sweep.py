@@ -12,10 +12,10 @@ from laptop.plotting import style
 from laptop.runs.progress import progress as shown_progress
 from laptop.runs.results import table_of
 from laptop.runs.simulation import App, app_of, arguments_of, flags_of_options, settings_for
-from sim.scenario.options import parse
+from sim.scenario.options import LATENCY, parse
 from sim.sweep.engines import here, local
 from sim.sweep.measure import Summary, SweptRun, check, summarize
-from sim.sweep.plan import Job, SweepPoint, points_of
+from sim.sweep.plan import OPTIONS, Job, SweepPoint, points_of
 from swarm.app.parameters import number_or_text
 from swarm.errors import ConfigError
 
@@ -23,10 +23,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-OF_EACH_RUN = ("robots", "topology", "algorithm")
-"""Arguments that differ from run to run if `over` lists values of them."""
-
-OF_ALL_RUNS = ("latency", "faults", "iterations", "seconds", "seeds")
+OF_ALL_RUNS = ("faults", "iterations", "seconds", "seeds")
 """Arguments of a sweep that hold for all its runs, beside the options of `swarm sim`."""
 
 
@@ -76,7 +73,7 @@ def sweep(
     robots: int | None = None,
     topology: str | Path | None = None,
     values: Mapping[str, Any] | None = None,
-    latency: float | str = 0.03,
+    latency: float | str = LATENCY,
     faults: Sequence[str] = (),
     iterations: int | None = None,
     seconds: float | None = None,
@@ -88,11 +85,12 @@ def sweep(
     """Run an app in virtual time for each combination of the lists in `over` and each seed, as `swarm sweep` does.
 
     `over`: lists by the name of a parameter or first value (`gain`, or `r2.gain` of one robot), and `robots`,
-    `topology`, `algorithm`. `seeds`: a number N for the seeds 1 to N, or a list of seeds. A run has settled when all
-    results stay `within` of their last values. `jobs`: number of processes. More than one needs an app by name or file,
-    and a script then calls `sweep` where `__name__` is `"__main__"`. The other arguments are those of
-    `swarm.simulate`. A run with problems counts as failed. Raises `AppError` or `ConfigError` for an app or an argument
-    with which no run is possible."""
+    `topology`, `algorithm`, `latency`, `jitter`, `loss`. Of a name of the radio that the app has, too, the app's is
+    meant. `seeds`: a number N for the seeds 1 to N, or a list of seeds. A run has settled when all results stay
+    `within` of their last values. `jobs`: number of processes. More than one needs an app by name or file, and a
+    script then calls `sweep` where `__name__` is `"__main__"`. The other arguments are those of `swarm.simulate`. A
+    run with problems counts as failed. Raises `AppError` or `ConfigError` for an app or an argument with which no run
+    is possible."""
     found = app_of(app)
     by_class = not isinstance(app, str | Path)
     if jobs < 1:
@@ -103,24 +101,24 @@ def sweep(
         raise ConfigError(f"within: expected a distance of 0 or more, got {within}")
     if not isinstance(over, Mapping):
         raise ConfigError(f'over: expected lists by name, such as {{"topology": ["line", "loop"]}}, got {over!r}')
-    given = {"robots": robots, "topology": topology, "algorithm": options.get("algorithm")}
+    given = {"robots": robots, "topology": topology, "latency": None if latency == LATENCY else latency, **options}
     fixed = {name for name, value in (values or {}).items() if not isinstance(value, Mapping)}
-    fixed |= {name for name, value in given.items() if value is not None}
     kinds = found.algorithms.values()
     own = {name for kind in kinds for name in (*kind.spec.parameters, *kind.spec.schema.names)}
+    fixed |= {name for name, value in given.items() if value is not None} - own
     for name, choices in over.items():
         if name == "seed" and name not in own:
             raise ConfigError("over: a sweep has its seeds by seeds=..., a number of them or a list")
-        if name in {*flags_of_options(), *OF_ALL_RUNS} - own - {*OF_EACH_RUN}:
+        if name in {*flags_of_options(), *OF_ALL_RUNS} - own - {*OPTIONS}:
             raise ConfigError(
                 f"over: {name} is an argument of all runs of a sweep: call sweep once for each value, with {name}=...; "
-                f"lists may be of {', '.join(OF_EACH_RUN)}, and of parameters and first values of the app"
+                f"lists may be of {', '.join(OPTIONS)}, and of parameters and first values of the app"
             )
         if isinstance(choices, str) or not hasattr(choices, "__iter__"):
             raise ConfigError(f"over: {name}: expected a list of values, got {choices!r}")
         if name in fixed:
             raise ConfigError(f"over: {name} has one value for all runs, too: leave that out, or the list")
-    points = points_of([(name, [_text(value) for value in choices]) for name, choices in over.items()])
+    points = points_of([], [(name, [_text(value) for value in choices]) for name, choices in over.items()])
     if not points:
         empty = ", ".join(name for name, choices in over.items() if not choices)
         raise ConfigError(f"over: {empty}: a list is empty, expected values")
@@ -132,8 +130,10 @@ def sweep(
         chosen = dict(point.choices)
         count = int(chosen.pop("robots")) if "robots" in chosen else robots
         graph = chosen.pop("topology", topology)
-        words = arguments_of(count, graph, latency, faults, iterations, seconds, options)
         which = options | ({"algorithm": chosen.pop("algorithm")} if "algorithm" in chosen else {})
+        delay = chosen.pop("latency") if "latency" in chosen.keys() - own else latency
+        radio = {name: chosen.pop(name) for name in ("jitter", "loss") if name in chosen.keys() - own}
+        words = arguments_of(count, graph, delay, faults, iterations, seconds, options | radio)
         for setting in settings_for(found, values, count, which):
             words += ["--set", setting.text]
         if "algorithm" in which:

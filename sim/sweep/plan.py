@@ -7,6 +7,9 @@ from collections.abc import Sequence
 
 from swarm.frozen import frozen
 
+OPTIONS = ("robots", "topology", "algorithm", "latency", "jitter", "loss")
+"""Options of `swarm sim` of which a sweep takes lists."""
+
 _BETWEEN = re.compile(r",(?![^\[]*\])")
 """Pattern of a comma that is not within the brackets of a vector."""
 
@@ -16,21 +19,20 @@ class SweepPoint:
     """One combination of values."""
 
     choices: tuple[tuple[str, str], ...]
-    """Name and value of each list: robots, topology, algorithm, parameters by name."""
+    """Name and value of each list: of `OPTIONS`, and of parameters and first values."""
+    options: int = 0
+    """The number of choices, those at the beginning, that are of `OPTIONS`: a parameter may have such a name, too."""
 
     def arguments(self) -> list[str]:
         """Return the arguments for `swarm sim`."""
         found: list[str] = []
-        for name, value in self.choices:
-            if name in ("robots", "topology", "algorithm"):
-                found += [f"--{name}", value]
-            else:
-                found += ["--set", f"{name}={value}"]
+        for index, (name, value) in enumerate(self.choices):
+            found += [f"--{name}={value}"] if index < self.options else ["--set", f"{name}={value}"]
         return found
 
     def with_value(self, name: str, value: float) -> "SweepPoint":
         """Return the same point with one parameter more."""
-        return SweepPoint((*self.choices, (name, repr(value))))
+        return SweepPoint((*self.choices, (name, repr(value))), self.options)
 
 
 @frozen
@@ -72,11 +74,15 @@ def seeds_of(text: str) -> tuple[int, ...]:
     return tuple(range(first, last + 1))
 
 
-def points_of(lists: Sequence[tuple[str, Sequence[str]]]) -> list[SweepPoint]:
-    """Return all combinations, the last list changing fastest."""
+def points_of(
+    options: Sequence[tuple[str, Sequence[str]]], settings: Sequence[tuple[str, Sequence[str]]] = ()
+) -> list[SweepPoint]:
+    """Return all combinations of lists of `OPTIONS`, and of parameters and first values; the last list changes
+    fastest."""
+    lists = [*options, *settings]
     names = [name for name, _ in lists]
     return [
-        SweepPoint(tuple(zip(names, chosen, strict=True)))
+        SweepPoint(tuple(zip(names, chosen, strict=True)), len(options))
         for chosen in itertools.product(*(values for _, values in lists))
     ]
 

@@ -13,7 +13,7 @@ from services.apps.event_runner import EventRunner
 from services.apps.runner import metrics_of
 from sim.rehearsal import rehearse
 from sim.sweep.measure import SweptRun, measure, summarize
-from sim.sweep.plan import Job, SweepPoint
+from sim.sweep.plan import Job, SweepPoint, points_of
 from sim.virtual.run import run_virtually
 from swarm import sweep
 from swarm.app.truth import RobotTruth, TruthWatch
@@ -163,7 +163,7 @@ def test_a_process_hears_the_truth_from_its_bus() -> None:
 
 def test_a_sweep_has_the_apps_error_and_says_so_where_there_is_nothing(tmp_path: Path) -> None:
     app = write(tmp_path, FINDS)
-    points = [SweepPoint((("robots", "2"),)), SweepPoint((("robots", "3"),))]
+    points = points_of([("robots", ("2", "3"))])
     jobs = [Job(i, 1, (app, *each.arguments(), "--iterations", "5"), 0.01) for i, each in enumerate(points)]
     found = [measure(job) for job in jobs]
     assert [run.error for run in found] == [pytest.approx(0.1)] * 2
@@ -191,7 +191,7 @@ def test_the_picture_of_a_sweep_shows_where_runs_failed_or_did_not_settle(tmp_pa
 
 def test_a_sweep_has_each_metric_of_the_app(tmp_path: Path) -> None:
     app = write(tmp_path, OWN_PLACE)
-    points = [SweepPoint((("robots", "2"),)), SweepPoint((("robots", "3"),))]
+    points = points_of([("robots", ("2", "3"))])
     jobs = [Job(i, 1, (app, *each.arguments(), "--seconds", "3"), 0.01) for i, each in enumerate(points)]
     found = [measure(job) for job in jobs]
     assert [dict(run.metrics) for run in found] == [{"error_gain": 0.0}] * 2

@@ -14,7 +14,7 @@ from sim.scenario import options as simulation
 from sim.sweep.engines import ENGINES, Engine, dask, local
 from sim.sweep.limit import search
 from sim.sweep.measure import check
-from sim.sweep.plan import SweepPoint, jobs_of, points_of, seeds_of, setting_of, values_of
+from sim.sweep.plan import OPTIONS, SweepPoint, jobs_of, points_of, seeds_of, setting_of, values_of
 from swarm.errors import ConfigError
 from swarm.process import log, service
 from swarm.process.arguments import add_json, json_alone, number, picture, whole
@@ -29,7 +29,7 @@ def parser() -> argparse.ArgumentParser:
     p = argparse.ArgumentParser(
         prog="swarm sweep",
         description="Run an app under virtual time over robots, topologies, parameters and seeds, on all cores.",
-        epilog="All other options of swarm sim apply to every run: --iterations 200 --jitter 10ms --noise thesis ...",
+        epilog="All other options of swarm sim apply to every run: --iterations 200 --noise thesis ...",
     )
     p.add_argument("app", metavar="APP", help="a built-in app, or a file with one")
     p.add_argument("--robots", action="extend", type=values_of, metavar="N,N", help="numbers of robots")
@@ -44,6 +44,11 @@ def parser() -> argparse.ArgumentParser:
         metavar="NAME=VALUE,VALUE",
         help="values of a parameter",
     )
+    p.add_argument("--latency", action="extend", type=values_of, metavar="S,S", help="latencies of the links")
+    p.add_argument(
+        "--jitter", action="extend", type=values_of, metavar="S,S", help="standard deviations of the latency"
+    )
+    p.add_argument("--loss", action="extend", type=values_of, metavar="X,X", help="shares of lost radio packets")
     p.add_argument("--seeds", type=seeds_of, default=(1,), metavar="N|A-B", help="seeds 1 to N, or A to B (1)")
     p.add_argument(
         "--within",
@@ -84,8 +89,7 @@ def main() -> int:
 
 
 def _sweep(args: argparse.Namespace, rest: list[str], out: TextIO) -> int:
-    lists = [(name, getattr(args, name)) for name in ("robots", "topology", "algorithm") if getattr(args, name)]
-    points = points_of([*lists, *args.settings])
+    points = points_of([(name, getattr(args, name)) for name in OPTIONS if getattr(args, name)], args.settings)
     if any(word.partition("=")[0] == "--record" for word in rest):
         raise ConfigError(
             "--record: a sweep has many runs, and they would all go to that folder; swarm sim records one"

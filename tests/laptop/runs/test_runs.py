@@ -17,7 +17,7 @@ import swarm
 from laptop.plotting import states
 from services.apps import loader
 from sim.virtual.run import run_virtually
-from swarm import SyncApp, load, rehearse, simulate, sweep
+from swarm import SyncApp, load, parameter, rehearse, simulate, sweep
 from swarm.errors import AppError, ConfigError, LocalError, RecordingError
 from swarm.recording import trajectory
 
@@ -316,7 +316,7 @@ def test_a_sweep_refuses_what_no_run_can_be_made_of() -> None:
         sweep(Mean, ["line"])  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match=r"over: gain: expected a list of values, got 0.5"):
         sweep(Mean, {"gain": 0.5})  # type: ignore[dict-item]
-    for name in ("latency", "jitter"):
+    for name in ("noise", "iterations"):
         with pytest.raises(
             ConfigError, match=f"over: {name} is an argument of all runs .* lists may be of robots, top"
         ):
@@ -325,6 +325,24 @@ def test_a_sweep_refuses_what_no_run_can_be_made_of() -> None:
         sweep(Mean, {"topology": "line"})
     with pytest.raises(ConfigError, match="there is no option 'sped'"):
         sweep(Mean, {"gain": [1.0]}, sped=3)
+
+
+class Lossy(Mean):
+    """Has a parameter with the name of one of the radio."""
+
+    loss: float = parameter(0.0, unit="1")
+
+
+def test_a_sweep_is_over_the_radio_unless_the_app_has_such_a_parameter() -> None:
+    found = sweep(Mean, {"latency": ["10ms", 0.03], "jitter": [0.0, 0.02]}, iterations=20, values={"x": STARTS})
+    seconds = [run["seconds"] for run in found.runs]
+    assert seconds[0] == pytest.approx(0.2, abs=0.03)
+    assert seconds[0] < seconds[1]
+    assert seconds[0] < seconds[2] < seconds[3]
+    lost = sweep(Mean, {"loss": [0.0, 0.5]}, iterations=20, values={"x": STARTS}).runs
+    assert lost[0]["seconds"] < lost[1]["seconds"]
+    own = sweep(Lossy, {"loss": [0.0, 0.5]}, iterations=20, values={"x": STARTS}).runs
+    assert own[0]["seconds"] == own[1]["seconds"]
 
 
 @pytest.mark.parametrize(

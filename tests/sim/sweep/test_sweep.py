@@ -47,14 +47,14 @@ def test_what_is_no_list_is_refused(convert, text):
 
 
 def test_every_combination_with_every_seed():
-    points = points_of([("robots", ("3", "6")), ("algorithm", ("a", "b")), ("gain", ("0.1",))])
+    points = points_of([("robots", ("3", "6")), ("algorithm", ("a", "b"))], [("loss", ("0.1",))])
     assert [dict(point.choices) for point in points] == [
-        {"robots": robots, "algorithm": algorithm, "gain": "0.1"} for robots in ("3", "6") for algorithm in ("a", "b")
+        {"robots": robots, "algorithm": algorithm, "loss": "0.1"} for robots in ("3", "6") for algorithm in ("a", "b")
     ]
-    assert points[0].arguments() == ["--robots", "3", "--algorithm", "a", "--set", "gain=0.1"]
+    assert points[0].arguments() == ["--robots=3", "--algorithm=a", "--set", "loss=0.1"]
     jobs = jobs_of("app", points, (1, 2), ["--jitter", "10ms"], 0.01)
     assert [(job.point, job.seed) for job in jobs] == [(point, seed) for point in range(4) for seed in (1, 2)]
-    assert jobs[0].arguments[:3] == ("app", "--robots", "3")
+    assert jobs[0].arguments[:2] == ("app", "--robots=3")
     assert jobs[0].arguments[-4:] == ("--seed", "1", "--jitter", "10ms")
     assert points_of([]) == [SweepPoint(())]
 
@@ -175,7 +175,7 @@ def test_the_runs_of_a_sweep_have_no_recording():
 def test_the_command_gives_what_one_process_gives(engine, tmp_path):
     if engine == "dask":
         pytest.importorskip("distributed", reason="Dask is not installed: pip install distributed")
-    command = ["consensus", "--robots", "3,4", "--seeds", "2", "--iterations", "30", "--jitter", "5ms"]
+    command = ["consensus", "--robots", "3,4", "--seeds", "2", "--iterations", "30", "--jitter", "5ms,9ms"]
     plot = tmp_path / "sweep.png"
     done = subprocess.run(
         [sys.executable, "-m", "laptop.cli.runs.sweep", *command, "--json", "--engine", engine, "--jobs", "2",
@@ -183,13 +183,14 @@ def test_the_command_gives_what_one_process_gives(engine, tmp_path):
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     told = json.loads(done.stdout)
-    assert [point["robots"] for point in told["points"]] == ["3", "4"]
+    points = [(point["robots"], point["jitter"]) for point in told["points"]]
+    assert points == [("3", "5ms"), ("3", "9ms"), ("4", "5ms"), ("4", "9ms")]
     assert plot.stat().st_size > 1000
     for index, point in enumerate(told["points"]):
         assert len(point["runs"]) == 2
         for run in point["runs"]:
             arguments = ("consensus", "--robots", point["robots"], "--seed", str(run["seed"]), "--iterations", "30")
-            here = measure(Job(index, run["seed"], (*arguments, "--jitter", "5ms"), 0.01))
+            here = measure(Job(index, run["seed"], (*arguments, "--jitter", point["jitter"]), 0.01))
             assert (run["settled"], run["error"], run["seconds"]) == (here.settled, here.error, here.seconds)
 
 
