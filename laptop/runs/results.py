@@ -137,8 +137,8 @@ class RunData:
 
     def to_pandas(self) -> "pd.DataFrame":
         """Return a table with a row for each iteration and robot: `iteration`, `robot`, `t`, and the app's columns,
-        a vector's entries as `x[0]`, `x[1]`..., a matrix's as `P[0,0]`, `P[0,1]`... Needs pandas, of the extra
-        `notebook`."""
+        a vector's entries as `x[0]`, `x[1]`..., a matrix's as `P[0,0]`, `P[0,1]`... A state that is called `t` or
+        `iteration` has the column `app.t` or `app.iteration`. Needs pandas, of the extra `notebook`."""
         k, robot = np.nonzero(~np.isnan(self.times))
         table: dict[str, Any] = {
             "iteration": k, "robot": np.array(self.robots)[robot], "t": self.times[k, robot],
@@ -146,7 +146,7 @@ class RunData:
         for name in (name for name in self.columns if not self._columns[name][0]):
             values = self[name][k, robot]
             if values.ndim == 1:
-                table[name] = values
+                table[f"app.{name}" if name in table else name] = values
                 continue
             shape = values.shape[1:]
             for entry, place in zip(entry_names(name, shape), np.ndindex(*shape), strict=True):

@@ -150,8 +150,10 @@ def _nothing(recorded: Run) -> NoReturn:
 
 def _table(path: Trajectory) -> tables.Table:
     ks = sorted(path.rows)
-    cells = {name: [_value(path.rows[k][at]) for k in ks] for at, name in enumerate(path.columns)}
-    return {"k": list(ks), "t": [path.times[k] for k in ks], **cells}
+    table: tables.Table = {"k": list(ks), "t": [path.times[k] for k in ks]}
+    for at, name in enumerate(path.columns):
+        table[f"app.{name}" if name in table else name] = [_value(path.rows[k][at]) for k in ks]
+    return table
 
 
 def _value(text: str) -> object:

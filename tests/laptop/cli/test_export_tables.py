@@ -67,6 +67,22 @@ def test_what_is_not_installed_is_named_before_anything_is_written(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_state_that_is_called_t_takes_not_the_place_of_the_time(tmp_path: Path) -> None:
+    (tmp_path / "clash.py").write_text(
+        "from swarm import SyncApp\nclass Clash(SyncApp):\n    t: float = 7.0\n    iteration: int = 5\n"
+        "    def step(self, neighbours):\n        self.iteration += 1\n"
+    )
+    run_virtually(str(tmp_path / "clash.py"), "--robots", "2", "--iterations", "3", "--record", str(tmp_path / "run"))
+    assert exported(tmp_path / "run", "--table", str(tmp_path / "table")) == 0
+    with (tmp_path / "table" / "r1.clash.csv").open() as file:
+        last = list(csv.DictReader(file))[-1]
+    assert float(last["t"]) < 1.0
+    assert (last["app.t"], last["iteration"]) == ("7.0", "8")
+    pytest.importorskip("pandas", reason="the notebook extra is not installed")
+    table = load(tmp_path / "run").to_pandas()
+    assert (table["iteration"].max(), table["app.iteration"].max(), table["app.t"].max()) == (3, 8, 7.0)
+
+
 MATRIX = """
 import numpy as np
 from swarm import Array, SyncApp
