@@ -76,17 +76,20 @@ def _schema_name(key: str, topic: str) -> str:
 
 def frames(places: Mapping[str, tuple[float, float, float]], log_time: int) -> FoxgloveMessage:
     """Return a frame of reference for each robot: x and y, m, and heading, rad, in the frame of the anchors."""
-    transforms = [
-        {
-            "timestamp": timestamp(log_time),
-            "parent_frame_id": foxglove.FRAME,
-            "child_frame_id": robot,
-            "translation": {"x": x, "y": y, "z": 0.0},
-            "rotation": rotation(heading),
-        }
-        for robot, (x, y, heading) in places.items()
-    ]
-    return _made(FRAMES, "foxglove.FrameTransforms", {"transforms": transforms})
+    transforms = [_transform(robot, *place, log_time) for robot, place in places.items()]
+    data = _packed({"transforms": transforms})
+    # The first message may have no robot in it, and its schema holds for those that follow.
+    return FoxgloveMessage(FRAMES, "foxglove.FrameTransforms", {"transforms": [_transform("", 0.0, 0.0, 0.0, 0)]}, data)
+
+
+def _transform(robot: str, x: float, y: float, heading: float, log_time: int) -> dict[str, Any]:
+    return {
+        "timestamp": timestamp(log_time),
+        "parent_frame_id": foxglove.FRAME,
+        "child_frame_id": robot,
+        "translation": {"x": x, "y": y, "z": 0.0},
+        "rotation": rotation(heading),
+    }
 
 
 def log(events: Iterable[Event], log_time: int) -> Iterator[FoxgloveMessage]:
@@ -100,7 +103,7 @@ def log(events: Iterable[Event], log_time: int) -> Iterator[FoxgloveMessage]:
             "file": "",
             "line": 0,
         }
-        yield _made(LOG, "foxglove.Log", line)
+        yield FoxgloveMessage(LOG, "foxglove.Log", line, _packed(line))
 
 
 def float_or_none(value: object) -> float | None:
@@ -119,5 +122,5 @@ def rotation(heading: float) -> dict[str, float]:
     return {"x": 0.0, "y": 0.0, "z": math.sin(heading / 2.0), "w": math.cos(heading / 2.0)}
 
 
-def _made(topic: str, name: str, value: dict[str, Any]) -> FoxgloveMessage:
-    return FoxgloveMessage(topic, name, value, json.dumps(value, separators=(",", ":")).encode())
+def _packed(value: dict[str, Any]) -> bytes:
+    return json.dumps(value, separators=(",", ":")).encode()

@@ -190,5 +190,5 @@ def _color(color: Color) -> dict[str, float]:
     return dict(zip("rgba", color, strict=True))
 
 
-_SHAPE = {"deletions": (), "entities": ()}
-"""All that the schema says of a scene: Foxglove knows its own by name."""
+_SHAPE: dict[str, object] = {"deletions": ({},), "entities": ({},)}
+"""All that the schema says of a scene, two lists of objects: Foxglove knows its own by name."""

@@ -41,7 +41,8 @@ def decode(data: bytes | str) -> Any:
 
 
 def schema(message: object, name: str) -> bytes:
-    """The JSON schema of messages like this one, packed. Free-form maps in it get the fields that they have now."""
+    """The JSON schema of messages like this one, packed. Free-form maps in it get the fields that they have now, and a
+    field of several types the type that it has now."""
     shape = _of_value(message)
     return json.dumps({"title": name, **shape}, separators=(",", ":")).encode()
 
@@ -91,7 +92,8 @@ def _of_value(value: object) -> Json:
     """The schema of one value as it stands."""
     if dataclasses.is_dataclass(value):
         shape = _of_type(type(value))
-        free = [name for name, field in shape["properties"].items() if field == _FREE]
+        hints = typing.get_type_hints(type(value))
+        free = [name for name, field in shape["properties"].items() if field == _FREE or len(_kinds(hints[name])) > 1]
         return {**shape, "properties": shape["properties"] | {name: _of_value(getattr(value, name)) for name in free}}
     if isinstance(value, Mapping):
         return {"type": "object", "properties": {str(name): _of_value(entry) for name, entry in value.items()}}
@@ -119,12 +121,18 @@ def _of_type(kind: Any) -> Json:
         }
     if kind in _PLAIN:
         return dict(_PLAIN[kind])
-    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
-    if origin in (typing.Union, types.UnionType):
-        return _of_type(next(argument for argument in arguments if argument is not type(None)))
-    if origin is tuple:
-        return {"type": "array", "items": _of_type(arguments[0])}
+    if kinds := _kinds(kind):
+        return _of_type(kinds[0])
+    if typing.get_origin(kind) is tuple:
+        return {"type": "array", "items": _of_type(typing.get_args(kind)[0])}
     return _FREE
+
+
+def _kinds(kind: Any) -> list[Any]:
+    """Return the types of a union but for None; none of a type that is no union."""
+    if typing.get_origin(kind) not in (typing.Union, types.UnionType):
+        return []
+    return [argument for argument in typing.get_args(kind) if argument is not type(None)]
 
 
 _PLAIN: dict[object, Json] = {

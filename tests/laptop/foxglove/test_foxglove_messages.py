@@ -87,7 +87,10 @@ def test_the_log_and_the_frames_are_foxgloves(config: Config) -> None:
     picture.note(1.0, "r2", "error", "mesh is gone")
     (line,) = log(picture.events, NOW)
     assert json.loads(line.data) | {"level": 4, "message": "mesh is gone", "name": "r2"} == json.loads(line.data)
-    (transform,) = json.loads(frames({"r0": (1.0, 2.0, 0.0)}, NOW).data)["transforms"]
+    message = frames({"r0": (1.0, 2.0, 0.0)}, NOW)
+    assert message.schema == frames({}, NOW).schema, "a topic has the schema of its first message, without robots maybe"
+    (transform,) = json.loads(message.data)["transforms"]
+    assert json.loads(message.schema)["properties"]["transforms"]["items"]["properties"].keys() == transform.keys()
     assert transform["child_frame_id"] == "r0"
     assert transform["translation"] == {"x": 1.0, "y": 2.0, "z": 0.0}
 
@@ -108,6 +111,23 @@ def test_no_sample_of_a_robot_spoils_the_scene(config: Config, topic: str, value
         json.loads(message.schema)
 
 
+JSON_TYPES = {
+    "object": dict, "array": list, "string": str, "boolean": bool, "integer": int, "number": (int, float, type(None))
+}  # fmt: skip
+"""Types of JSON values by their names in a schema. NaN is written as null."""
+
+
+def misfit(value: Any, schema: dict[str, Any], path: str = "") -> str:
+    """Where a value contradicts its JSON schema; empty where it does not."""
+    if not isinstance(value, JSON_TYPES[schema["type"]]):
+        return f"{path}: {value!r} is no {schema['type']}"
+    shapes = schema.get("properties", {})
+    parts = [(key, value[key], shapes[key]) for key in shapes.keys() & value.keys()] if shapes else []
+    if schema["type"] == "array":
+        parts = [(str(index), each, schema["items"]) for index, each in enumerate(value)]
+    return next(filter(None, (misfit(part, shape, f"{path}.{key}") for key, part, shape in parts)), "")
+
+
 def test_a_merged_recording_has_the_topics_that_are_served_live(tmp_path: Path) -> None:
     from mcap.reader import make_reader
 
@@ -119,8 +139,11 @@ def test_a_merged_recording_has_the_topics_that_are_served_live(tmp_path: Path) 
     with pytest.raises(SystemExit, match="0"):
         main(["export", str(run), "--mcap", str(tmp_path / "all.mcap")])
     with (tmp_path / "all.mcap").open("rb") as file:
-        found = {channel.topic: (schema, message) for schema, channel, message in make_reader(file).iter_messages()}
-    assert {"/scene", "/tf", "/log", "swarm/r0/app/localization/state"} <= found.keys()
+        messages = list(make_reader(file).iter_messages())
+    found = {channel.topic: (schema, message) for schema, channel, message in messages}
+    for schema, channel, message in messages:
+        assert misfit(json.loads(message.data), json.loads(schema.data)) == "", channel.topic
+    assert {"/scene", "/tf", "/log", "swarm/r0/app/localization/parameters"} <= found.keys()
     assert json.loads(found["/log"][1].data)["name"] in ("r0", "r1", "r2")
     schema, message = found["/scene"]
     assert schema.name == "foxglove.SceneUpdate"

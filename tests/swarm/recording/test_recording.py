@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarm.errors import LocalError
-from swarm.messages import AppState, Links, LinkState, Pose
+from swarm.messages import AppParameter, AppParameters, AppState, Links, LinkState, Pose
 from swarm.recording.core import json_text, mcap
 from swarm.recording.core.writer import CHUNK_SIZE, Writer
 from swarm.recording.reader import RecordingReader
@@ -163,6 +163,14 @@ def test_schemas_say_what_the_fields_are():
     assert shape["properties"]["result"]["properties"] == {"on": {"type": "boolean"}}
     shape = json.loads(json_text.schema(Links(0.0, ()), "swarm.Links"))
     assert shape["properties"]["links"]["items"]["properties"].keys() == set(LinkState.__slots__)
+    parameters = {
+        "weights": AppParameter("row", "", "a text", live=False),
+        "gain": AppParameter(1.0, "", "", live=True),
+    }
+    shape = json.loads(json_text.schema(AppParameters(0.0, parameters), "swarm.AppParameters"))
+    shapes = shape["properties"]["parameters"]["properties"]
+    assert {name: each["properties"]["value"]["type"] for name, each in shapes.items()} == {
+        "weights": "string", "gain": "number"}  # fmt: skip
 
 
 def test_chunks_end_by_size_and_by_the_messages_own_time():
