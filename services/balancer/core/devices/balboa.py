@@ -65,8 +65,8 @@ SIZE = 32
 """Bytes before the UWB block."""
 
 PAUSE_S = 150e-6
-"""Between a STOP and the next START to the ATmega: its TWI is deaf while the STOP interrupt is pending. 100 us is the
-least that never failed in the simulator with a 60 us critical section (docs/reference/robot/balancer.md)."""
+"""Between a STOP and the next START to the ATmega: its TWI is deaf while the STOP interrupt is pending. At 100 us the
+simulator has missed no address (firmware/README.md, Protocol)."""
 
 MOTOR_TOP = 400
 """Timer 1's top: a command of 400 is a duty of 1."""

@@ -1,7 +1,7 @@
 """Lying down: tip over to the front, and brake the fall by driving after it.
 
-The wheels push the body back while they speed up; backward at first gives them more speed to gain. In simulation it
-touches the floor at 5 to 8 rad/s in place of 12 to 16 with the motors off, with a quarter of the energy.
+The wheels push the body back while they speed up; backward at first gives them more speed to gain. How fast it touches
+the floor in simulation: docs/reference/robot/balancer.md, section Modes.
 """
 
 import math

@@ -1,12 +1,15 @@
 """What transfers take on a bus is learned from those of the control step, and slack tasks are planned by it."""
 
 import random
+import re
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from services.balancer.core.devices import balboa
+from services.balancer.core.devices.display import SLICE
 from services.balancer.core.slack.queue import STARVED_S, QueuedTask, by_urgency
 from services.balancer.core.slack.transfers import read, write
 from services.balancer.core.slack.wire_time import SLOWEST_HZ, Transfer, WireTime
@@ -87,6 +90,25 @@ def test_what_there_is_room_for_fits_and_one_byte_more_does_not(scl: float, seco
             assert wire.duration(transfer(count)) <= seconds + 1e-9
         if 0 <= count < most:
             assert wire.duration(transfer(count + 1)) > seconds - 1e-9
+
+
+def test_the_page_of_the_bus_has_the_durations_of_the_slack_tasks() -> None:
+    wire = WireTime(100e3)
+    display = wire.duration(Transfer(0x3C, bytes(1 + SLICE))) + wire.duration(Transfer(0x3C, bytes(4)))
+    durations = {
+        "LEDs": [wire.duration(write(balboa.LEDS, bytes(3)))],
+        "notes": [wire.duration(write(balboa.NOTES, bytes(1 + 2 * balboa.TUNE_NOTES)))],
+        "UWB reports": [wire.duration(read(balboa.UWB, count)) for count in (18, 28, balboa.UWB_PLACE_SIZE)],
+        "UWB: state": [wire.duration(read(balboa.UWB_STATE, balboa.PROGRESS_SIZE))],
+        "requests": [wire.duration(Transfer(balboa.ADDRESS, bytes(2), 1 + balboa.WINDOW_SIZE))],
+        "battery": [wire.duration(read(balboa.BUTTONS, balboa.HOUSEKEEPING_SIZE))],
+        "display": [display],
+    }
+    page = (Path(__file__).parents[5] / "docs/reference/robot/i2c-bus.md").read_text()
+    for task, seconds in durations.items():
+        (row,) = [line for line in page.splitlines() if line.startswith(f"| {task}") and line.count("|") == 6]
+        told = [float(number) for number in re.findall(r"\d+\.\d", row.split("|")[4])]
+        assert told == pytest.approx([1e3 * each for each in seconds], abs=0.06), task
 
 
 class Nothing:

@@ -1,11 +1,15 @@
 """Each thing that can be wrong has a name and a remedy; a set-up that is right has none."""
 
+import inspect
 import math
 import random
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
+from services.dwm import tool
 from services.dwm.core.module import diagnosis
 from services.dwm.core.module.calls import ModuleStatus, Settings, UpdateRate, Version
 from services.dwm.core.module.diagnosis import DiagnosisWatch
@@ -212,3 +216,15 @@ def test_a_running_service_tells_what_is_new_once():
         told += [(math.floor(step / 100), finding.code) for finding in watch.report(location, step * 0.1)]
     assert [part for part, code in told if code == "few-anchors"] == [0, 2]
     assert {code for _, code in told} == {"few-anchors", "missing-anchor"}
+
+
+def test_the_page_of_the_module_has_each_name_of_a_finding():
+    named = {
+        diagnosis.of_trouble(Trouble(kind, "")).code for kind in ("silent", "garbled", "shell", "layout", "refused")
+    }
+    for module in (diagnosis, tool):
+        named |= set(re.findall(r'ModuleFinding\(\s*"([a-z-]+)"', inspect.getsource(module)))
+    page = (Path(__file__).parents[5] / "docs/reference/robot/uwb-module.md").read_text()
+    rows = page.partition("## What can be wrong")[2].splitlines()
+    told = [name for row in rows if row.startswith("| `") for name in re.findall(r"`([a-z-]+)`", row.split("|")[1])]
+    assert sorted(told) == sorted(named)

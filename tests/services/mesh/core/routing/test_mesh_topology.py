@@ -58,6 +58,8 @@ def test_a_topology_has_these_bytes() -> None:
     value = TopologyVersion(3, 1, "r2", True, (("r0", "r1"), ("r0", "r2")))
     expected = "06 01 df 00 28 4e 03 00 00 00 01 00 00 00 02 72 32 02 01 00 02 00 00 00"
     assert ground.encode(value).hex(" ") == expected
+    base, robot, edge = 17, 1, 2  # as docs/explanation/topology.md has it, for an issuer's name of two letters
+    assert len(ground.encode(value)) == base + robot * len(ground.names) + edge * len(value.edges)
     assert ground.tag(ground.first) == 0
 
 

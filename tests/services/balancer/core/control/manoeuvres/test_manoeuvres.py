@@ -1,6 +1,8 @@
 """Lying down, calibrating, and how the robot is told to lie or stand: in the simulated body."""
 
 import math
+import re
+from pathlib import Path
 
 import pytest
 from balancer_rig import CONFIGURED, OTHER, PLANTS, Rig, upright
@@ -26,7 +28,14 @@ def touch_down_rate(rig: Rig) -> float:
 
 @pytest.mark.parametrize("name", thinned(PLANTS))
 def test_a_robot_lies_down_gently_and_ends_idle(name: str) -> None:
+    page = (Path(__file__).parents[6] / "docs/reference/robot/balancer.md").read_text()
+    claim = r"floor at (\S+) to (\S+) rad/s and ends within (\d+) cm. .* at (\d+) to (\d+) rad/s, with"
+    figures = re.search(claim, page.replace("\n ", ""))
+    assert figures is not None
+    slowest, fastest, way_cm, slowest_off, fastest_off = map(float, figures.groups())
+
     gentle = upright(plant=PLANTS[name]).run(3)
+    start = gentle.body.x, gentle.body.y
     gentle.balancer.command("lie", gentle.now)
     assert gentle.balancer.mode == "lying_down"
     soft = touch_down_rate(gentle)
@@ -34,12 +43,13 @@ def test_a_robot_lies_down_gently_and_ends_idle(name: str) -> None:
     assert (gentle.balancer.mode, gentle.balancer.posture) == ("idle", "front")
     assert gentle.robot.atmega.motors == (0.0, 0.0)
     assert gentle.balancer.fault is None
-    assert math.hypot(gentle.body.x, gentle.body.y) < 0.7
+    assert math.dist(start, (gentle.body.x, gentle.body.y)) <= way_cm / 100
+    assert slowest <= soft <= fastest
 
     hard = upright(plant=PLANTS[name]).run(3)
     hard.balancer.command("rest", hard.now)
     hard.body.push(0.01)
-    assert soft < 0.7 * touch_down_rate(hard)
+    assert slowest_off <= touch_down_rate(hard) <= fastest_off
 
 
 @BODIES
