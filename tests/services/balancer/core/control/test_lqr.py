@@ -1,6 +1,8 @@
 """Gains and model against numpy, and the physics against both."""
 
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,10 +21,22 @@ BARE = Body(payload=0.0, payload_height=0.0)
 """The robot as sold, without Pi and UWB module: what published figures refer to."""
 
 
+def poles(body: Body) -> list[float]:
+    a, _ = lqr.linear_model(body_model("zero2w", body))
+    return sorted(np.linalg.eigvals(np.array(a)).real)
+
+
 def test_open_loop_poles_of_the_bare_robot() -> None:
     """The open-loop model agrees with the time constant that Pololu found by experiment (140 ms)."""
-    a, _ = lqr.linear_model(body_model("zero2w", BARE))
-    assert sorted(np.linalg.eigvals(np.array(a)).real) == pytest.approx([-55.6, -5.22, 0.0, 7.23], abs=0.1)
+    assert poles(BARE) == pytest.approx([-55.6, -5.22, 0.0, 7.23], abs=0.1)
+
+
+def test_the_page_of_the_simulation_has_the_poles_of_the_bare_and_of_the_whole_robot() -> None:
+    page = (Path(__file__).parents[5] / "docs/reference/simulation.md").read_text()
+    told = re.findall(r"0, (\S+), (\S+) and (\S+) per second", page)
+    assert [sorted(map(float, (0, *each))) for each in told] == [
+        pytest.approx(poles(body), abs=0.05) for body in (BARE, Body())
+    ]
 
 
 def test_the_payload_lifts_the_centre_of_mass() -> None:
