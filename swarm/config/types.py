@@ -185,8 +185,8 @@ class Dwm:
     """UWB module, calibration and filter."""
 
     source: str = "serial:/dev/serial0"
-    """serial:PATH (a DWM1001 in generic mode), balancer (one that is wired to the ATmega32U4) or replay:DIR (a
-    recording); `{robot}` = the own name."""
+    """serial:PATH (a DWM1001 in generic mode), balancer (one that is wired to the ATmega32U4), bus:KEY (another program
+    on the robot's bus) or replay:DIR (a recording); `{robot}` stands for the own name."""
     target: str | None = None
     """Address of the UWB module that is the target."""
     rate: float = 10.0

@@ -26,3 +26,8 @@ def test_links_lead_somewhere(name: str) -> None:
         there = path.parent / target if target else path
         assert there.exists(), target
         assert not anchor or anchor in headings(there), f"{target}#{anchor}"
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("*.ipynb")), ids=lambda path: path.name)
+def test_an_example_that_is_copied_alone_links_to_no_file_beside_it(path: Path) -> None:
+    assert LINK.findall(path.read_text(encoding="utf-8")) == []
