@@ -87,6 +87,30 @@ def test_a_table_has_the_rows_and_limits_of_its_area_or_says_that_it_has_not(are
         assert not found, f"write it anew by `./run bench {area} --write`, or say in it: {OLDER}"
 
 
+HUB_ROWS = {
+    "the link r0-r3 loses 60 % of its packets": "weak link r0-r3",
+    "r0 stands in a poor place: 50 %": "r0 in a poor place",
+    "r0 does not hear r5": "r0 does not hear r5",
+    "r3 stands in a poor place: 60 %": "r3 in a poor place",
+}
+"""Rows of the page of the hub, and how the names of their rows of results begin."""
+
+
+@pytest.mark.parametrize("row", HUB_ROWS)
+def test_the_page_of_the_hub_has_the_results_of_the_slot_radio(row: str) -> None:
+    results = page.PAGE.read_text(encoding="utf-8")
+    expected = []
+    for graph in ("line 6", "thesis-d 6", "full 6"):
+        name = rf"\| {HUB_ROWS[row]}, links = {{}}, {graph}, beside star \| (\S+) \| ms \| (\S+) \|"
+        by_graph, by_auto = (re.search(name.format(links), results) for links in ("graph", r"auto \(r\d\)"))
+        assert by_graph is not None
+        assert by_auto is not None
+        expected += [by_graph[1], by_graph[2], by_auto[1]]
+    told = page.PAGE.parent.parent / "explanation/hub.md"
+    (line,) = [each for each in told.read_text(encoding="utf-8").splitlines() if each.startswith(f"| {row} |")]
+    assert line.strip("| ").split(" | ")[1:] == [f"{float(each):.0f}" for each in expected]
+
+
 def test_rows_that_are_gone_and_limits_that_have_changed_are_found() -> None:
     rows: Defined = [(r"start of .+ robots", "6"), (r"all links", None)]
     assert strange(["start of 6 robots", "1", "s", "6"], rows) is None
