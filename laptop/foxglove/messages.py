@@ -36,12 +36,16 @@ class FoxgloveMessage(NamedTuple):
     """The value from which the schema is made; a pose has a schema of its own."""
     data: bytes
     """JSON text."""
+    kind: type | None = None
+    """The class of the message on the bus, which also tells the types of what `value` has none of."""
 
     @property
     def schema(self) -> bytes:
         """Return the JSON schema, which a topic gets with its first message."""
         if self.schema_name == foxglove.POSE:
             return foxglove.pose_schema()
+        if self.kind is not None and isinstance(self.value, Mapping):
+            return json_text.schema_of(self.kind, self.value, self.schema_name)
         return json_text.schema(self.value, self.schema_name)
 
 
@@ -49,7 +53,7 @@ def sample(robot: str, topic: str, value: object, log_time: int) -> FoxgloveMess
     """Return a robot's sample at a log time, ns since 1970, under the key that it has on the bus; None where JSON
     cannot carry it. `value` is what the key holds: maps, lists, texts and numbers."""
     key = f"swarm/{robot}/{topic}"
-    name = _schema_name(key, topic)
+    kind = _kind(key)
     try:
         if topic == POSE_TOPIC:
             if not isinstance(value, dict) or not value.keys() >= _POSE_NEEDS:
@@ -57,20 +61,24 @@ def sample(robot: str, topic: str, value: object, log_time: int) -> FoxgloveMess
             known = {field: value[field] for field in _POSE_FIELDS if field in value}
             pose = Pose(**{**known, "heading": float_or_none(value["heading"])})
             return FoxgloveMessage(key, foxglove.POSE, pose, foxglove.pose(pose, log_time))
-        return FoxgloveMessage(key, name, value, json_text.encode(value))
+        return FoxgloveMessage(key, _schema_name(kind, topic), value, json_text.encode(value), kind)
     except LocalError:
         return None
 
 
-def _schema_name(key: str, topic: str) -> str:
+def _kind(key: str) -> type | None:
+    """Return the class of a key's messages; None where it has none."""
+    try:
+        return type_of(key)
+    except PayloadError:
+        return None
+
+
+def _schema_name(kind: type | None, topic: str) -> str:
     """Return the name of the message's class; of an app's state the app's name, as every app has other fields."""
     service, *rest = topic.split("/")
     if service == "app" and rest[-1] == "state":
         return ".".join(rest)
-    try:
-        kind = type_of(key)
-    except PayloadError:
-        kind = None
     return topic.replace("/", ".") if kind is None else f"swarm.{kind.__name__}"
 
 

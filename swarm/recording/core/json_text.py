@@ -47,6 +47,11 @@ def schema(message: object, name: str) -> bytes:
     return json.dumps({"title": name, **shape}, separators=(",", ":")).encode()
 
 
+def schema_of(kind: type, fields: Mapping[str, object], name: str) -> bytes:
+    """The JSON schema of messages of a class, packed, made from a message that came as a map of its fields."""
+    return json.dumps({"title": name, **_of_fields(kind, fields)}, separators=(",", ":")).encode()
+
+
 def _plain(value: object) -> object:
     """Convert a value that JSON does not know."""
     if dataclasses.is_dataclass(value):
@@ -90,11 +95,8 @@ def _tupled(value: Any) -> Any:
 
 def _of_value(value: object) -> Json:
     """The schema of one value as it stands."""
-    if dataclasses.is_dataclass(value):
-        shape = _of_type(type(value))
-        hints = typing.get_type_hints(type(value))
-        free = [name for name, field in shape["properties"].items() if field == _FREE or len(_kinds(hints[name])) > 1]
-        return {**shape, "properties": shape["properties"] | {name: _of_value(getattr(value, name)) for name in free}}
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return _of_fields(type(value), {name: getattr(value, name) for name in _names(type(value))})
     if isinstance(value, Mapping):
         return {"type": "object", "properties": {str(name): _of_value(entry) for name, entry in value.items()}}
     if isinstance(value, list | tuple):
@@ -105,6 +107,17 @@ def _of_value(value: object) -> Json:
         if isinstance(value, kind):
             return {"type": name}
     return {"type": "number"} if value is None else {"type": "string"}
+
+
+def _of_fields(kind: type, fields: Mapping[str, object]) -> Json:
+    """The schema of a message class; free-form maps, and fields of several types, as they stand in `fields`."""
+    shape, hints = _of_type(kind), typing.get_type_hints(kind)
+    free = {
+        name: _of_value(fields[name])
+        for name, field in shape["properties"].items()
+        if name in fields and (field == _FREE or len(_kinds(hints[name])) > 1)
+    }
+    return {**shape, "properties": shape["properties"] | free}
 
 
 _FREE: Json = {"type": "object", "properties": {}}

@@ -57,6 +57,13 @@ def test_an_apps_state_keeps_its_name_and_fields() -> None:
     assert json.loads(message.schema)["properties"]["state"]["properties"]["value"] == {"type": "number"}
 
 
+def test_the_schema_of_a_topic_whose_first_message_is_empty_holds_for_those_that_follow() -> None:
+    message = sample("r0", "mesh/members", {"t": 1.0, "members": [], "changes": []}, NOW)
+    assert message is not None
+    change = {"t": 2.0, "robot": "r1", "what": "join"}
+    assert misfit({"t": 2.0, "members": [], "changes": [change]}, json.loads(message.schema)) == ""
+
+
 def test_the_scene_has_robots_links_ranges_and_anchors(config: Config) -> None:
     picture = Picture()
     one, other = config.names[:2]
