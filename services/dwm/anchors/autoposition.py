@@ -38,6 +38,11 @@ class Layout:
         """Root of the mean squared residual, m."""
         return math.sqrt(math.fsum(r * r for r in self.residuals.values()) / len(self.residuals))
 
+    @property
+    def redundant(self) -> bool:
+        """Return whether there are more distances than places need, so that residuals show errors."""
+        return len(self.residuals) > 2 * len(self.places) - 3
+
 
 def locate(distances: Mapping[Pair, float], heights: Mapping[str, float] | None = None) -> Layout:
     """The layout that fits the distances (m) best, the first anchor at the origin, the second on the x axis, the third

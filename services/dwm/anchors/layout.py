@@ -88,7 +88,10 @@ def _text(layout: Layout, heights: dict[str, float]) -> str:
     lines = [f"# {len(layout.residuals)} distances, {layout.rms * 100:.1f} cm rms"]
     for (one, other), residual in sorted(layout.residuals.items(), key=lambda entry: -abs(entry[1]))[:3]:
         lines.append(f"# {one} {other}: {residual * 100:+.1f} cm")
-    for name, (x, y) in layout.places.items():
+    if not layout.redundant:
+        lines.append("# so few distances fit exactly, whatever their errors: check one with a ruler")
+    for name, place in layout.places.items():
+        x, y = (round(value, 3) + 0.0 for value in place)  # no -0.000
         lines += ["[[anchors]]", f'address = "{name}"', f"x = {x:.3f}", f"y = {y:.3f}"]
         lines += [f"z = {heights[name]:.3f}"] if heights.get(name) else []
     return "\n".join(lines) + "\n"

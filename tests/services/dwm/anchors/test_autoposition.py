@@ -1,3 +1,4 @@
+import argparse
 import itertools
 import math
 import random
@@ -7,6 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from services.dwm.anchors.autoposition import align, locate
+from services.dwm.anchors.layout import lay_out
 from swarm.errors import LocalError
 
 SQUARE = {"D001": (0.0, 0.0), "D002": (2.0, 0.0), "D003": (2.0, 1.5), "D004": (0.2, 1.7)}
@@ -69,6 +71,18 @@ def test_with_the_noise_of_averaged_ranges_places_are_within_centimetres():
         places = align(locate(noisy), SQUARE).places
         worst.append(max(math.dist(places[name], SQUARE[name]) for name in SQUARE))
     assert max(worst) < 0.05
+
+
+@pytest.mark.parametrize(("anchors", "shows"), [(3, False), (4, True)])
+def test_the_residuals_of_three_anchors_show_no_error_and_the_answer_says_so(anchors, shows, tmp_path, capsys):
+    places = dict(itertools.islice(SQUARE.items(), anchors))
+    lines = [f"{a} {b} {d + 0.9 * ((a, b) == ('D001', 'D002'))}" for (a, b), d in between(places).items()]
+    (tmp_path / "ranges").write_text("\n".join(lines))
+    arguments = argparse.Namespace(ranges=tmp_path / "ranges", json=False)
+    code = lay_out(arguments, None, (), lambda _, measured: measured, lambda _: None)
+    told = capsys.readouterr().out
+    assert (code == 1, "check one with a ruler" not in told) == (shows, shows)
+    assert "-0.000" not in told
 
 
 def test_heights_are_taken_out():
