@@ -20,7 +20,8 @@ _WAY_OUT = {
     "stand": "swarm doctor tells what is wrong",
     "rest": "swarm estop stops it in any case",
     "lie": "swarm balance rest switches its motors off, swarm balance stand makes it stand",
-    "zero": "swarm balance rest, then leave it alone and give the command again",
+    "zero": "swarm balance lie lays a standing robot down, swarm balance rest ends a fault; then leave it alone and "
+    "give the command again",
 }
 """What a person can do after a refusal that does not say so itself, by command."""
 

@@ -155,7 +155,8 @@ class Controller:
         """Turn the wheels at low power for a time; raises `LocalError` where it is not idle, or the test is none."""
         check_test(request)
         if self.mode not in (IDLE, TESTING):
-            raise LocalError(f"motors: only an idle robot tests them, this one is {self.mode}: swarm balance rest")
+            way_out = "swarm balance lie" if self.mode == BALANCING else "swarm balance rest"  # by rest it would fall
+            raise LocalError(f"motors: only an idle robot tests them, this one is {self.mode}: {way_out}")
         self.mode, self._test = TESTING, MotorTest(request, now)
 
     @property

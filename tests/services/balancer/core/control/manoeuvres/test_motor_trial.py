@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from balancer_rig import NO_ERRORS, Rig
+from balancer_rig import NO_ERRORS, Rig, upright
 from conftest import thinned
 from hypothesis import given
 from hypothesis import strategies as st
@@ -85,6 +85,9 @@ def test_a_robot_that_balances_refuses_and_a_stop_ends_a_test() -> None:
     assert (rig.balancer.mode, rig.balancer.duty, rig.robot.atmega.motors) == ("fault", (0.0, 0.0), (0.0, 0.0))
     with pytest.raises(LocalError, match="swarm balance rest"):
         rig.balancer.test_motors(TryMotors(0.1, 0.1, 5.0), rig.now)
+    standing = upright()
+    with pytest.raises(LocalError, match="this one is balancing: swarm balance lie"):
+        standing.balancer.test_motors(TryMotors(0.1, 0.1, 5.0), standing.now)
 
 
 @given(st.floats(), st.floats(), st.floats(), st.sampled_from(KINDS) | st.text(max_size=30))
