@@ -3,6 +3,7 @@
 from swarm.messages import MeasureI2C, SetDisplay, SetMode
 from swarm.onboard.commission.core.procedure import Desk, Script, StepError
 
+LAY_BACK = "Lay the robot on its back, its battery cover up, and leave it alone. A or Enter when it lies."
 READY_S = 20.0
 CALM_S = 1.5
 """Seconds without a fault after which none holds: a stop that holds is repeated each second."""
@@ -21,7 +22,7 @@ LINKS_S = 3.0
 
 def ready(desk: Desk) -> Script:
     """Check that the balancer runs, its devices answer, it has found its gyro's zero, and no fault holds."""
-    yield from desk.confirm("lay-back", "Lay the robot on its back and leave it alone. A or Enter when it lies.")
+    yield from desk.confirm("lay-back", LAY_BACK)
     desk.send(SetMode("rest"))
     robot = desk.robot
     found = yield from desk.until(lambda: robot.mode == "idle", READY_S)

@@ -4,6 +4,7 @@ import math
 from collections.abc import Generator
 
 from swarm.messages import ImuRequest, SetMode
+from swarm.onboard.commission.core.device_steps import LAY_BACK
 from swarm.onboard.commission.core.procedure import Desk, Script, StepError
 from swarm.onboard.commission.core.robot_view import ImuMean
 
@@ -20,6 +21,9 @@ ROLLED_M = 0.12
 """Way of a wheel in half a turn, m."""
 ROLL_S = 60.0
 DONE = "A or Enter when it is done."
+FORWARD = "Forward is the way in which the battery cover faces."
+"""Pololu's user's guide 0J70, section 3.4."""
+FLASH = "flash this release's firmware: swarm flash"
 UP, AXLE, BACK = range(3)
 """Axes of the IMU: X up, Y to the left along the axle, Z backward."""
 
@@ -28,10 +32,10 @@ MOUNTING = "the IMU is part of the Balboa's board: mount that board (or the IMU 
 
 def imu(desk: Desk) -> Script:
     """Check that the axes of the IMU's accelerometer and gyro are those of the body."""
-    yield from desk.confirm("lay-back", "Lay the robot on its back and leave it alone. A or Enter when it lies.")
+    yield from desk.confirm("lay-back", LAY_BACK)
     yield from _find_zero(desk)
     back = yield from _mean(desk)
-    front = yield from _sample(desk, "lay-front", "Lay it on its front.")
+    front = yield from _sample(desk, "lay-front", "Lay it on its front, its battery cover down.")
     upright = yield from _sample(desk, "lift-upright", "Take it in your hand and hold it upright, wheels in the air.")
     tilts = {
         name: math.atan2(mean.acceleration[BACK], mean.acceleration[UP])
@@ -95,22 +99,28 @@ def encoders(desk: Desk) -> Script:
     yield from desk.confirm("lift-upright", "Hold it upright in your hand, wheels in the air. A or Enter.")
     for side, name in enumerate(("left", "right")):
         before = desk.robot.rolled()
-        desk.prompt(f"roll-{name}", f"Turn the {name} wheel forward by hand, a whole turn.")
+        desk.prompt(f"roll-{name}", f"Turn the {name} wheel forward by hand, a whole turn. {FORWARD}")
 
         def moved(before: tuple[float, float] = before) -> bool:
             return max(map(abs, desk.robot.rolled_since(before))) > ROLLED_M
 
         if not (yield from desk.until(moved, ROLL_S)):
-            raise StepError(f"no encoder counts when the {name} wheel turns", f"check the plug of the {name} encoder")
+            raise StepError(
+                f"no encoder counts when the {name} wheel turns",
+                f"does the magnetic disc sit on the shaft of the {name} motor, beside the sensors on the board?",
+            )
         ways = desk.robot.rolled_since(before)
         own, other = ways[side], ways[1 - side]
         desk.figures[f"{name}_m"] = round(own, 3)
         if abs(other) > abs(own):
-            raise StepError("the encoders are swapped: each counts the other wheel", "swap the motors' plugs")
+            raise StepError(
+                "the encoders are swapped: each counts the other wheel",
+                f"did you turn the {name} wheel, as seen from behind the robot? else {FLASH}",
+            )
         if own < 0.0:
             raise StepError(
                 f"the {name} encoder is reversed: forward it counts backward",
-                f"swap the two signal wires of the {name} encoder, or turn its board",
+                f"did you turn the wheel forward? {FORWARD} Else {FLASH}",
             )
         yield from desk.wait(1.5)
 

@@ -51,16 +51,20 @@ def motors(desk: Desk) -> Script:
         own, other = ways[side], ways[1 - side]
         desk.figures[f"{name}_m_s"] = round(own / TURN_S, 3)
         if abs(other) > max(WRONG_M, abs(own)):
-            raise StepError("the motors are swapped: each turns the other wheel", "swap the motors' plugs")
+            raise StepError(
+                "the motors are swapped: each turns the other wheel",
+                "connect each motor to the pads of its own side of the board",
+            )
         if own < -WRONG_M:
-            raise StepError(f"the {name} motor is reversed: forward it turns backward", _wires(name))
+            raise StepError(f"the {name} motor is reversed: forward it turns backward", _wires(desk, name))
         if own < MOVED_M:
-            raise StepError(f"the {name} motor does not turn its wheel", "check its plug; is the wheel free?")
+            raise StepError(f"the {name} motor does not turn its wheel", "check its solder joints; is the wheel free?")
         yield from desk.wait(0.5)
 
 
-def _wires(name: str) -> str:
-    return f"swap the two wires of the {name} motor (not of its encoder)"
+def _wires(desk: Desk, name: str) -> str:
+    table = f"[balancing.robots.{desk.subject.robot}]"
+    return f"set flip_{name}_motor = true in {table} of swarm.toml, and swarm deploy; or swap the motor's two wires"
 
 
 def stop(desk: Desk) -> Script:
