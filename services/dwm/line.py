@@ -3,6 +3,7 @@
 The service owns its port, so that requests to a robot's module go over its bus, each named by a ticket.
 """
 
+import errno
 import os
 import queue
 import select
@@ -87,6 +88,8 @@ class PortLine:
             self._port: serial.Serial = serial.Serial(path, BAUD, timeout=0, write_timeout=1.0, exclusive=True)
         except OSError as error:
             hint = "; a service owns it: ask the robot, without --port" if "lock" in str(error) else ""
+            if error.errno == errno.EACCES:
+                hint = "; is this user in the group dialout?"
             # pyserial's own text repeats the path and the number
             raise LocalError(f"{path}: {os.strerror(error.errno) if error.errno else error}{hint}") from None
 

@@ -1,6 +1,7 @@
 """The USB serial port of a Balboa's bootloader: finding it, getting a board to show it, and talking over it."""
 
 import contextlib
+import errno
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -74,7 +75,8 @@ def converse(port: str, conversation: Conversation) -> str:
     try:
         line = serial.Serial(port, BAUD, exclusive=True)
     except (serial.SerialException, OSError) as error:
-        raise LocalError(f"{port} cannot be opened: {error}") from None
+        hint = "; is this user in the group dialout?" if error.errno == errno.EACCES else ""
+        raise LocalError(f"{port} cannot be opened: {error}{hint}") from None
     try:
         with contextlib.closing(line):
             line.reset_input_buffer()

@@ -1,12 +1,15 @@
 """`swarm dwm` as a user runs it: over a robot's bus, and at a serial port."""
 
+import errno
 import json
 import math
 import os
 import threading
 import tty
+from unittest.mock import Mock
 
 import pytest
+import serial
 from conftest import CONFIG, wait_until
 from dwm_rig import ANCHORS, DWM, working
 
@@ -19,6 +22,7 @@ from swarm import config as configuration
 from swarm.app.ranging import Ranging
 from swarm.bus.zenoh_bus import Bus
 from swarm.config.types import Anchor
+from swarm.errors import LocalError
 
 ROBOTS = CONFIG.replace('name = "r1"', 'name = "r1"\nuwb = "DE01"\nuwb_role = "anchor"')
 
@@ -207,6 +211,13 @@ def test_a_port_that_is_not_there(run):
     code, _, error = run("check", "--port", "/dev/nothing")
     assert code == 2
     assert "/dev/nothing: No such file" in error
+
+
+def test_a_port_that_the_user_may_not_open_is_told_with_the_group_that_may(monkeypatch):
+    refused = serial.SerialException(errno.EACCES, "could not open port /dev/ttyACM0")
+    monkeypatch.setattr(serial, "Serial", Mock(side_effect=refused))
+    with pytest.raises(LocalError, match="/dev/ttyACM0: Permission denied; is this user in the group dialout"):
+        PortLine("/dev/ttyACM0")
 
 
 def test_a_module_that_is_unplugged_meanwhile(board, runtime):

@@ -1,12 +1,15 @@
 """`swarm flash` against a stand-in for Pololu's bootloader: at its bytes, at a pseudo-terminal, and from a robot."""
 
+import errno
 import os
 import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
+import serial
 from caterina import FLASH, Caterina, Port
 from hypothesis import given
 from hypothesis import strategies as st
@@ -131,6 +134,13 @@ def test_a_cable_that_is_pulled_is_told() -> None:
         usb_port.converse(port.path, avr109.flash(IMAGE, lambda _: None))
     with pytest.raises(LocalError, match="/dev/no-such cannot be opened"):
         usb_port.converse("/dev/no-such", avr109.flash(IMAGE, lambda _: None))
+
+
+def test_a_port_that_the_user_may_not_open_is_told_with_the_group_that_may(monkeypatch: pytest.MonkeyPatch) -> None:
+    refused = serial.SerialException(errno.EACCES, "could not open port /dev/ttyACM0")
+    monkeypatch.setattr(serial, "Serial", Mock(side_effect=refused))
+    with pytest.raises(LocalError, match="group dialout"):
+        usb_port.converse("/dev/ttyACM0", avr109.flash(IMAGE, lambda _: None))
 
 
 @pytest.mark.skipif(shutil.which("avrdude") is None and not os.environ.get("CI"), reason="needs avrdude")
