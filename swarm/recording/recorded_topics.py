@@ -42,7 +42,8 @@ THROTTLED_TOPICS = ("balancer/state", "sim/truth")
 """Topics of which the throttled copy is recorded."""
 
 EARLY = 0.75
-"""A message may come that share of the least time after the one before: clocks of publishers are not even."""
+"""A message may come that share of the least time after the one before: clocks of publishers are not even. The next
+one after it is due no earlier for that."""
 
 MAX_WAITING = 4096
 """Messages that wait to be looked at; the oldest are lost."""
@@ -114,7 +115,7 @@ class TopicRecorder:
         """Keys, payloads, their sizes and times. Of a message of another robot's app only the size is kept."""
         self._bytes = 0
         """Bytes of the keys and payloads that wait."""
-        self._last: dict[str, float] = {}
+        self._due: dict[str, float] = {}
         self._asked: deque[str] = deque(maxlen=MAX_ASKED)
         self._least = {key(robot, topic): least for topic, least in TOPICS.items() if topic in topics}
         self.on_sample: Callable[[], None] = lambda: None
@@ -175,9 +176,10 @@ class TopicRecorder:
         elif size > MAX_PAYLOAD:  # no message of a service has that many
             return
         if least:
-            if t - self._last.get(name, -least) < EARLY * least:
+            due = self._due.get(name, t)
+            if t < due - (1 - EARLY) * least:
                 return
-            self._last[name] = t
+            self._due[name] = max(due, t) + least
         lost = 0
         with self._lock:
             self._waiting.append((name, payload, size, t))

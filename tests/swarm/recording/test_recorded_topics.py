@@ -1,10 +1,11 @@
 """What waits to be recorded has a limit, however much a robot's services and other robots' apps say."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
-from swarm.messages import Leds
+from swarm.messages import BalancerState, Leds
 from swarm.messages.codec import MAX_PAYLOAD, encode
-from swarm.recording.recorded_topics import MAX_BYTES, MAX_WAITING, TopicRecorder
+from swarm.recording.recorded_topics import MAX_BYTES, MAX_WAITING, TOPICS, TopicRecorder
 
 LEDS = "swarm/r0/balancer/leds"
 FLOOD = "swarm/r1/app/x/flood"
@@ -38,6 +39,10 @@ def rig() -> tuple[Bus, Sink, TopicRecorder, list[int]]:
     recorder = TopicRecorder(bus, "r0", "x", sink, lambda: 1.0)  # type: ignore[arg-type]  # no more than it needs
     recorder.on_lost = lost.append
     return bus, sink, recorder, lost
+
+
+def _last(times: Sequence[float]) -> float:
+    return times[-1]
 
 
 def test_of_large_messages_the_oldest_are_lost_and_counted() -> None:
@@ -84,4 +89,16 @@ def test_ever_new_senders_are_not_remembered() -> None:
     for number in range(100):
         bus.bring(f"swarm/n{number}/app/x/flood", b"")
     recorder.drain()
-    assert recorder._last == {}
+    assert recorder._due == {}
+
+
+def test_a_key_is_thinned_out_to_its_rate_whatever_its_own_is() -> None:
+    """The balancer's state comes every 0.04 s under virtual time, of which 0.2 s is a multiple, and 0.15 s is none."""
+    for period in (0.04, 0.05, 0.11, 0.2):
+        bus, sink, times = Bus(), Sink(), [0.0]
+        recorder = TopicRecorder(bus, "r0", "x", sink, partial(_last, times), copies=False)  # type: ignore[arg-type]
+        while times[-1] < 20.0:
+            bus.bring("swarm/r0/balancer/state", encode(BalancerState(times[-1], "idle", *[0.0] * 6, 0, 0.0, 0.0, "")))
+            times.append(times[-1] + period)
+        recorder.drain()
+        assert 90 <= len(sink.written) <= 20.0 / TOPICS["balancer/state"] + 2, period
