@@ -21,7 +21,7 @@ from swarm.errors import LocalError
 from swarm.files import atomic_write
 from swarm.onboard.command_line import FAR_OPTIONS
 
-_SESSIONS = ("distance", "position", "check")
+_SESSIONS = ("distance", "position", "samples", "check")
 _THERE = "/run/swarm/calibration-{robot}-{stamp}.csv"
 
 
@@ -32,15 +32,19 @@ def main() -> int:
     args, words = way.parse_known_args(sys.argv[1:])
     options = calibrate.options_of(words, FAR_OPTIONS)
     args.run_dir = options.run_dir
-    files_alone = options.command not in _SESSIONS or (options.samples and options.samples.exists())
-    if args.config is not None:
-        os.environ["SWARM_CONFIG"] = str(args.config.absolute())
-    if files_alone or not robot_command.is_far(args):
+    config = None
+    if robot_command.is_far(args):
+        config = load(args.config)
+        os.environ["SWARM_CONFIG"] = str(config.path.absolute())
+    if config is None or _is_of_files(options):
         return calibrate.main(words)
-    config = load(args.config)
-    os.environ["SWARM_CONFIG"] = str(config.path.absolute())
+    if options.samples is not None and options.samples.exists():
+        raise LocalError(f"{options.samples}: is there already; name another file with --samples")
     (host,) = hosts(config, options.robots)
     samples = _measure(Ssh(args.ssh_config), host, options, config)
+    if options.command == "samples":
+        sys.stdout.write(f"the samples are in {samples}: swarm calibrate fit {samples} --robots {host.robot}\n")
+        return 0
     common = ["--robots", host.robot]
     if options.target is not None:
         common += ["--target", *map(str, options.target)]
@@ -54,6 +58,13 @@ def main() -> int:
     return code
 
 
+def _is_of_files(options: argparse.Namespace) -> bool:
+    """Return whether the command reads files alone, and asks no robot."""
+    if options.command == "check" and options.samples is not None:
+        return bool(options.samples.exists())
+    return options.command not in _SESSIONS
+
+
 def _measure(ssh: Ssh, host: Host, options: argparse.Namespace, config: Config) -> Path:
     """Lead the session on the robot and bring its samples here. Raises `LocalError`."""
     stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S")
@@ -63,6 +74,10 @@ def _measure(ssh: Ssh, host: Host, options: argparse.Namespace, config: Config) 
     words = ["calibrate", "samples", "--robots", host.robot, "--places", places, "--samples", there]
     words += ["--orientations", str(options.orientations), "--count", str(options.count)]
     sys.stdout.flush()
+    try:
+        asyncio.run(ssh.check(host, "true"))  # before a person walks about with the robot
+    except HostError as error:
+        raise LocalError(f"{host.robot}: {error}") from None
     try:
         # The terminal stays ours, line by line: Enter, n, r and q go to the robot, or its own buttons are used.
         with subprocess.Popen(
@@ -83,6 +98,8 @@ def _measure(ssh: Ssh, host: Host, options: argparse.Namespace, config: Config) 
         data = asyncio.run(ssh.check(host, f"sudo -n cat {there}"))
         atomic_write(path, data.encode())
     except (HostError, OSError) as error:
+        if ended and "No such file" in str(error) and isinstance(error, HostError):
+            raise LocalError(f"{host.robot}: the session {ended}; nothing was measured") from None
         kept = f"what was measured is on the robot until it is switched off, in {there}"
         raise LocalError(f"{host.robot}: no samples are here ({error}); {kept}") from None
     with contextlib.suppress(HostError):  # the samples are on the disk here

@@ -176,3 +176,46 @@ def test_what_was_measured_before_ctrl_c_is_brought_here(robots: FakeRobots, her
     assert errors == "swarm: r0: the session was interrupted; what was measured is in my.csv\n"
     assert (robots.folder / "my.csv").read_text() == "samples\n"
     assert not (robots.folder / "r0/s.csv").exists()
+
+
+@pytest.mark.parametrize("words", ["fit my.csv", "offset my.csv", "check --samples my.csv"])
+def test_what_is_in_files_is_read_here_also_where_a_swarm_is_named(
+    robots: FakeRobots, run: Run, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: str
+) -> None:
+    robots.add("r0")
+    robots.script("r0", "sudo", "touch $HOME/asked")
+    monkeypatch.chdir(robots.folder)
+    Path("my.csv").write_text("no samples")
+    assert run("calibrate", *words.split(), "--robots", "r0") == 2
+    assert "my.csv:" in capsys.readouterr().err
+    assert not (robots.folder / "r0/asked").exists()
+
+
+def test_samples_alone_are_brought_here_and_none_are_written_over(
+    robots: FakeRobots, run: Run, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robots.add("r0")
+    robots.script("r0", "sudo", "shift; case $1 in env) echo samples >$HOME/s.csv ;; cat | rm) $1 $HOME/s.csv ;; esac")
+    monkeypatch.chdir(robots.folder)
+    words = ("calibrate", "samples", "--robots", "r0", "--places", "0.2,0.5", "--samples", "my.csv")
+    assert run(*words) == 0
+    assert "the samples are in my.csv: swarm calibrate fit my.csv --robots r0" in capsys.readouterr().out
+    Path("my.csv").write_text("an hour's work")
+    for command in ("samples", "distance", "position"):
+        assert run("calibrate", command, *words[2:]) == 2
+        assert "my.csv: is there already" in capsys.readouterr().err
+    assert Path("my.csv").read_text() == "an hour's work"
+
+
+def test_where_nothing_was_measured_no_samples_are_promised(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robots.add("r0")
+    robots.script("r0", "sudo", "shift; case $1 in env) exit 2 ;; cat) cat $HOME/s.csv ;; esac")
+    words = ("calibrate", "distance", "--robots", "r0", "--places", "0.2,0.5")
+    assert run(*words) == 2
+    assert capsys.readouterr().err == "swarm: r0: the session ended with code 2; nothing was measured\n"
+    robots.close()
+    assert run(*words) == 2
+    error = capsys.readouterr().err
+    assert "measured" not in error, error
