@@ -7,6 +7,7 @@ told never to ask (BatchMode): a question to eight robots at once has nobody to 
 import asyncio
 import codecs
 import contextlib
+import io
 import os
 import re
 import shlex
@@ -329,9 +330,10 @@ def last_words(text: str) -> str:
 def copy_text(source: IO[bytes], to: TextIO) -> None:
     """Write what comes from `source` to a stream until its end, a question without a line end at once.
 
-    The stream is one of this process' own, which are guarded: a robot's text does not steer the terminal.
+    The stream is one of this process' own, which are guarded: a robot's text does not steer the terminal. `ssh` ends
+    its own lines with a carriage return, too, which would be shown.
     """
-    decoder = codecs.getincrementaldecoder("utf-8")("replace")
+    decoder = io.IncrementalNewlineDecoder(codecs.getincrementaldecoder("utf-8")("replace"), translate=True)
     while data := source.read1(4096):  # type: ignore[attr-defined]  # a BufferedReader
         to.write(decoder.decode(data))
         to.flush()

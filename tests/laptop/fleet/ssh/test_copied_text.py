@@ -26,3 +26,9 @@ def test_a_question_is_shown_at_once_and_control_characters_are_visible() -> Non
     assert "\x1b" not in second
     assert "[2Jcleared" in second
     assert rest == ""
+
+
+def test_lines_of_ssh_itself_end_as_all_others() -> None:
+    shown = io.StringIO()
+    copy_text(io.BufferedReader(io.BytesIO(b"no such host\r\nnext\n")), Guarded(shown))
+    assert shown.getvalue() == "no such host\nnext\n"
