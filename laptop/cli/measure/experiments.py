@@ -97,7 +97,8 @@ class Laboratory:
             self._swarm("deploy", path)
         except (LocalError, KeyboardInterrupt) as error:
             complain("swarm", str(error) or "interrupted")
-            complain("swarm", f"robots still have the configuration of an experiment: swarm deploy --config {path}")
+            way = f"swarm deploy --config {path}"
+            complain("swarm", f"robots may still have an experiment's configuration, or no mesh: {way}")
             if isinstance(error, KeyboardInterrupt):
                 raise
 

@@ -137,7 +137,7 @@ def test_a_second_interrupt_says_how_robots_get_their_configuration_back(
     monkeypatch.setattr(experiments.subprocess, "run", interrupt)
     with pytest.raises(KeyboardInterrupt):
         there.go()
-    said = "robots still have the configuration of an experiment: swarm deploy --config"
+    said = "robots may still have an experiment's configuration, or no mesh: swarm deploy --config"
     assert f"{said} {tmp_path / 'swarm.toml'}\n" in capsys.readouterr().err
 
 
