@@ -190,7 +190,7 @@ def test_robots_that_differ_run_nothing(
     [
         (["mesh"], "expected the name of an app"),
         (["missing.py"], "the app cannot be read: No such file"),
-        (["consensus", "--iterations", "-1"], "expected 0 or more"),
+        (["consensus", "--iterations", "-1"], "expected 1 or more"),
         (["consensus", "--set", "value"], "'value' is not a setting"),
         (["consensus", "--set", "r9.value=1"], "the robots are r0"),
         (["consensus", "--set", "led_sync/value=1"], "there is no app 'led_sync', but consensus"),
