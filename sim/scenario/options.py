@@ -276,7 +276,7 @@ def parser(kind: type[argparse.ArgumentParser] = HintingParser) -> argparse.Argu
     end = run.add_mutually_exclusive_group()
     end.add_argument("--seconds", type=run_length, metavar="S", help="end after this time")
     end.add_argument(
-        "--iterations", type=whole(1), metavar="K", help="last iteration (100; with --until 10000; a replay has its own)"
+        "--iterations", type=whole(1), metavar="K", help="last iteration (100; with --until 10000; all of a replay)"
     )
     run.add_argument(
         "--seed", type=whole(0), default=1, metavar="S", help="seed of noise, jitter and random topologies (1)"

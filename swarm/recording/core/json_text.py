@@ -96,7 +96,7 @@ def _tupled(value: Any) -> Any:
 def _of_value(value: object) -> Json:
     """The schema of one value as it stands."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return _of_fields(type(value), {name: getattr(value, name) for name in _names(type(value))})
+        return _of_fields(type(value), {name: getattr(value, name) for name in names_of(type(value))})
     if isinstance(value, Mapping):
         return {"type": "object", "properties": {str(name): _of_value(entry) for name, entry in value.items()}}
     if isinstance(value, list | tuple):
