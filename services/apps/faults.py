@@ -63,4 +63,4 @@ def describe(error: BaseException, source: str, otherwise: str = "") -> str:
     mine = [frame for frame in frames if frame.filename == source] or ([] if otherwise else frames)
     place = f"{mine[-1].filename}, line {mine[-1].lineno}: " if mine else otherwise
     kind = "" if isinstance(error, AppError) else f"{type(error).__name__}: "
-    return f"{place}{kind}{error}"
+    return f"{place}{kind}{' '.join(str(error).splitlines())}"

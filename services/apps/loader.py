@@ -157,7 +157,9 @@ def _import(path: Path) -> ModuleType:
     try:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - an app file may raise anything
-        raise AppError(f"the app cannot be loaded: {describe(error, str(path))}") from None
+        relative = isinstance(error, ImportError) and "relative import" in str(error)
+        hint = "; a module beside the app's file is imported by its name alone, without a dot" if relative else ""
+        raise AppError(f"the app cannot be loaded: {describe(error, str(path))}{hint}") from None
     return module
 
 

@@ -105,6 +105,11 @@ def test_a_helper_module_beside_the_file_is_found(tmp_path: Path, monkeypatch: p
     assert app.make(config_of(2, app="my_app"), "r0").value == 4.0
 
 
+def test_a_relative_import_is_refused_with_the_way_to_import_a_module_beside_the_file(tmp_path: Path) -> None:
+    with pytest.raises(AppError, match=r"line 1: ImportError: .*; a module beside the app's file is"):
+        loader.load(write(tmp_path, "from .helper import START\n" + APP))
+
+
 def test_the_digest_is_of_the_source(tmp_path: Path) -> None:
     one = loader.load(write(tmp_path, APP)).digest
     assert loader.load(write(tmp_path, APP)).digest == one

@@ -341,8 +341,8 @@ def test_a_problem_names_robot_and_app_once(tmp_path):
     app = tmp_path / "fails.py"
     app.write_text(
         "from swarm import SyncApp\n\nclass Fails(SyncApp):\n    x: float\n\n    def step(self, neighbours):\n"
-        "        if self.k == 2 and self.robot.name == 'r1':\n            raise ValueError('two')\n"
+        "        if self.k == 2 and self.robot.name == 'r1':\n            raise ValueError('two\\nlines')\n"
     )
     report, _ = run_virtually(str(app), "--robots", "2")
-    assert report["problems"] == [f"Fails on r1, iteration 2: {app}, line 8: ValueError: two"]
+    assert report["problems"] == [f"Fails on r1, iteration 2: {app}, line 8: ValueError: two lines"]
     assert fault("r1", "app", "state lost at r1") == "r1 app state lost at r1"
