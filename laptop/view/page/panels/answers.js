@@ -56,6 +56,8 @@ export class Answers {
     if (stopped.length) return { value: `${stopped.length} of ${names.length} stopped`, note: "take the stops back to go on", kind: "bad" };
     if (dead.length) return { value, note: `gone: ${some(dead)}`, kind: "bad" };
     if (failed.length) return { value, note: `in a fault: ${some(failed)}`, kind: "bad" };
+    const app = this.focus.app?.split("/").slice(0, 2).join("/"), ended = names.filter((name) => store.get(name, `${app}/progress`)?.phase === "fault");
+    if (ended.length) return { value, note: `the app has failed on ${some(ended)}`, kind: "bad" };
     if (left) return { value, note: `lowest battery ${left[1]}, ${Math.round(left[0] / 60)} min`, kind: left[0] < LOW_S / 3 ? "warn" : "" };
     return { value, note: silent.length ? `nothing heard of ${some(silent)}` : "no faults" };
   }

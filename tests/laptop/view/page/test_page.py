@@ -245,3 +245,14 @@ def test_the_line_of_a_robot_that_was_off_has_a_gap(browser: Any, tmp_path: Path
     with shown(browser, tmp_path) as page:
         seek(page, 9)
         until(page, f"JSON.stringify({gaps}) === '[0,1,0]'")
+
+
+def test_an_app_that_has_failed_is_told_with_its_robot(browser: Any, tmp_path: Path) -> None:
+    (tmp_path / "fails.py").write_text(
+        "from swarm import SyncApp\n\nclass Fails(SyncApp):\n    x: float\n\n    def step(self, neighbours):\n"
+        "        if self.k == 20 and self.robot.name == 'r1':\n            raise ValueError\n"
+    )
+    words = [sys.executable, "-m", "laptop.cli", "sim", str(tmp_path / "fails.py"), "--virtual"]
+    assert subprocess.run([*words, "--record", str(tmp_path / "run")], check=False, capture_output=True).returncode == 1
+    with shown(browser, tmp_path / "run") as page:
+        expect(page.locator("[data-answer=alive]")).to_contain_text("the app has failed on r1", timeout=PATIENCE_MS)
