@@ -107,7 +107,7 @@ def test_a_fault_beside_is_named_and_the_others_go_on(tmp_path):
     report, _ = run_virtually("consensus", str(app), "--robots", "3", "--iterations", "40")
     assert report["iterations"] == 40
     (problem,) = report["problems"]
-    assert problem.startswith("r1 bad ")
+    assert problem.startswith("Bad on r1, iteration 5: ")
     assert "RuntimeError: oh" in problem
 
 
