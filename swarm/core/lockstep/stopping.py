@@ -17,6 +17,8 @@ from swarm.frozen import frozen
 
 _COUNT = struct.Struct("<H")
 MOST = 0xFFFF
+UNMET = "not converged within"
+"""How a run's problem begins that its app has not converged. The run itself is whole."""
 
 
 @frozen
@@ -63,7 +65,7 @@ class Stopping:
 
     def unmet(self, k: int, count: bytes) -> str:
         """Return what is amiss with a run whose last iteration k has this count: it was to converge, and has not."""
-        return "" if self.rule.rounds is None or self.over(count) else f"not converged within {k} iterations"
+        return "" if self.rule.rounds is None or self.over(count) else f"{UNMET} {k} iterations"
 
     @staticmethod
     def first() -> bytes:

@@ -152,6 +152,15 @@ def test_an_apps_fault_is_raised_with_file_and_line_and_can_be_looked_at_instead
     assert run["x"].shape == (4, 2)
 
 
+def test_a_run_that_has_not_converged_is_warned_of_and_has_its_values() -> None:
+    with pytest.warns(UserWarning, match="simulate: not converged within 5 iterations"):
+        run = simulate("consensus", robots=3, iterations=5, until="converged", progress=False)
+    assert run["value"].shape == (6, 3)
+    assert run.problems == ("not converged within 5 iterations",)
+    table = sweep("consensus", over={"robots": [3]}, iterations=5, until="converged", progress=False)
+    assert [row["problem"] for row in table.runs] == [""]
+
+
 def test_faults_happen_and_a_robot_that_is_away_has_no_numbers() -> None:
     plain = simulate(Mean, robots=4, topology="loop", values={"x": STARTS[:4]}, iterations=60)
     cut = simulate(Mean, robots=4, topology="loop", values={"x": STARTS[:4]}, iterations=60,
