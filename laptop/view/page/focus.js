@@ -59,12 +59,13 @@ export class Focus {
     const add = (value, label, unit = "", truth = false) => found.size >= MOST || found.has(value.name) || found.set(value.name, { ...value, label, unit, held: kept, steps, stepped: truth });
     const sample = (topic) => store.names.map((name) => store.get(name, topic)).find((value) => value !== undefined);
     const told = sample(`${app}/state`) ?? {}, result = told.result ?? {};
+    const places = [told.state, told.result].some((part) => part && "x" in part && "y" in part);
     const target = this.target(), seen = store.names.some((name) => Math.abs(store.get(name, `${app}/state`)?.result?.x) < FAR);
     if (target && seen && /localization|target/.test(app)) add(apart(`${app} target error`, `${app}/state`, ["result"], target), "Error of the target", "m");
     for (const name of store.names) {
       for (const topic of store.robots.get(name)?.keys() ?? []) {
         const value = store.get(name, topic), path = value?.value !== undefined ? ["value"] : ["values", "value"]; // a recording's own, or from the bus
-        if (topic.startsWith(`${parent}/record/`) && typeof dig(value, path) === "number") add(plain(topic, path), topic.split("/").at(-1), this.unit(topic.split("/").at(-1)));
+        if (topic.startsWith(`${parent}/record/`) && typeof dig(value, path) === "number") add(plain(topic, path), topic.split("/").at(-1), this.unit(topic.split("/").at(-1), places));
         else if (topic.startsWith(`${parent}/out/`) && !/\/(goal|shape)$/.test(topic)) {
           for (const [field, value] of Object.entries(store.get(name, topic)?.values ?? {})) {
             if (typeof value === "number") add(plain(topic, ["values", field]), field === "value" ? topic.split("/").at(-1) : `${topic.split("/").at(-1)} ${field}`);
@@ -76,7 +77,7 @@ export class Focus {
     const numbers = (part) => Object.entries(told[part] ?? {}).filter(([, value]) => typeof value === "number" || typeof value === "boolean");
     const labels = new Set([...found.values()].map((each) => each.label));
     const rest = numbers("result").sort(([a, x], [b, y]) => (typeof x === "boolean") - (typeof y === "boolean") || PLACE.test(a) - PLACE.test(b));
-    const field = (part, name, value) => add(plain(`${app}/state`, [part, name]), typeof value === "boolean" ? `${name} (1 = true)` : name, this.unit(name), typeof value === "boolean");
+    const field = (part, name, value) => add(plain(`${app}/state`, [part, name]), typeof value === "boolean" ? `${name} (1 = true)` : name, this.unit(name, places), typeof value === "boolean");
     for (const [name, value] of rest) if (!labels.has(name)) field("result", name, value);
     for (const [name, value] of numbers("state")) if (!(name in result)) field("state", name, value);
     // What an event app records are its marks; what it comes to is its result.
@@ -84,9 +85,9 @@ export class Focus {
     return [...all.filter((each) => !marks(each)), ...all.filter(marks)];
   }
 
-  // Of a value that an app names as its target does: metres of a distance. Others have none that is known.
-  unit(name) {
-    return UNITS[/_(s|m|rad)$/.exec(name)?.[1]] ?? (name === "off" || name === "sigma" || name === "x" || name === "y" ? "m" : "");
+  // By the end of the name; metres of an app that tells a place, x and y, and how far off it is. Others have none that is known.
+  unit(name, places) {
+    return UNITS[/_(s|m|rad)$/.exec(name)?.[1]] ?? (places && /^(off|sigma|x|y)$/.test(name) ? "m" : "");
   }
 
   // Where the target truly is, where that is known.

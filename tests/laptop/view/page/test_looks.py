@@ -184,6 +184,15 @@ def test_a_battery_that_is_not_read_any_more_has_no_voltage(page: Any) -> None:
         (shows.to_contain_text if volts else shows.not_to_contain_text)("7.31 V", timeout=PATIENCE_MS)
 
 
+def test_metres_are_the_unit_of_a_place_and_of_no_other_x(page: Any) -> None:
+    for told, units in (({"x": 3.0}, {"x": ""}), ({"x": 3.0, "y": 4.0}, {"x": "m", "y": "m"})):
+        for part in ("state", "result"):
+            state = {"t": AT, "k": 1, "state": {}, "result": {}} | {part: told}
+            tell(page, **{f"r{n}": {"app/consensus/state": state} for n in range(3)})
+            found = page.evaluate("swarmView.focus.values().map(({ label, unit }) => [label, unit])")
+            assert {label: unit for label, unit in found if label in told} == units
+
+
 def test_all_can_be_reached_by_keys(page: Any) -> None:
     page.locator("#time").focus()
     for _ in range(40):
