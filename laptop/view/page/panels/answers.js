@@ -56,7 +56,7 @@ export class Answers {
     if (stopped.length) return { value: `${stopped.length} of ${names.length} stopped`, note: "take the stops back to go on", kind: "bad" };
     if (dead.length) return { value, note: `gone: ${some(dead)}`, kind: "bad" };
     if (failed.length) return { value, note: `in a fault: ${some(failed)}`, kind: "bad" };
-    const app = this.focus.app?.split("/").slice(0, 2).join("/"), ended = names.filter((name) => store.get(name, `${app}/progress`)?.phase === "fault");
+    const ended = this.ended();
     if (ended.length) return { value, note: `the app has failed on ${some(ended)}`, kind: "bad" };
     if (left) return { value, note: `lowest battery ${left[1]}, ${Math.round(left[0] / 60)} min`, kind: left[0] < LOW_S / 3 ? "warn" : "" };
     return { value, note: silent.length ? `nothing heard of ${some(silent)}` : "no faults" };
@@ -79,11 +79,19 @@ export class Answers {
     const agreed = held(points[0], t)?.[1];
     if (this.focus.kind === "event" && last === 0 && agreed !== undefined) return { value: `All at ${short(agreed)}`, note: `${value.label} of ${robots.length} robots` };
     if (this.focus.kind === "event") return { value: now.slice(value.label.length + 2), note: `${value.label} of ${robots.length} robots` };
+    const ended = this.focus.kind === "lockstep" ? this.ended() : [];
+    if (ended.length) return { value: "No, it has ended", note: `the app has failed on ${some(ended)}`, kind: "bad" };
     if (this.focus.kind === "lockstep" && this.waiting().size && this.still()) return { value: "Held", note: now, kind: "warn" };
     const rate = slope(spread, t, Math.min(BACK_S, t - Math.min(...points.map((each) => each[0][0]))));
     if (!(last > SETTLED * most) || (last < NEARLY * most && rate > -STILL)) return { value: "Yes, settled", note: now };
     if (rate < -STILL) return { value: `Yes, halves in ${+(Math.LN2 / -rate).toPrecision(2)} s`, note: now };
     return rate > STILL ? { value: "No, it grows", note: now, kind: "warn" } : { value: "It stays", note: now };
+  }
+
+  // Robots on which the app has failed.
+  ended() {
+    const app = this.focus.app?.split("/").slice(0, 2).join("/");
+    return this.store.names.filter((name) => this.store.get(name, `${app}/progress`)?.phase === "fault");
   }
 
   waiting() {

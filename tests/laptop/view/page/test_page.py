@@ -256,3 +256,4 @@ def test_an_app_that_has_failed_is_told_with_its_robot(browser: Any, tmp_path: P
     assert subprocess.run([*words, "--record", str(tmp_path / "run")], check=False, capture_output=True).returncode == 1
     with shown(browser, tmp_path / "run") as page:
         expect(page.locator("[data-answer=alive]")).to_contain_text("the app has failed on r1", timeout=PATIENCE_MS)
+        expect(page.locator("[data-answer=converging]")).to_contain_text("No, it has ended", timeout=PATIENCE_MS)
