@@ -7,6 +7,7 @@ and ignored in telemetry, which a robot with another release may have sent (docs
 
 import contextlib
 import dataclasses
+import enum
 import math
 import types
 import typing
@@ -129,9 +130,11 @@ def decoded(
 
 def as_value(value: object) -> Value:
     """Convert an author's value into one that a free-form map carries: lists to tuples of floats; numpy arrays, and
-    lists of lists of one length, row by row. Raises `LocalError` for other values."""
+    lists of lists of one length, row by row; members of an enum by name. Raises `LocalError` for other values."""
     if type(value) is float and math.isfinite(value):
         return value
+    if isinstance(value, enum.Enum):
+        return value.name
     if isinstance(value, bool | str):
         return value
     if isinstance(value, int) and -(1 << 63) <= value < 1 << 63:

@@ -435,6 +435,13 @@ def test_a_result_keeps_its_shapes(numbers: Any) -> None:
         runner.result()
 
 
+def test_a_result_may_be_a_member_of_an_enum_as_a_state_may() -> None:
+    kind = type("Choosy", (Tracker,), {"result": lambda self: {"mood": next(iter(Mood))}})
+    runner = Runner(kind(Robot("r1", LINE)), __file__)
+    runner.start(None)
+    assert runner.result() == {"mood": next(iter(Mood)).name}
+
+
 def test_the_default_result_is_the_shared_state() -> None:
     runner = run(lambda self, n: None)
     assert runner.result() == {"value": 2.0, "coarse": 0.0, "count": 0, "on": False, "place": (0.0, 0.0)}
