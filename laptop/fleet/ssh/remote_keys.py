@@ -28,9 +28,11 @@ def run(ssh: Ssh, host: Host, command: str, on_line: Callable[[str], None]) -> i
     assert process.stderr is not None
     errors = threading.Thread(target=copy_text, args=(process.stderr, sys.stderr), daemon=True)
     errors.start()
+    spoke = False
     try:
         with Keyboard(sys.stdin).raw():
             for line in process.stdout:
+                spoke = True
                 on_line(line.decode(errors="replace").rstrip("\n"))
             code = process.wait()
     finally:
@@ -40,5 +42,6 @@ def run(ssh: Ssh, host: Host, command: str, on_line: Callable[[str], None]) -> i
         errors.join()
         process.stderr.close()
     if code == CLIENT_FAILED:
-        raise LocalError(f"{host.robot}: the connection is lost, or there was none; the robot stops by itself")
+        problem = "the connection is lost; the robot stops by itself" if spoke else "ssh does not get through to it"
+        raise LocalError(f"{host.robot}: {problem}")
     return code

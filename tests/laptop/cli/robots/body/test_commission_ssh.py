@@ -37,7 +37,7 @@ def test_a_connection_that_breaks_leaves_the_report_of_the_steps_until_then(
     robots.script("r0", "sudo", f"echo '{json.dumps({'so_far': so_far})}'; exit 255")
     out = tmp_path / "report.json"
     assert run("commission", "r0", "--out", str(out)) == 1
-    ended = "r0: the connection is lost, or there was none; the robot stops by itself"
+    ended = "r0: the connection is lost; the robot stops by itself"
     assert json.loads(out.read_text()) == so_far | {"ended": ended}
     assert capsys.readouterr().out.splitlines() == [
         "ready      passed", "bus        not tried", ended, f"r0: failed; report: {out}"
