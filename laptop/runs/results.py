@@ -305,14 +305,15 @@ def _array(paths: Mapping[str, Trajectory], column: str) -> Array:
     """Return a column, of shape (iteration, robot)."""
     cells: list[list[str]] = []
     places: list[list[int]] = []
+    rows = _rows(paths)
     for path in paths.values():
         at = path.columns.index(column) if path.columns else 0
         places.append(list(path.rows))
         cells.append([row[at] for row in path.rows.values()])
     texts = {text for each in cells for text in each}
-    whole = all(len(each) == _rows(paths) for each in cells)
+    whole = all(len(each) == rows for each in cells)
     convert, kind, missing = _kind(texts, whole=whole)
-    found = np.full((_rows(paths), len(cells)), missing, dtype=kind)
+    found = np.full((rows, len(cells)), missing, dtype=kind)
     for robot, (ks, each) in enumerate(zip(places, cells, strict=True)):
         found[ks, robot] = [convert(text) for text in each]
     return found
