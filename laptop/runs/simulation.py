@@ -26,7 +26,7 @@ from sim.virtual.run import PLACE, VirtualRun
 from swarm import config as configuration
 from swarm.app.settings import Setting
 from swarm.app.sync_app import BaseApp
-from swarm.core.lockstep.stopping import UNMET
+from swarm.core.lockstep.stopping import is_unmet
 from swarm.errors import AppError, ConfigError, shown
 from swarm.recording.recorded_topics import TOPICS
 
@@ -98,7 +98,7 @@ def simulate(
         shutil.rmtree(held)
         raise
     weakref.finalize(run.recording, shutil.rmtree, held, ignore_errors=True)
-    unmet = [each for each in run.problems if each.startswith(UNMET)]
+    unmet = [each for each in run.problems if is_unmet(each)]
     if check and len(run.problems) > len(unmet):
         raise AppError("; ".join([*run.problems, *forgetting(plan.config, found, read)]))
     for each in unmet:

@@ -38,6 +38,7 @@ from sim.scenario.scenario import Scenario
 from sim.world import BodyWorld
 from swarm import clock
 from swarm.config.dump import dump
+from swarm.core.lockstep.stopping import is_unmet
 from swarm.errors import LocalError
 from swarm.recording import folder, trajectory
 from swarm.recording.file import check_room
@@ -241,7 +242,7 @@ class ProcessRun:
         if len(told) < len(members) or any(progress.phase not in ("done", "fault") for progress in told):
             return False
         self._problems += faults  # the others have gone on without them
-        self._problems += dict.fromkeys(each.reason for each in told if each.phase == "done" and each.reason)
+        self._problems += dict.fromkeys(each.reason for each in told if each.phase == "done" and is_unmet(each.reason))
         return True
 
     def _let_happen(self, what: Disturbance, now: float) -> None:

@@ -15,7 +15,7 @@ from sim.scenario.options import parse
 from sim.scenario.scenario import build
 from sim.sweep.plan import Job
 from sim.virtual.run import PLACE, run_virtually
-from swarm.core.lockstep.stopping import UNMET
+from swarm.core.lockstep.stopping import is_unmet
 from swarm.errors import SwarmError
 from swarm.frozen import frozen
 from swarm.recording.trajectory import Trajectory
@@ -91,7 +91,7 @@ def measure(job: Job, app: LoadedApp | None = None) -> SweptRun:
         seconds=outcome.seconds,
         iteration_s=iteration if isinstance(iteration, float) else None,
         computed_s=outcome.computed_s or 0.0,
-        problem="; ".join(each for each in outcome.problems if not each.startswith(UNMET)),
+        problem="; ".join(each for each in outcome.problems if not is_unmet(each)),
         contacts=contacts if isinstance(contacts := outcome.scene.get("contacts"), int) else 0,
         never="; ".join(outcome.never),
         metrics={name: x for name, x in own.items() if name != ERROR and f"{name}_most" in own and type(x) is float},

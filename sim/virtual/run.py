@@ -30,6 +30,7 @@ from sim.virtual.mesh_choice import mesh_of
 from sim.virtual.world import Launch, VirtualWorld
 from swarm.app.run_options import RunOptions
 from swarm.config.dump import dump
+from swarm.core.lockstep.stopping import is_unmet
 from swarm.errors import ConfigError, LocalError
 from swarm.messages import AppEpoch, AppLog, AppParameters
 from swarm.recording import folder
@@ -282,7 +283,7 @@ class VirtualRun:
                 return
             self._missing_first.discard(source.robot)  # the others go on without it
             self._look_whether_begun()
-        elif progress.reason and progress.reason not in self._problems:
+        elif is_unmet(progress.reason) and progress.reason not in self._problems:
             self._problems.append(progress.reason)
         if source.part:
             return

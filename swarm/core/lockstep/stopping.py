@@ -17,8 +17,7 @@ from swarm.frozen import frozen
 
 _COUNT = struct.Struct("<H")
 MOST = 0xFFFF
-UNMET = "not converged within"
-"""How a run's problem begins that its app has not converged. The run itself is whole."""
+_UNMET = "not converged within"
 
 
 @frozen
@@ -29,6 +28,11 @@ class Rule:
     """Rounds for which all robots must have been content; None: that is no reason to stop."""
     seconds: float | None = None
     """Time from a robot's first state to when it wants to stop; the first robot's counts."""
+
+
+def is_unmet(reason: str) -> bool:
+    """Return whether this is why a run ended that was to converge and has not. The run itself is whole."""
+    return reason.startswith(_UNMET)
 
 
 class Stopping:
@@ -65,7 +69,7 @@ class Stopping:
 
     def unmet(self, k: int, count: bytes) -> str:
         """Return what is amiss with a run whose last iteration k has this count: it was to converge, and has not."""
-        return "" if self.rule.rounds is None or self.over(count) else f"{UNMET} {k} iterations"
+        return "" if self.rule.rounds is None or self.over(count) else f"{_UNMET} {k} iterations"
 
     @staticmethod
     def first() -> bytes:

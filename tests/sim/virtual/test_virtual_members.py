@@ -228,6 +228,16 @@ def test_a_run_that_has_not_converged_at_its_last_iteration_says_so_once():
     assert run_virtually(*words, "--for", "0.2s")[0]["problems"] == []
 
 
+def test_an_app_that_has_finished_is_no_problem(tmp_path):
+    app = tmp_path / "arrives.py"
+    app.write_text(
+        "from swarm import PeriodicApp\n\n\nclass Arrives(PeriodicApp):\n    x: float\n    period = 0.1\n\n"
+        "    def step(self, neighbours):\n        self.finish('all have arrived')\n"
+    )
+    report, _ = run_virtually(str(app), "--robots", "2", "--iterations", "50")
+    assert (report["problems"], report["iterations"]) == ([], 1)
+
+
 def test_an_error_in_converged_is_the_apps_fault(tmp_path):
     app = tmp_path / "unsure.py"
     app.write_text(
