@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from swarm import config as configuration
 from swarm.core.state import entry_names
 from swarm.errors import LocalError, MissingPackageError, RecordingError
+from swarm.process.arguments import PICTURES
 from swarm.recording import folder
 from swarm.recording.reader import OUTCOME
 from swarm.recording.run import Run
@@ -235,7 +236,8 @@ class RunData:
         return parts
 
     def _unknown(self, name: str) -> LocalError:
-        return LocalError(f"there is no column {name!r}; there are: {', '.join(self.columns) or 'none'}")
+        hint = f"; a picture is written with path={name!r}" if name.endswith(PICTURES) else ""
+        return LocalError(f"there is no column {name!r}; there are: {', '.join(self.columns) or 'none'}{hint}")
 
     def _along(self, topic: str, fields: Sequence[str]) -> Array | None:
         """Return what the world told of each robot under a topic, at the times of its states."""

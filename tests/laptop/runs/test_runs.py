@@ -80,6 +80,8 @@ def test_an_unknown_column_is_an_error_that_names_the_columns() -> None:
         run["y"]
     with pytest.raises(LocalError, match="no column 'y'"):
         run.plot("y")
+    with pytest.raises(LocalError, match=r"there are: x; a picture is written with path='mine.png'$"):
+        run.plot("mine.png")
     assert "x" in run
     assert "y" not in run
 
