@@ -25,14 +25,19 @@ _NEEDS_MESH = re.compile(rb"(?<!swarm)\.\s*(flood|send|messages|answer|clock)\b"
 def mesh_of(options: Options, scenario: Scenario) -> str:
     """Return one of `sim.scenario.options.MESHES`. Raises `ConfigError` where the links do not go with it."""
     config = scenario.config
-    mesh = options.mesh or (FROM_START if len(config.names) <= MAX_FROM_START or config.auto else SETTLED)
+    mesh = options.mesh or _needed(options, scenario)
     if mesh == DELAY and config.auto:
         raise ConfigError("--mesh delay: an automatic topology is found by meshes, name another --topology")
     if mesh != FROM_START and (links := links_of(config)) != GRAPH:
         raise ConfigError(f"--mesh {mesh}: links = {links!r} are made by meshes from their start")
-    if not options.mesh and len(config.names) > MAX_SETTLED and _delays_do(options, scenario):
-        return DELAY
     return mesh
+
+
+def _needed(options: Options, scenario: Scenario) -> str:
+    robots = len(scenario.config.names)
+    if robots <= MAX_FROM_START or scenario.config.auto:
+        return FROM_START
+    return DELAY if robots > MAX_SETTLED and _delays_do(options, scenario) else SETTLED
 
 
 def _delays_do(options: Options, scenario: Scenario) -> bool:
@@ -40,7 +45,8 @@ def _delays_do(options: Options, scenario: Scenario) -> bool:
     its state, on links with one latency. A person at the page may want more of a mesh."""
     app = scenario.loaded
     links_differ = options.slots is not None or options.jitter or options.bandwidth or options.loss
-    if app is None or scenario.beside or scenario.disturbances or links_differ or options.view:
+    made_by_meshes = links_of(scenario.config) != GRAPH
+    if app is None or scenario.beside or scenario.disturbances or links_differ or made_by_meshes or options.view:
         return False
     synchronous = all(issubclass(kind, SyncApp) for kind in app.algorithms.values())
     return synchronous and not any(map(_NEEDS_MESH.search, _texts(app)))
