@@ -25,8 +25,7 @@ class _Subscription(NamedTuple):
     callback: OnSample
 
     def takes(self, key: str) -> bool:
-        if not key.startswith(self.stem):
-            return False
+        """Return whether a key that begins with `stem` is one of those subscribed to."""
         return matches(self.expression, key) if len(self.stem) < len(self.expression) else key == self.stem
 
 
@@ -170,7 +169,7 @@ class VirtualBus:
             found = self.targets[key] = tuple(
                 each.callback
                 for each in self._router.subscriptions
-                if each.session is not self and each.takes(key) and not self._closed
+                if key.startswith(each.stem) and each.session is not self and each.takes(key) and not self._closed
             )
         return found
 

@@ -22,6 +22,8 @@ _PLAIN = frozenset({int, float, str, bytes, bool, type(None), tuple})
 
 def pack_private(values: Mapping[str, object]) -> bytes:
     """Private fields as msgpack, tuples and lists kept apart; `AppError` names the field at fault."""
+    if not values:
+        return _NOTHING
     try:
         return _packb(dict(values))
     except (TypeError, ValueError, OverflowError, RecursionError):
@@ -67,6 +69,7 @@ def _to_extension(level: int, value: object) -> object:
     raise TypeError(f"type {type(value).__name__}")
 
 
+_NOTHING: bytes = msgpack.packb({})
 _EXTENSIONS = tuple(partial(_to_extension, level) for level in range(MOST_LEVELS))
 
 

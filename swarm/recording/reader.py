@@ -120,7 +120,7 @@ class RecordingReader:
                     continue
                 content = file.read(min(length, size - start))
                 try:
-                    for message in self._take(opcode, content, torn=torn):
+                    for message in self._messages(opcode, content, torn=torn):
                         if (channel := self.channels.get(message.channel)) is None:
                             self._name(start, f"a message of channel {message.channel}, which is not described")
                             continue
@@ -136,8 +136,25 @@ class RecordingReader:
                     return
                 self._at = after
 
-    def _take(self, opcode: int, content: bytes, *, torn: bool) -> Iterator[mcap.McapMessage]:
-        """Note what a record says; its messages."""
+    def _messages(self, opcode: int, content: bytes, *, torn: bool) -> Iterator[mcap.McapMessage]:
+        """Yield the messages of a record, and note what else it says."""
+        if opcode != mcap.CHUNK:
+            records: Iterable[tuple[int, int, bytes | memoryview]] = ((0, opcode, content),)
+        else:
+            chunk = mcap.read_chunk(content)
+            if chunk.compression:
+                raise RecordingError(f"a chunk is compressed with {chunk.compression!r}, which is not read here")
+            if not torn and chunk.crc and crc32(chunk.records) != chunk.crc:
+                raise RecordingError(f"the checksum of a chunk of {len(chunk.records)} bytes is wrong")
+            records = mcap.whole_records(chunk.records)
+        for _, inner, record in records:
+            if inner == mcap.MESSAGE:
+                yield mcap.read_message(record)
+            else:
+                self._note(inner, record)
+
+    def _note(self, opcode: int, content: bytes | memoryview) -> None:
+        """Note what a record says that is neither a message nor a chunk; chunks hold no chunks."""
         if opcode == mcap.SCHEMA:
             schema = mcap.read_schema(content)
             self.schemas[schema.id] = schema
@@ -153,20 +170,6 @@ class RecordingReader:
                 self._epoch_ns = _time(entries.get(EPOCH, "0"))
                 self.clock = entries.get(CLOCK, "")
                 self.clocks.setdefault(self.clock, self._epoch_ns)
-        elif opcode == mcap.MESSAGE:
-            yield mcap.read_message(content)
-        elif opcode == mcap.CHUNK:
-            yield from self._chunk(content, torn=torn)
-
-    def _chunk(self, content: bytes, *, torn: bool) -> Iterator[mcap.McapMessage]:
-        chunk = mcap.read_chunk(content)
-        if chunk.compression:
-            raise RecordingError(f"a chunk is compressed with {chunk.compression!r}, which is not read here")
-        if not torn and chunk.crc and crc32(chunk.records) != chunk.crc:
-            raise RecordingError(f"the checksum of a chunk of {len(chunk.records)} bytes is wrong")
-        for _, opcode, inner in mcap.whole_records(chunk.records):
-            if opcode != mcap.CHUNK:  # chunks hold no chunks
-                yield from self._take(opcode, bytes(inner), torn=False)
 
     def _cut(self, size: int) -> None:
         self._name(self._at, f"it was cut off: the last {size - self._at} bytes are no whole record")

@@ -1,6 +1,7 @@
 """A whole run: the recordings of all its robots and apps in one folder, read as one, on one time axis."""
 
 import heapq
+import math
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -101,7 +102,7 @@ class Run:
                 if sample.topic in told:
                     found[told[sample.topic]].heed(sample.topic, sample.message)
                 else:
-                    found[topics[sample.topic]].add(sample.message | {"t": sample.t}, file)
+                    found[topics[sample.topic]].add(sample.message, file, sample.t)
         for robot, builder in found.items():
             if builder.forks:
                 note = f"{robot}: {len(builder.forks)} iterations stand there twice and differ (it began anew)"
@@ -127,10 +128,13 @@ class Run:
     def _look(self, file: Path, clocks: Clocks) -> None:
         """First pass: what is in a file, and how its clocks relate."""
         reader = RecordingReader(file)
+        first: dict[tuple[str, str], float] = {}
+        """Time of the first message, by clock and topic."""
         for sample in reader.samples():
             clock = reader.clock
-            begun = self._begun[is_state(sample.topic)]
-            begun[clock] = min(begun.get(clock, sample.t), sample.t)
+            of = clock, sample.topic
+            if sample.t < first.get(of, math.inf):
+                first[of] = sample.t
             if sample.topic.endswith("/mesh/clock"):
                 message = sample.message
                 try:
@@ -138,6 +142,9 @@ class Run:
                     clocks.relate(clock, Relation(t, offset, rate, str(message["root"])))
                 except (KeyError, TypeError, ValueError):
                     self.damage.append(f"{file}: {sample.topic}: it is no sample of the mesh clock")
+        for (clock, topic), t in first.items():
+            begun = self._begun[is_state(topic)]
+            begun[clock] = min(begun.get(clock, t), t)
         for clock, epoch_ns in reader.clocks.items():
             clocks.add(clock, epoch_ns / 1e9)
         for channel in reader.channels.values():
@@ -159,8 +166,8 @@ class Run:
 
     def _read(self, file: Path, wanted: Callable[[str], bool]) -> Iterator[RecordedSample]:
         reader = RecordingReader(file)
-        for sample in reader.samples(wanted):
-            yield sample._replace(t=self._axis(reader.clock)(sample.t) - self.origin)
+        for topic, t, data in reader.samples(wanted):
+            yield RecordedSample(topic, self._axis(reader.clock)(t) - self.origin, data)
 
     def _axis(self, clock: str) -> Axis:
         return self._axes.get(clock, float)

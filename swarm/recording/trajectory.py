@@ -2,7 +2,7 @@
 
 import math
 import statistics
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import field
 from pathlib import Path
 from typing import Any
@@ -113,22 +113,20 @@ class Builder:
         breaks, returns, restarts = map(tuple, (self._breaks, self._returns, self._restarts))
         return Trajectory(self._columns, self._times, self._rows, breaks, returns, self._held, restarts)
 
-    def add(self, message: Mapping[str, Any], path: Path) -> None:
-        """Take the state in a message of the file `path`.
+    def add(self, message: Mapping[str, Any], path: Path, t: object = None) -> None:
+        """Take the state in a message of the file `path`; `t`: its time, s, where not that in the message counts.
 
         Raises `RecordingError` for what is no state, and for a fork of the run.
         """
-        k, t = message.get("k"), message.get("t")
+        k, t = message.get("k"), message.get("t") if t is None else t
         state, result = message.get("state"), message.get("result")
         if not (isinstance(k, int) and isinstance(t, float) and isinstance(state, dict) and isinstance(result, dict)):
             raise RecordingError(f"{path}: a state without k, t, state and result")
-        named = [*_cells("", state, self.shapes), *_cells(RESULT, result, self.shapes)]
-        columns = tuple(name for name, _ in named)
+        columns, row = self._cells(state, result)
         if not self._columns:
             self._columns = columns
         elif columns != self._columns:
             raise RecordingError(f"{path}: iteration {k} has other fields than the first: {', '.join(columns)}")
-        row = tuple(text for _, text in named)
         k += self._breaks[-1] if self._breaks else 0
         if self._lost:
             self._returns.append(k)
@@ -136,8 +134,7 @@ class Builder:
         known = self._rows.setdefault(k, row)
         # A process that goes on from its snapshot records that state again. Its result may say of the robot, of the
         # truth or of a parameter what has changed meanwhile.
-        cells = zip(columns, known, row, strict=True)
-        if known != row and any(a != b for name, a, b in cells if not name.startswith(RESULT)):
+        if known is not row and self._differ(known, row):
             if self._strict:
                 raise RecordingError(f"{path}: iteration {k} stands there twice with different values")
             self.forks.add(k)
@@ -159,6 +156,25 @@ class Builder:
             self._breaks.append(max(self._rows) + 1)
         elif message.get("phase") == "waiting" and message.get("k") == 0 and max(self._rows, default=0) > 0:
             self._lost = True
+
+    def _cells(self, state: Mapping[str, Any], result: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Return the columns of a message and their cells."""
+        columns: list[str] = []
+        row: list[str] = []
+        for prefix, values in (("", state), (RESULT, result)):
+            for name, value in values.items():
+                if isinstance(value, tuple):
+                    columns += names_of(prefix + name, len(value), self.shapes.get(name, ()))
+                    row += map(_text, value)
+                else:
+                    columns.append(prefix + name)
+                    row.append(_text(value))
+        return tuple(columns), tuple(row)
+
+    def _differ(self, known: tuple[str, ...], row: tuple[str, ...]) -> bool:
+        """Return whether two rows have different states."""
+        cells = zip(self._columns, known, row, strict=True)
+        return any(a != b for name, a, b in cells if not name.startswith(RESULT))
 
     def _thin_out(self) -> None:
         newest = sorted(self._rows)[-MOST_ROWS:]
@@ -228,14 +244,6 @@ def beside(states: str) -> tuple[str, str]:
     """The topics of an app's changes of members and of its progress, by that of its states: see `Builder.heed`."""
     prefix = states.removesuffix("state")
     return prefix + "epoch", prefix + "progress"
-
-
-def _cells(prefix: str, values: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]]) -> Iterator[tuple[str, str]]:
-    for name, value in values.items():
-        if not isinstance(value, tuple):
-            yield prefix + name, _text(value)
-            continue
-        yield from zip(names_of(prefix + name, len(value), shapes.get(name, ())), map(_text, value), strict=True)
 
 
 def _text(value: object) -> str:

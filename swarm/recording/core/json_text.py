@@ -13,6 +13,7 @@ import math
 import types
 import typing
 from collections.abc import Mapping
+from functools import cache
 from json.encoder import c_make_encoder, encode_basestring_ascii  # type: ignore[attr-defined]
 from typing import Any
 
@@ -35,9 +36,11 @@ def encode(message: object) -> bytes:
         raise LocalError(f"cannot be recorded: {error}") from None
 
 
-def decode(data: bytes | str) -> Any:
+def decode(data: bytes) -> Any:
     """Decode what `encode` was given, in plain types: lists are tuples."""
-    return _tupled(json.loads(data))
+    text = data.decode("utf-8", "surrogatepass")
+    found = json.loads(text)
+    return _tupled(found) if "[" in text else found
 
 
 def schema(message: object, name: str) -> bytes:
@@ -111,7 +114,7 @@ def _of_value(value: object) -> Json:
 
 def _of_fields(kind: type, fields: Mapping[str, object]) -> Json:
     """The schema of a message class; free-form maps, and fields of several types, as they stand in `fields`."""
-    shape, hints = _of_type(kind), typing.get_type_hints(kind)
+    shape, hints = _of_type(kind), _hints(kind)
     free = {
         name: _of_value(fields[name])
         for name, field in shape["properties"].items()
@@ -124,10 +127,14 @@ _FREE: Json = {"type": "object", "properties": {}}
 _BYTES = {"type": "string", "contentEncoding": "base64"}
 
 
+_hints = cache(typing.get_type_hints)
+
+
+@cache
 def _of_type(kind: Any) -> Json:
     """The schema of a message class, or of the type of one of its fields. What may be None may be missing."""
     if dataclasses.is_dataclass(kind):
-        hints = typing.get_type_hints(kind)
+        hints = _hints(typing.cast(type, kind))
         return {
             "type": "object",
             "properties": {name: _of_type(hints[name]) for name in names_of(typing.cast(type, kind))},
