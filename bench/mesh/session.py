@@ -3,6 +3,7 @@
 import hmac
 import os
 import struct
+import time
 import timeit
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -59,8 +60,8 @@ def rows(sizes: Sizes = FULL) -> Iterator[Row]:
 
 
 def _best(call: Callable[[], object], number: int) -> float:
-    """s of one call, the best of several batches: what the machine's other work adds is no property of ours."""
-    return min(timeit.repeat(call, number=number, repeat=9)) / number
+    """CPU time of one call, s, the best of several batches: what else the machine does is no property of ours."""
+    return min(timeit.repeat(call, number=number, repeat=9, timer=time.process_time)) / number
 
 
 def _session(robot: str, peer: str, dials: bool, keys: dict[int, bytes]) -> Session:
