@@ -64,8 +64,9 @@ def limit(row: ast.Call, module: ModuleType) -> str | None:
 
 
 def strange(cells: list[str], rows: Defined) -> str | None:
-    """What is wrong with a line of a table, its cells given."""
-    limits = {limit for name, limit in rows if re.fullmatch(name, cells[0])}
+    """What is wrong with a line of a table, its cells given. A row that goes on with the one above it begins with two
+    spaces, which a cell does not have."""
+    limits = {limit for name, limit in rows if any(re.fullmatch(name, it) for it in (cells[0], f"  {cells[0]}"))}
     if not limits:
         return f"no row {cells[0]!r}"
     if None not in limits and cells[3] not in limits:
