@@ -65,18 +65,19 @@ def main() -> None:
         network = Network(this.config, local, this.runtime)
         runtime = LockedRuntime(this.bus, this.counters, this.log)
         sockets = Sockets(runtime, network.listeners, network.dial)
+        start_number = incarnation()
         view_sender = ViewSender(this.robot, len(this.config.names), this.runtime)
         mesh = Mesh(
             this.config,
             local,
             start,
             CHANCE,
-            incarnation(),
+            start_number,
             runtime,
             sockets,
             keep=partial(_save, this, "the topology", topology_file.save, state_dir()),
             keep_stops=partial(_save, this, "stops", stops_file.save, this.runtime),
-            stops=stops_file.load(this.runtime),
+            stops=stops_file.load(this.runtime, this.robot, start_number),
             heard=view_sender.heard,
             role_of=network.roles.of,
         )

@@ -69,9 +69,9 @@ def read_topology(place: Path) -> object:
     return topology_file.load(place.parent, Ground(("r0", "r1"), (("r0", "r1"),), auto=False))
 
 
-def read_stops(place: Path) -> Halt | None:
-    halt = stops_file.load(place.parent)
-    return None if halt == Halt({}, {}) else halt
+def read_stops(place: Path) -> object:
+    halt = stops_file.load(place.parent, "r0", 7)
+    return None if halt is None else [(name, mark) for name, (mark, _) in halt.stops.items()]
 
 
 def read_claim(place: Path) -> int:
@@ -123,7 +123,7 @@ KEPT = [
         stops_file.NAME,
         lambda place: stops_file.save(place.parent, to_file(Halt({"r0": (Mark(5, 1), "smoke")}, {"r1": Mark(4, 1)}))),
         read_stops,
-        None,
+        [("r0", Mark(7, 1))],  # a stop of this start: the file may have held one
     ),
     Kept("app.x.lock", read_claim, read_claim, REFUSED),
     Kept("app.x.snapshot", write_snapshot, read_snapshot, []),

@@ -13,6 +13,7 @@ that it knows it sends to a neighbour whose link came up, and to all neighbours 
 """
 
 import struct
+import zlib
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -31,6 +32,7 @@ _HALT = struct.Struct("<BBB")
 
 _MARK = struct.Struct("<QI")
 _LENGTH = struct.Struct("<H")
+_CHECKSUM = struct.Struct("<I")
 
 _HALT_ENTRIES = 20
 """Robots in one HALT packet: at most 1.9 kB."""
@@ -94,13 +96,16 @@ def decode_halt(data: bytes) -> Halt:
 
 
 def to_file(halt: Halt) -> bytes:
-    """Return HALT packets as a file, each behind its length."""
-    return b"".join(_LENGTH.pack(len(packet)) + packet for packet in encode_halts(halt))
+    """Return HALT packets as a file: a checksum, then each packet behind its length."""
+    packets = b"".join(_LENGTH.pack(len(packet)) + packet for packet in encode_halts(halt))
+    return _CHECKSUM.pack(zlib.crc32(packets)) + packets
 
 
 def from_file(data: bytes) -> Halt:
-    """Return what `to_file` was given; raises `FrameError`."""
-    halt, at = Halt({}, {}), 0
+    """Return what `to_file` was given; raises `FrameError` where a byte of the file has changed."""
+    if data[: _CHECKSUM.size] != _CHECKSUM.pack(zlib.crc32(data[_CHECKSUM.size :])):
+        raise FrameError("its checksum is wrong")
+    halt, at = Halt({}, {}), _CHECKSUM.size
     while at < len(data):
         size = int.from_bytes(data[at : at + _LENGTH.size], "little")
         at += _LENGTH.size + size
@@ -122,7 +127,11 @@ MAX_STRANGERS = 64
 """Robots that are not in the configuration of which stops are kept: a member may make up as many as it likes."""
 
 SPACING = 0.1
-"""Seconds between two stops of this robot: who publishes `swarm/stop` in a loop must not fill the links."""
+"""Mean seconds between two stops of this robot: who publishes `swarm/stop` in a loop must not fill the links."""
+
+AT_ONCE = 5
+"""Stops of this robot that leave without waiting for `SPACING` after a time without any. People and apps that stop the
+swarm again within 0.1 s give fewer."""
 
 _NEVER = float("inf")
 _NONE = Mark(0, 0)
@@ -152,7 +161,7 @@ class Register:
         """The time, s, at which this robot heard of each robot's newest stop."""
         self._links: dict[str, None] = {}
         self._repeat_at = _NEVER
-        self._stopped_at = self._given_again_at = -_NEVER
+        self._given_again_at = self._next_stop_at = -_NEVER
         self._waiting: str | None = None
         self._channel = key_of(me, "mesh", "halt")
 
@@ -173,10 +182,11 @@ class Register:
 
     def stop(self, reason: str, now: float) -> None:
         """Somebody on this robot stops the swarm."""
-        if now < self._stopped_at + SPACING:
+        if now < self._next_stop_at:
             self._waiting = reason
             return
-        self._stopped_at, self._waiting = now, None
+        self._waiting = None
+        self._next_stop_at = max(self._next_stop_at + SPACING, now - (AT_ONCE - 2) * SPACING)
         mark = self._next_mark()
         if mark.incarnation <= MAX_INCARNATION:
             self._merge(Halt({self._me: (mark, short_reason(reason))}, {}), None, now)
@@ -212,7 +222,7 @@ class Register:
 
     def handle_timer(self, now: float) -> None:
         """Do everything that is due at `now`."""
-        if self._waiting is not None and now >= self._stopped_at + SPACING:
+        if self._waiting is not None and now >= self._next_stop_at:
             self.stop(self._waiting, now)
         if now >= self._repeat_at:
             self._repeat_at = now + REPEAT_PERIOD
@@ -221,7 +231,7 @@ class Register:
 
     def next_deadline(self) -> float:
         """Return the time at which `handle_timer` must be called."""
-        return self._repeat_at if self._waiting is None else min(self._repeat_at, self._stopped_at + SPACING)
+        return self._repeat_at if self._waiting is None else min(self._repeat_at, self._next_stop_at)
 
     def _admitted(self, halt: Halt) -> Halt:
         """Return what is said of robots of our configuration, and of as many others as there is room for. A stop that
