@@ -177,7 +177,7 @@ class VirtualWorld:
     def switch_off(self, robot: str, seconds: float, *, falls: bool = True) -> None:
         """Switch a robot off: its mesh and its apps end at once, and with them what they knew, but for its votes. After
         `seconds` they start anew. Its body falls (or where it does not `falls`, as one that is still held, stays as it
-        is) and stands up when it is on again."""
+        is) and stands up when it is on again, unless robots begin lying or a stop holds."""
         there = self.robots[robot]
         there.off_until = max(there.off_until, self.time.now + seconds)
         if not there.balancer.powered:
@@ -263,7 +263,7 @@ class VirtualWorld:
             # The apps of a robot that was to come meanwhile have been launched, and have not begun.
             self.time.at(there.off_until, self._switch_on, robot, self._launches(robot))
             return
-        there.balancer.switch_on()
+        there.balancer.switch_on(stands=self._lying is None)
         self._start_again(there, begun)
 
     def _launches(self, robot: str) -> list[Launch]:

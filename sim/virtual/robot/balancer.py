@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from services.balancer.bridge.bus_side import BusSide
 from services.balancer.bridge.link import TELEMETRY_S, LoopCommand
 from services.balancer.bridge.orders import halt, obey
+from services.balancer.core.control.estimation.gyro import SETTLE_S, STILL_SAMPLES
 from services.balancer.core.devices.buttons import REPEAT_S, ButtonCounter
 from services.balancer.core.devices.leds import LedClaim, Shown, shown
 from services.balancer.core.faults import FELL, STOPPED, MotorFault
@@ -43,6 +44,8 @@ BATTERY = 7.4
 """Voltage of the battery, V, which never changes."""
 TICK = 0.01
 """Seconds of a tick. Within one a real balancer obeys commands and writes LEDs; this one does so at once."""
+GYRO_ZERO_S = SETTLE_S + STILL_SAMPLES * TICK
+"""Seconds for which a robot that was switched on rests, since its balancer looks for the gyro's zero."""
 
 
 class VirtualBalancer:
@@ -75,6 +78,8 @@ class VirtualBalancer:
         self._counter = ButtonCounter()
         self._held = [0.0] * len(BUTTONS)
         """The time until which each button is held."""
+        self._stands_at = math.inf
+        """The time at which a robot that was switched on stands up, unless a stop or another mode comes before."""
         self._side = BusSide(VirtualRuntime(robot, time, bus), lambda: time.now, self)
         self._side.listen(self._put)
         self._truth_key, self._sim_leds_key = key(robot, "sim", "truth"), key(robot, "sim", "leds")
@@ -123,13 +128,19 @@ class VirtualBalancer:
             self._show_leds()
             self.begins_to_move(self.robot)
         self.powered = False
+        self._stands_at = math.inf
 
-    def switch_on(self) -> None:
-        """Switch the robot on; it stands up."""
+    def switch_on(self, *, stands: bool) -> None:
+        """Switch the robot on. Where it `stands`, it stands up when it knows its gyro's zero."""
         self.powered = True
-        self.body.command("stand", self._time.now)
+        if stands:
+            self._stands_at = self._time.now + GYRO_ZERO_S
+            self._time.at(self._stands_at, self._stand_up)
         self._changed()
-        self.begins_to_move(self.robot)
+
+    def _stand_up(self) -> None:
+        if self._time.now >= self._stands_at:
+            self.command("stand", self._time.now)
 
     # -- the process -------------------------------------------------------------------------------------------
 
@@ -161,6 +172,7 @@ class VirtualBalancer:
 
     def command(self, mode: str, now: float) -> None:
         self.body.command(mode, now)
+        self._stands_at = math.inf
         self._claim.clear()
         self._changed()
         self.begins_to_move(self.robot)
@@ -179,6 +191,7 @@ class VirtualBalancer:
 
     def stop(self, reason: str) -> bool:
         """Switch the motors off."""
+        self._stands_at = math.inf
         if self.body.fault:
             return False
         self.body.stop(f"stopped: {reason}", self._time.now)

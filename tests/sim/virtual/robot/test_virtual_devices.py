@@ -13,12 +13,13 @@ from sim.virtual.run import PLACE, VirtualRun
 from sim.virtual.world import VirtualWorld
 from swarm.app.devices import Devices
 from swarm.errors import LocalError
-from swarm.messages import LedChange, Notice, Stop, read
+from swarm.messages import BalancerState, LedChange, Notice, Stop, read
 
 
 class Rig:
-    def __init__(self, *options):
-        self.world = VirtualWorld(build(parse(list(options)), PLACE).config, AirModel(latency=0.03), 1, mesh=FROM_START)
+    def __init__(self, *options, lying=None):
+        config, air = build(parse(list(options)), PLACE).config, AirModel(latency=0.03)
+        self.world = VirtualWorld(config, air, 1, mesh=FROM_START, lying=lying)
         self.bus = VirtualBus(self.world.robots["r0"].router)
         self.time = self.world.time
         self.devices = Devices(self.bus, "r0", lambda: self.time.now)
@@ -112,6 +113,26 @@ def test_a_stop_holds_and_refusals_are_told(rig):
     assert any("refused" in message.text for _, message in rig.messages(Notice))
     # it reached the others through the mesh
     assert all(robot.balancer.body.fault for robot in rig.world.robots.values())
+
+
+def test_a_robot_that_is_switched_on_stands_up_unless_a_stop_holds(rig):
+    rig.run(0.5)
+    rig.world.switch_off("r0", 1.0)
+    rig.run(4.5)
+    assert rig.body.mode == "balancing"
+    rig.world.switch_off("r0", 1.0)
+    rig.run(0.5)
+    VirtualBus(rig.world.robots["r1"].router).publish("swarm/stop", Stop(rig.time.now, "r1", "test"))
+    rig.run(8.0)
+    assert rig.body.fault == "stopped: test (by r1)"
+    assert [at for at, message in rig.messages(BalancerState) if message.mode == "standing_up" and at > 6.0] == []
+
+
+def test_a_robot_that_begins_lying_lies_also_after_it_was_switched_on():
+    rig = Rig("--robots", "2", lying="back")
+    rig.world.switch_off("r0", 1.0)
+    rig.run(6.0)
+    assert rig.body.mode == "idle"
 
 
 def test_a_body_without_physics_bears_a_push_or_falls(rig):
