@@ -230,8 +230,6 @@ class ClockSync:
     def claim(self, peer: str, now: float) -> ClockClaim:
         """Return the claim to send to a neighbour now."""
         self._update(now)
-        # A neighbour nearer to the root may have named an offset at the limit. What this robot adds to it must not pass
-        # the limit: the next robot would take that for a bad frame and end its link with this one, which is innocent.
         return ClockClaim(
             *self._root,
             self._epoch,
@@ -240,7 +238,7 @@ class ClockSync:
             peer == self._parent or self._followed != self._root[0],
             self._settled,
             now,
-            max(-MAX_APART, min(self._offset, MAX_APART)),
+            self._offset,
             self._rate,
             min(self._error, MAX_APART),
         )
@@ -262,7 +260,7 @@ class ClockSync:
         if self._settles_at == math.inf:
             self._settles_at = now + ALONE
         passed = now - self._at
-        self._offset += self._rate * passed
+        self._set_offset(self._offset + self._rate * passed)
         self._at = now
         self._root = self._choose_root(now)
         if self._root[0] == self._robot:
@@ -307,10 +305,17 @@ class ClockSync:
         if abs(error) > STEP:
             self._steps_until = now + STEPS_FOR
         if now < self._steps_until:
-            self._offset, error = target, 0.0
+            self._set_offset(target)
+            error = 0.0
         self._rate = max(-MAX_SLEW, min(MAX_SLEW, error / SETTLE))
         # What is still to be slewed is an error, too.
         self._error = math.hypot(claim.error, fit.error_at(now), error)
+
+    def _set_offset(self, offset: float) -> None:
+        """Take an offset as far as the limit. What a neighbour nearer to the root claims may lead further. The next
+        robot would take such a claim of this robot for a bad frame and end its link, although this robot is innocent.
+        """
+        self._offset = max(-MAX_APART, min(offset, MAX_APART))
 
     def _choose_root(self, now: float) -> tuple[str, int]:
         """The smallest name heard of lately, or the own one; of two incarnations the last one heard. Those in company
