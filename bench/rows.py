@@ -50,8 +50,17 @@ class Row:
         """The row as one JSON object; what could not be measured is null."""
         value, limit = (each if math.isfinite(each) else None for each in (self.value, self.limit))
         ratio = round(self.ratio, 4) if math.isfinite(self.ratio) else None
-        return json.dumps({"name": self.name, "value": value, "unit": self.unit, "limit": limit, "ratio": ratio,
-                           "goal": self.goal, "ok": self.ok})  # fmt: skip
+        return json.dumps(
+            {
+                "name": self.name,
+                "value": value,
+                "unit": self.unit,
+                "limit": limit,
+                "ratio": ratio,
+                "goal": self.goal,
+                "ok": self.ok,
+            }
+        )
 
     def text(self) -> str:
         """The row for people."""

@@ -76,17 +76,19 @@ def units() -> None:
         scheduler = os.sched_getscheduler(main) & ~os.SCHED_RESET_ON_FORK
         mounts = [line.split() for line in Path(f"/proc/{main}/mountinfo").read_text().splitlines()]
         whole = [line[5].split(",")[0] for line in mounts if line[4] == "/"]
-        found[unit] = ", ".join((
-            f"{size:.1f} of {limit} MiB",
-            f"user {show(unit, 'User')}",
-            f"capabilities {said['CapEff'].lstrip('0') or 'none'}",
-            f"no new privileges {said['NoNewPrivs']}",
-            f"seccomp {said['Seccomp']}",
-            f"locked {said['VmLck']}",
-            "SCHED_FIFO" if scheduler == os.SCHED_FIFO else "SCHED_OTHER",
-            f"processors {said['Cpus_allowed_list']}",
-            f"the system's files {'read-only' if whole[-1:] == ['ro'] else 'writable'}",
-        ))  # fmt: skip
+        found[unit] = ", ".join(
+            (
+                f"{size:.1f} of {limit} MiB",
+                f"user {show(unit, 'User')}",
+                f"capabilities {said['CapEff'].lstrip('0') or 'none'}",
+                f"no new privileges {said['NoNewPrivs']}",
+                f"seccomp {said['Seccomp']}",
+                f"locked {said['VmLck']}",
+                "SCHED_FIFO" if scheduler == os.SCHED_FIFO else "SCHED_OTHER",
+                f"processors {said['Cpus_allowed_list']}",
+                f"the system's files {'read-only' if whole[-1:] == ['ro'] else 'writable'}",
+            )
+        )
     found["all services"] = f"{total:.1f} MiB proportional; {free >> 10} MiB of the machine available"
 
 

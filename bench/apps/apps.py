@@ -196,8 +196,14 @@ def recorded(count: int) -> Iterator[Row]:
             middle = last // 2
             frozen = localization("info", 3, "line", 60, lambda name, k, middle=middle: measure(name, middle))  # type: ignore[misc]
             yield Row("  info, rounds to 1 cm of its end, ranges held", _rounds_to_end(frozen), "", 5, 1.0)
-            slow = localization("thesis", 3, "line", 900, lambda name, k, middle=middle: measure(name, middle),  # type: ignore[misc]
-                                step_size=step)  # fmt: skip
+            slow = localization(
+                "thesis",
+                3,
+                "line",
+                900,
+                lambda name, k, middle=middle: measure(name, middle),  # type: ignore[misc]
+                step_size=step,
+            )
             yield Row("  thesis, likewise", _rounds_to_end(slow), "", 44 if test == "test_3" else 401, None)
 
 

@@ -116,9 +116,8 @@ def _alone(*run: object) -> float:
 
 def _seconds(robots: int, topology: str, iterations: int, *more: str) -> float:
     options = parse(
-        ["consensus", "--virtual", "--robots", str(robots), "--topology", topology, "--iterations", str(iterations),
-         *more]
-    )  # fmt: skip
+        [*f"consensus --virtual --robots {robots} --topology {topology} --iterations {iterations}".split(), *more]
+    )
     run = VirtualRun(options, build(options, PLACE))
     began = time.process_time()
     run.go()

@@ -117,9 +117,7 @@ def _block(data: bytes) -> None:
 
 
 _REGISTERS = [bytes(range(size)) for size in (4, 12, balboa.MOTION_SIZE, balboa.HOUSEKEEPING_SIZE, balboa.UWB_SIZE)]
-_DATAGRAMS = [
-    link._BYTES[kind] + msgpack.packb(sample(kind)) for kind in link._BYTES if dataclasses.is_dataclass(kind)
-]  # fmt: skip
+_DATAGRAMS = [link._BYTES[kind] + msgpack.packb(sample(kind)) for kind in link._BYTES if dataclasses.is_dataclass(kind)]
 _HCI = [bytes((4, 0x0E, 7, 1, 5, 0x14, 0, 11, 0, 0xC8)), bytes((4, 0x0F, 4, 1, 1, 5, 0x14))]
 _HEX = b":100000000C945C000C946E000C946E000C946E00CA\n:00000001FF\n"
 

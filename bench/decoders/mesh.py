@@ -88,10 +88,17 @@ def _overlays(rng: random.Random) -> RobotOverlays:
     """Those of r1, which has links with r0 and r2, and an automatic topology to plan."""
     start = InitialLinks(Ground(NAMES, (), auto=True), {name: True for name in NAMES if name != "r1"})
     return RobotOverlays(
-        "r1", frozenset(NAMES), incarnation=10**15, random=rng.random, counters=Counter(), start=start,
-        admits_flood=lambda key: True, admits_unicast=lambda sender, key: True,
-        admits_neighbour=lambda sender, key: True, carries=lambda key: True,
-    )  # fmt: skip
+        "r1",
+        frozenset(NAMES),
+        incarnation=10**15,
+        random=rng.random,
+        counters=Counter(),
+        start=start,
+        admits_flood=lambda key: True,
+        admits_unicast=lambda sender, key: True,
+        admits_neighbour=lambda sender, key: True,
+        carries=lambda key: True,
+    )
 
 
 def _packets(rng: random.Random) -> Made:
@@ -233,7 +240,7 @@ class _Member:
         node, local = self._node, _local("r0", {"r1": True})
         own = Session(
             local, bytes(16), now, dialled="r1", admit=lambda *_: True, clock=node.connections.clock, counters=Counter()
-        )  # fmt: skip
+        )
         session = node.accepted(now)
         assert session is not None
         for _ in range(3):

@@ -168,8 +168,13 @@ def draw(path: Path) -> None:
     for index, (name, speed, hidden, _) in enumerate(SCENARIOS):
         outcomes = [run(speed, hidden, seed) for seed in range(SEEDS)]
         for shift, (method, colour) in enumerate(zip(methods, colours, strict=True)):
-            right.bar(index + 0.2 * (shift - 1.5), 100 * _rms(outcomes, method), 0.2, color=colour,
-                      label=method if index == 0 else None)  # fmt: skip
+            right.bar(
+                index + 0.2 * (shift - 1.5),
+                100 * _rms(outcomes, method),
+                0.2,
+                color=colour,
+                label=method if index == 0 else None,
+            )
         right.text(index, -4, name.replace(", ", "\n"), ha="center", fontsize=8)
     right.set_xticks([])
     right.set_ylabel("rms error (cm)")

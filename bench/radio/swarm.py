@@ -32,10 +32,8 @@ def consensus(
 ) -> dict[str, object]:
     """Return the report of one run on a graph such as `loop 6`."""
     shape, robots = graph.split()
-    report, _ = run_virtually(
-        "consensus", "--robots", robots, "--topology", shape, "--iterations", str(iterations), "--seed", str(seed),
-        "--radio", radio, "--links", links, *more,
-    )  # fmt: skip
+    words = f"consensus --robots {robots} --topology {shape} --iterations {iterations} --seed {seed}"
+    report, _ = run_virtually(*words.split(), "--radio", radio, "--links", links, *more)
     return report
 
 
@@ -57,8 +55,10 @@ class Watched:
     def __init__(self, graph: str, seconds: float, seed: int, *more: str) -> None:
         """`graph`: shape and number of robots, such as `loop 6`."""
         shape, robots = graph.split()
-        options = parse(["consensus", "--virtual", "--radio", "slots", "--robots", robots, "--topology", shape,
-                         "--seconds", str(seconds), "--seed", str(seed), *more])  # fmt: skip
+        words = (
+            f"consensus --virtual --radio slots --robots {robots} --topology {shape} --seconds {seconds} --seed {seed}"
+        )
+        options = parse([*words.split(), *more])
         self.run = VirtualRun(options, build(options, PLACE))
         self.moments: list[float] = []
         self._advanced = self.run.advanced

@@ -34,9 +34,11 @@ class Radio:
         where = [*traced, "--sockets", str(folder)] if machines else ["--vhci"]
         self._process = subprocess.Popen(
             [sys.executable, "-m", "lab.radio", "--control", str(self._path), *where, *self.addresses],
-            cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            cwd=ROOT,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"},
-        )  # fmt: skip
+        )
         self.pid = self._process.pid
         assert self._process.stdout is not None
         if self._process.stdout.readline() != b"ready\n":

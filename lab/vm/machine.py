@@ -115,10 +115,15 @@ class Machine:
                 devices[2].connect(str(self._radio))
             self._wire = Wire()
             self._process = subprocess.Popen(
-                self._words(self._wire, devices), stdin=subprocess.DEVNULL, stdout=console, stderr=console,
-                env={**os.environ, "TMPDIR": MEMORY}, pass_fds=[each.fileno() for each in devices.values()],
-                start_new_session=True, preexec_fn=self._begin,  # noqa: PLW1509  it makes a few system calls
-            )  # fmt: skip
+                self._words(self._wire, devices),
+                stdin=subprocess.DEVNULL,
+                stdout=console,
+                stderr=console,
+                env={**os.environ, "TMPDIR": MEMORY},
+                pass_fds=[each.fileno() for each in devices.values()],
+                start_new_session=True,
+                preexec_fn=self._begin,  # noqa: PLW1509  it makes a few system calls
+            )
         self._answers, self._next = {}, 0
         self._stream = ours
         threading.Thread(target=self._read, args=(self._stream,), daemon=True).start()

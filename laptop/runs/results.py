@@ -142,8 +142,10 @@ class RunData:
         `iteration` has the column `app.t` or `app.iteration`. Needs pandas, of the extra `notebook`."""
         k, robot = np.nonzero(~np.isnan(self.times))
         table: dict[str, Any] = {
-            "iteration": k, "robot": np.array(self.robots)[robot], "t": self.times[k, robot],
-        }  # fmt: skip
+            "iteration": k,
+            "robot": np.array(self.robots)[robot],
+            "t": self.times[k, robot],
+        }
         for name in (name for name in self.columns if not self._columns[name][0]):
             values = self[name][k, robot]
             if values.ndim == 1:

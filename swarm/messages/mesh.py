@@ -90,7 +90,7 @@ class Members:
 
     t: float
     members: tuple[Member, ...]
-    """All other robots of the configuration."""
+    """The other robots of the configuration, by name; the first 500 of them."""
     changes: tuple[MemberChange, ...]
     """The newest 32, the newest last."""
 

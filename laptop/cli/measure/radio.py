@@ -169,10 +169,8 @@ def _simulated(path: Path, parameters: Mapping[str, float], seed: int) -> RadioB
 
 
 def _table(runs: Sequence[Recorded], beside: Sequence[RadioBehaviour]) -> list[str]:
-    rows: list[Sequence[str]] = [
-        ("run", "robots", "links", "piconets", "ms an iteration", "model", "rtt median", "model", "p99 ms", "model",
-         "lost", "wrong roles"),
-    ]  # fmt: skip
+    measured = ("ms an iteration", "model", "rtt median", "model", "p99 ms", "model")
+    rows: list[Sequence[str]] = [("run", "robots", "links", "piconets", *measured, "lost", "wrong roles")]
     for each, model in zip(runs, beside, strict=True):
         radio = each.radio
         rows.append(

@@ -92,9 +92,13 @@ class Ekf:
         self._noise = noise
         self.state = [*place, heading] + [0.0] * (size - 3)
         start = (
-            noise.start_place, noise.start_place, heading_deviation, noise.start_gyro, noise.start_scale,
+            noise.start_place,
+            noise.start_place,
+            heading_deviation,
+            noise.start_gyro,
+            noise.start_scale,
             *[noise.start_bias] * len(anchors),
-        )  # fmt: skip
+        )
         self.covariance = [[deviation**2 if i == j else 0.0 for j in range(size)] for i, deviation in enumerate(start)]
         self.rejected = [0] * len(anchors)
 

@@ -23,6 +23,7 @@ from swarm.messages import (
     Reminder,
     SendRequest,
     Sent,
+    Topology,
     TopologyRequest,
     TopologySet,
 )
@@ -89,6 +90,27 @@ class OverlayRequests:
                     self._request_topology(request, self.linking)
             case Reminder():
                 self._remind(request)
+
+    def topology(self, now: float) -> Topology:
+        """Return the message for the key `mesh/topology`, which also shows what became of a request for other links."""
+        linking = self.linking
+        assert linking is not None
+        value = linking.value
+        return Topology(
+            t=now,
+            version=value.version,
+            step=value.step,
+            issuer=value.issuer,
+            auto=value.auto,
+            since=now if linking.adopted is None else linking.adopted,
+            edges=value.edges,
+            wanted=tuple(sorted(linking.neighbours)),
+            up=linking.up,
+            kept=linking.kept,
+            missing=dict(linking.missing),
+            links=linking.physical if linking.carried else (),
+            hub=linking.hub(),
+        )
 
     def _request_flood(self, request: FloodRequest) -> None:
         """The answer goes to `mesh/flooded`."""

@@ -14,23 +14,20 @@ from services.mesh.core.link import Received
 from services.mesh.core.overlays import carried, flood, flood_store, large_messages, unicast
 from services.mesh.core.overlays.carried import CARRY, Carrier
 from services.mesh.core.overlays.flood import FloodOverlay
+from services.mesh.core.overlays.members import MembersWatch
 from services.mesh.core.overlays.requests import OverlayRequests, Request
 from services.mesh.core.overlays.stop import Halt, Register, Stops
 from services.mesh.core.overlays.unicast import Unicast
 from services.mesh.core.relay import Admission
 from services.mesh.core.routing.link_state import HOPS, AdvertisedLinks, LinkStateMap
-from services.mesh.core.routing.membership import SETTLE, Clashes, Membership, Survey
+from services.mesh.core.routing.membership import Clashes, Membership, Survey
 from services.mesh.core.routing.wanted_links import InitialLinks, Linking
 from services.mesh.core.wire import packets
-from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD, MAX_PAYLOAD
+from services.mesh.core.wire.frames import CONTROL, FLOOD, MAX_PAYLOAD
 from swarm.errors import FrameError, PayloadError
 from swarm.messages import Members, MeshGraph, Stop, Stopped, Topology
-from swarm.messages.codec import encode
 from swarm.messages.keys import key as key_of
 from swarm.messages.keys import parse
-
-MEMBERS_PERIOD = 10.0
-"""Seconds between two publications of `mesh/members` when nothing changes."""
 
 COUNTERS = (*carried.COUNTERS, *flood.COUNTERS, *flood_store.COUNTERS, *large_messages.COUNTERS, *unicast.COUNTERS,
             *transfers.COUNTERS, *exchange.COUNTERS, "bad_packets", "topology_foreign")  # fmt: skip
@@ -77,11 +74,20 @@ class RobotOverlays:
         self._requests = OverlayRequests(me, to_bus=self._to_bus, now=lambda: self.now)
         names = _sorted(self._robots)
         self._flood = FloodOverlay(
-            me, incarnation, self._robots, names,
-            emit=emit, deliver=self._on_flood, reached=self._requests.reached, all_have=self._requests.all_have,
-            towards=self._towards, expected=lambda: self._map.routes().keys(), random=random, counters=counters,
+            me,
+            incarnation,
+            self._robots,
+            names,
+            emit=emit,
+            deliver=self._on_flood,
+            reached=self._requests.reached,
+            all_have=self._requests.all_have,
+            towards=self._towards,
+            expected=lambda: self._map.routes().keys(),
+            random=random,
+            counters=counters,
             graph=lambda: self._map.graph(),  # noqa: PLW0108 - the map comes later
-        )  # fmt: skip
+        )
         self._map = LinkStateMap(
             me,
             self._robots,
@@ -94,38 +100,54 @@ class RobotOverlays:
         )
         self.clashes = Clashes(me, self._robots, self._map)
         self._unicast = Unicast(
-            me, incarnation, self._robots,
-            emit=emit, route=self._map.route, admits=self._admission.accepts, deliver=self._to_bus,
-            ended=self._requests.sent, passed=self._requests.passed, counters=counters,
-        )  # fmt: skip
+            me,
+            incarnation,
+            self._robots,
+            emit=emit,
+            route=self._map.route,
+            admits=self._admission.accepts,
+            deliver=self._to_bus,
+            ended=self._requests.sent,
+            passed=self._requests.passed,
+            counters=counters,
+        )
         self._requests.flood = self._flood
         self._requests.unicast = self._unicast
         self._requests.routes = self._map.routes
         self._large = large_messages.Large(
-            me, self._unicast.transfers, self._flood.large,
-            emit=self._unicast.carry, neighbours=self._map.neighbours, counters=counters,
-        )  # fmt: skip
+            me,
+            self._unicast.transfers,
+            self._flood.large,
+            emit=self._unicast.carry,
+            neighbours=self._map.neighbours,
+            counters=counters,
+        )
         self._unicast.on_large = self._large.receive
         self._register = Register(
             me, lambda: self._flood.incarnation, self._robots, emit=emit, changed=self._stops_changed
         )
         self._stops = Stops(me, self._register, self._flood, self._to_bus)
         self._carrier = Carrier(
-            me, names,
-            emit=emit, route=self._map.route, admits=admits_neighbour, passes=carries, deliver=self._to_bus,
+            me,
+            names,
+            emit=emit,
+            route=self._map.route,
+            admits=admits_neighbour,
+            passes=carries,
+            deliver=self._to_bus,
             counters=counters,
-        )  # fmt: skip
-        self._wanted = wanted
-        self._membership = Membership(me, names, self._map.routes)
-        self._survey = Survey(me, names, self._membership, self._map, self._flood.known)
+        )
+        membership = Membership(me, names, self._map.routes)
+        self._survey = Survey(me, names, membership, self._map, self._flood.known)
+        self._members = MembersWatch(
+            me, names, membership, self._map, self._flood.known, to_bus=self._to_bus, wanted=wanted
+        )
         self.now = 0.0
         """The time of the last call."""
         self._random = random
         self._version = 0
-        self._deadline = self._members_at = 0.0
-        self._look_at = _NEVER
+        self._deadline = 0.0
         self._lsa_key = key_of(me, "mesh", "lsa")
-        self._members_key = key_of(me, "mesh", "members")
         self.linking: Linking | None = None
         """Decides which links there are to be; None where the caller does."""
         if start is not None:
@@ -147,13 +169,11 @@ class RobotOverlays:
 
     def settle(self, links: Mapping[str, Mapping[str, int]], known: dict[str, AdvertisedLinks], now: float) -> None:
         """Begin in a swarm that has been there for long, with the links of all its robots, see `LinkStateMap.settle`.
-        Robots tell who is there within `MEMBERS_PERIOD`, not all at once. Both tables may be the same for all robots:
-        none of them changes one."""
+        Both tables may be the same for all robots: none of them changes one."""
         self.now = now
         self._map.settle(links[self.me], known, now)
-        self._membership.settle(links, now)
         self._version = self._map.version
-        self._look_at = self._members_at = now + SETTLE + MEMBERS_PERIOD * self._random()
+        self._members.settle(links, now, self._random())
 
     def link_down(self, peer: str, now: float) -> None:
         """Take the end of a link."""
@@ -280,12 +300,7 @@ class RobotOverlays:
             self._routes_changed(now)
         if self.linking is not None:
             self.linking.handle_timer(now)
-        if now >= self._look_at:
-            self._look(now)
-        if now >= self._members_at:
-            self._members_at = now + MEMBERS_PERIOD
-            if self._wanted(self._members_key):
-                self._to_bus(self._members_key, encode(self.members(now)), BULK)
+        self._members.handle_timer(now)
         self._stops.handle_timer(now)
 
     def next_deadline(self) -> float:
@@ -303,8 +318,7 @@ class RobotOverlays:
             self._large.next_deadline(),
             self._register.next_deadline(),
             _NEVER if self.linking is None else self.linking.next_deadline(),
-            self._look_at,
-            self._members_at,
+            self._members.next_deadline(),
             self._stops.next_deadline(),
         )
         actions = self._actions[:]
@@ -313,7 +327,7 @@ class RobotOverlays:
 
     def members(self, now: float) -> Members:
         """Return the message for the key `mesh/members`."""
-        return Members(now, self._membership.members(), tuple(self._membership.changes))
+        return self._members.members(now)
 
     def stopped(self, now: float) -> Stopped:
         """Return the message for the key `mesh/stopped`."""
@@ -325,15 +339,7 @@ class RobotOverlays:
 
     def topology(self, now: float) -> Topology:
         """Return the message for the key `mesh/topology`."""
-        linking = self.linking
-        assert linking is not None
-        value = linking.value
-        since = now if linking.adopted is None else linking.adopted
-        return Topology(
-            now, value.version, value.step, value.issuer, value.auto, since, value.edges,
-            tuple(sorted(linking.neighbours)), linking.up, linking.kept, dict(linking.missing),
-            linking.physical if linking.carried else (), linking.hub(),
-        )  # fmt: skip
+        return self._requests.topology(now)
 
     def restore_stops(self, halt: Halt, now: float) -> None:
         """Take the stops that an earlier process of this robot knew."""
@@ -377,21 +383,12 @@ class RobotOverlays:
     def _routes_changed(self, now: float, *, look: bool = True) -> None:
         self._version = self._map.version
         if look:
-            self._look_at = min(self._look_at, now + SETTLE)
+            self._members.routes_changed(now)
         self._flood.ways_changed(now)
         self._unicast.routes_changed(now)
         self._large.ways_changed(now)
         if self.linking is not None:
             self.linking.map_changed(now)
-
-    def _look(self, now: float) -> None:
-        self._look_at = _NEVER
-        if self._map.undisturbed:
-            return  # all are here, as `settle` was told
-        incarnations = {name: self._flood.known(name) for name in self._robots}
-        left = [name for name in self._robots if self._map.has_left(name)]
-        if self._membership.look(self._map.told(), incarnations, left, now):
-            self._members_at = now
 
 
 @lru_cache(maxsize=1)

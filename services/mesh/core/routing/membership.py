@@ -26,9 +26,8 @@ KEPT_CHANGES = 32
 """Changes that `mesh/members` shows."""
 
 HERE, LEFT, GONE, NEVER = "here", "left", "gone", "never"
-JOIN, LEAVE, CRASH, PARTITION, HEAL, RETURN, RESTART = (
-    "join", "leave", "crash", "partition", "heal", "return", "restart",
-)  # fmt: skip
+JOIN, LEAVE, RETURN, RESTART = "join", "leave", "return", "restart"
+CRASH, PARTITION, HEAL = "crash", "partition", "heal"
 
 MAX_SHOWN = 500
 """Robots in `mesh/members`: a message on the bus has at most 64 KiB."""

@@ -222,8 +222,8 @@ def claim(**fields: object) -> ClockClaim:
     ],
 )
 def test_what_a_robot_makes_of_a_claim_is_no_bad_frame_for_the_next_one(lie: dict[str, object]) -> None:
-    """A bad frame ends a connection: so a liar could end the links of innocent robots behind it. The robot's apps are told
-    the same time as its neighbours, also after the liar is gone."""
+    """A bad frame ends a connection: so a liar could end the links of innocent robots behind it. The robot's own apps
+    are told the same time as its neighbours."""
     mesh_clock = ClockSync("r1", 2, frozenset(("r0", "r1", "r2")))
     for second in range(30):
         now = 1e6 + second

@@ -5,7 +5,8 @@ from collections import Counter
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.mesh.core.overlays.robot_overlays import MEMBERS_PERIOD, RobotOverlays
+from services.mesh.core.overlays.members import MEMBERS_PERIOD
+from services.mesh.core.overlays.robot_overlays import RobotOverlays
 from services.mesh.core.routing.link_state import HOLD_DOWN, HOPS, REFRESH, AdvertisedLinks, LinkStateMap
 from services.mesh.core.routing.membership import SETTLE
 from services.mesh.core.routing.topology import Advertisement, Weight, routes, routes_by_hops
