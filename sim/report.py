@@ -78,7 +78,7 @@ class RunOutcome:
 
 
 def summary(outcome: RunOutcome) -> Json:
-    """The object of `--json`: lengths in m but for names with `_cm`, times in s."""
+    """Return the object of `--json`: lengths in m but for names with `_cm`, times in s."""
     scenario = outcome.scenario
     paths = outcome.trajectories
     times = trajectory.iteration_times(paths)
@@ -158,7 +158,7 @@ def is_consensus(scenario: Scenario) -> bool:
 
 
 def result(path: Trajectory) -> Json | None:
-    """The result columns of the last iteration, by name."""
+    """Return the result columns of the last iteration, by name."""
     if path.last < 0:
         return None
     return {
@@ -197,7 +197,7 @@ def bodies(outcome: RunOutcome) -> Json:
 
 
 def true_mean(scenario: Scenario) -> float:
-    """The mean of the starting values of consensus."""
+    """Return the mean of the starting values of consensus."""
     values = [float(parameters.get("value", 0.0)) for parameters in scenario.parameters.values()]  # type: ignore[arg-type]
     return math.fsum(values) / len(values)
 
@@ -212,7 +212,7 @@ def consensus_error(scenario: Scenario, paths: Mapping[str, Trajectory]) -> floa
 
 
 def estimate(path: Trajectory, k: int | None = None) -> tuple[float, float]:
-    """The target as a robot sees it at iteration k (the last where None), m; nan where it has no estimate."""
+    """Return the target as a robot sees it at iteration k (the last where None), m; nan where it has no estimate."""
     at = path.last if k is None else k
     if at not in path.rows:
         return (math.nan, math.nan)

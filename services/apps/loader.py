@@ -68,7 +68,7 @@ class LoadedApp:
         return path.read_bytes() if path.is_file() else "".join(linecache.getlines(self.source)).encode()
 
     def choose(self, values: Mapping[str, Value]) -> tuple[type[AnyApp], dict[str, Value]]:
-        """The class that the parameter `algorithm` asks for, and the other parameters."""
+        """Return the class that the parameter `algorithm` asks for, and the other parameters."""
         rest = dict(values)
         if "" in self.algorithms:
             return self.algorithms[""], rest
@@ -79,11 +79,11 @@ class LoadedApp:
         return self.algorithms[algorithm], rest
 
     def kind_on(self, config: Config, robot: str) -> type[AnyApp]:
-        """The class that runs on a robot, as the configuration chooses it."""
+        """Return the class that runs on a robot, as the configuration chooses it."""
         return self.choose(config.app(self.name).of(robot))[0]
 
     def make(self, config: Config, robot: str, seed: int = 0) -> AnyApp:
-        """The instance of one robot, with its parameters of swarm.toml; `AppError` names a wrong entry."""
+        """Return the instance of one robot, with its parameters of swarm.toml; `AppError` names a wrong entry."""
         known = Robot(robot, config.graph, config.anchors, seed, app=self.name)
         try:
             kind, values = self.choose(config.app(self.name).of(robot))
@@ -126,7 +126,7 @@ def load(name_or_file: str) -> LoadedApp:
 
 
 def of_class(kind: type[AnyApp]) -> LoadedApp:
-    """The app that is one class of a program of its author's: of a script, a test or a notebook's cell.
+    """Return the app that is one class of a program of its author's: of a script, a test or a notebook's cell.
 
     Its name is that of the class in small letters with _ between words, at most 16 of them. Raises `AppError` for what
     is no app's class."""

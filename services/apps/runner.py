@@ -61,7 +61,7 @@ class AppRunner:
         return Told(self.state(), self.result())
 
     def state(self) -> dict[str, Value]:
-        """The shared state by name."""
+        """Return the shared state by name."""
         return self.schema.message_values({name: getattr(self.app, name) for name in self.schema.names})
 
     def result(self) -> dict[str, Value]:
@@ -205,8 +205,8 @@ def other_form(form: Form, first: Form) -> str:
 
 
 def metrics_of(kind: type[BaseApp]) -> tuple[str, ...]:
-    """The methods `error` and `error_NAME` of an app's class: how far it is from what is true. An author's app that
-    ranges to a target and has no `error` has it all the same: how far its results x and y are from the target."""
+    """Return the methods `error` and `error_NAME` of an app's class: how far it is from what is true. An author's app
+    that ranges to a target and has no `error` has it all the same: how far its results x and y are from the target."""
     names = sorted(name for name in dir(kind) if name == ERROR or name.startswith(f"{ERROR}_"))
     own = tuple(name for name in names if callable(getattr(kind, name)) and name not in kind.spec.schema.names)
     if ERROR in own or not getattr(kind, "measured", False) or kind.__module__.startswith(BUILT_IN):
@@ -373,7 +373,7 @@ def _within(value: object, bound: float) -> bool:
 
 
 def _numbers(values: Iterable[object]) -> Iterator[float]:
-    """The numbers in field values, nested as they may be."""
+    """Yield the numbers in field values, nested as they may be."""
     for value in values:
         if isinstance(value, tuple):
             yield from _numbers(value)

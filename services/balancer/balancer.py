@@ -265,7 +265,7 @@ class Balancer:
         return reading
 
     def _spent(self) -> float:
-        """The clock, with what a simulated bus counts instead of taking it."""
+        """Return the clock, with what a simulated bus counts instead of taking it."""
         return self._clock() + self.bus.untimed()
 
     def watch_battery(self, now: float) -> None:

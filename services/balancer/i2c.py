@@ -62,7 +62,8 @@ class I2CBus(Protocol):
         """Leave the devices alone for so long."""
 
     def untimed(self) -> float:
-        """Seconds that transfers and pauses have counted instead of taking them: a simulated bus; 0 on a real one."""
+        """Return the seconds that transfers and pauses have counted instead of taking them: a simulated bus; 0 on a
+        real one."""
 
     def close(self) -> None:
         """Give the bus back."""
@@ -137,7 +138,7 @@ class KernelBus:
 
 
 def open_patiently(wait: Callable[[float], None], number: int = 1) -> KernelBus:
-    """The adapter, as soon as it is there and ours; `NoDeviceError` where it is not within `PATIENCE_S`.
+    """Return the adapter, as soon as it is there and ours; `NoDeviceError` where it is not within `PATIENCE_S`.
 
     Services start while udev still works through the devices of the boot, and a wrong configuration (exit code 2),
     which a missing bus is, is left for a person. A process that has the adapter gives it back, so that is waited for

@@ -285,7 +285,7 @@ class SlackTasks:
             self._balancer.notices.append(("i2c", text))
 
     def _spent(self) -> float:
-        """The clock, with what a simulated bus counts instead of taking it."""
+        """Return the clock, with what a simulated bus counts instead of taking it."""
         return self._clock() + self._balancer.bus.untimed()
 
     def _measure(self, transfer: Transfer, now: float) -> None:

@@ -48,7 +48,7 @@ class Telemetry:
         )
 
     def odometry(self) -> Odometry | None:
-        """The body's own motion; None before the first estimate, and while the devices are away."""
+        """Return the body's own motion; None before the first estimate, and while the devices are away."""
         estimate = self._balancer.estimate
         if estimate is None or not self._balancer.connected:
             return None
@@ -77,13 +77,13 @@ class Telemetry:
         return None
 
     def fault(self) -> BalancerFault:
-        """The fault as it is."""
+        """Return the fault as it is."""
         self._fault_told = fault = self._balancer.fault
         if fault is None:
             return BalancerFault(clock.now(), "", "", "")
         return BalancerFault(clock.now(), fault.name, fault.reason, fault.recovery)
 
     def parameters(self) -> Parameters:
-        """The parameters as they are."""
+        """Return the parameters as they are."""
         self._parameters_told = dict(self._balancer.parameters)
         return Parameters(clock.now(), self._controller, self._parameters_told)

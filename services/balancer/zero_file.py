@@ -33,7 +33,7 @@ class ZeroFile:
         self._failed = False
 
     def read(self, now: float) -> Zero | None:
-        """The zero of the process before, where it still holds; None otherwise."""
+        """Return the zero of the process before, where it still holds; None otherwise."""
         try:
             *axes, measured, used = map(float, self._path.read_text().split())
             zero = Zero(*axes)

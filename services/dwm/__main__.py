@@ -12,8 +12,8 @@ robot's bus that gives poses or ranges, as a motion capture system."""
 
 
 def source_of(config: Config, robot: str) -> tuple[str, str]:
-    """The kind of the source of `robot` as `[dwm] source` says it, and its port, folder or key, in which `{robot}`
-    stands for the name."""
+    """Return the kind of the source of `robot` as `[dwm] source` says it, and its port, folder or key, in which
+    `{robot}` stands for the name."""
     kind, _, rest = config.dwm.source.partition(":")
     return kind, rest.replace("{robot}", robot)
 

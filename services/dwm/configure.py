@@ -75,7 +75,7 @@ def wish_of(config: Config | None, address: str) -> DesiredModule | None:
 
 
 def wanted(settings: Settings, wish: DesiredModule) -> Settings:
-    """The settings that fulfil a wish; what it says nothing of stays (LEDs, Bluetooth, encryption)."""
+    """Return the settings that fulfil a wish; what it says nothing of stays (LEDs, Bluetooth, encryption)."""
     common = replace(settings, anchor=wish.anchor, uwb=UWB_ACTIVE, measurement=0)
     if wish.anchor:
         initiator = settings.initiator if wish.initiator is None else wish.initiator

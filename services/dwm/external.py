@@ -59,7 +59,7 @@ def serve(service: Service, source: str) -> None:
 
 
 def checked(report: ExternalReport) -> ExternalReport:
-    """The report, if it says where the robot is or how far anchors are, and when; raises `PayloadError`."""
+    """Return the report, if it says where the robot is or how far anchors are, and when; raises `PayloadError`."""
     if (report.x is None) != (report.y is None) or (report.x is None) == (not report.ranges):
         raise PayloadError("expected either x and y, or ranges")
     if not 0.0 <= report.age <= MAX_AGE_S:

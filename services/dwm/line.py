@@ -50,7 +50,7 @@ class ModuleConnection(Protocol):
     name: str
 
     def ask(self, call: ModuleCall[T]) -> T:
-        """The answer; raises `NoAnswerError`."""
+        """Return the answer; raises `NoAnswerError`."""
 
     def close(self) -> None:
         """Release the module."""
@@ -142,7 +142,8 @@ class BusLine:
         self.bus.close()
 
     def _exchange(self, call: ModuleCall[T]) -> Answer[T] | Trouble:
-        """What the module said to the service, or why it said nothing; raises `NoAnswerError` where that is silent."""
+        """Return what the module said to the service, or why it said nothing; raises `NoAnswerError` where that is
+        silent."""
         self._count += 1
         request = ModuleRequest(f"{self._prefix}-{self._count}", call.request)
         end = clock.now() + _PATIENCE

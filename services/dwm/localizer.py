@@ -23,14 +23,14 @@ _MAX_WAITING = 250
 
 
 def calibration_path(config: Config, robot: str) -> Path | None:
-    """The calibration file of `robot`; None where the config names none."""
+    """Return the calibration file of `robot`; None where the config names none."""
     if config.dwm.calibration is None:
         return None
     return config.path.parent / config.dwm.calibration.replace("{robot}", robot)
 
 
 def load_calibration(config: Config, robot: str) -> Calibration:
-    """The models in force for `robot`: of its file, else of swarm.toml. Raises `ConfigError`.
+    """Return the models in force for `robot`: of its file, else of swarm.toml. Raises `ConfigError`.
 
     A file that is not there is no error: a new robot has none, and works less exactly until it has (`uncalibrated`).
     """

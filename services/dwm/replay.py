@@ -87,6 +87,6 @@ def answer_row(rows: Callable[[int], Measurement | None], key: str, parameters: 
 
 
 def _asked(parameters: dict[str, str]) -> int | None:
-    """The row that a query asks for; None where it names none."""
+    """Return the row that a query asks for; None where it names none."""
     text = parameters.get("sequence", "")
     return int(text) if text.isascii() and text.isdigit() and len(text) < 10 else None

@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _config(args: argparse.Namespace) -> Config | None:
-    """The swarm.toml that goes with what is asked; None on a laptop without one."""
+    """Return the swarm.toml that goes with what is asked; None on a laptop without one."""
     path: Path | None = args.config
     if path is None and args.port is None and not getattr(args, "ranges", None):
         directories = buses.directories_of(args)
@@ -258,7 +258,7 @@ def _shall_be_anchor(config: Config | None, robot: str | None, info: ModuleInfo)
 
 
 def _of_calibration(config: Config | None, robot: str | None) -> list[ModuleFinding]:
-    """Whether the robot's calibration is one of these anchors."""
+    """Return whether the robot's calibration is one of these anchors."""
     if config is None or robot is None:
         return []
     try:

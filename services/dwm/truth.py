@@ -19,7 +19,8 @@ PATIENCE_S = 5.0
 
 
 def key_of(text: str, robot: str) -> str:
-    """The key of the truth: `{robot}` stands for the name; one that is not below `swarm/` is a topic of the robot."""
+    """Return the key of the truth: `{robot}` stands for the name; one that is not below `swarm/` is a topic of the
+    robot."""
     name = text.replace("{robot}", robot)
     return name if name.startswith("swarm/") else key(robot, *name.split("/"))
 

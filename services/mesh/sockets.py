@@ -41,7 +41,8 @@ class Listener(Protocol):
         """Return the descriptor that `select` waits for."""
 
     def accept(self) -> Pipe:
-        """The next caller; raises OSError where it has gone already, or where the process has no descriptor left."""
+        """Return the next caller; raises OSError where it has gone already, or where the process has no descriptor
+        left."""
 
     def close(self) -> None:
         """Stop listening."""
@@ -126,8 +127,8 @@ class Sockets:
         self._thread.start()
 
     def turned(self) -> bool:
-        """Whether the reading thread has gone round since the last call. An idle one does once a second, since the mesh
-        reports so often."""
+        """Return whether the reading thread has gone round since the last call. An idle one does once a second, since
+        the mesh reports so often."""
         turned, self._turned = self._turned, False
         return turned
 

@@ -29,7 +29,7 @@ _PROGRESS = struct.Struct("<BBBBBBH")
 
 
 def _no_report() -> bytes:
-    """The UWB block before any was asked for."""
+    """Return the UWB block before any was asked for."""
     return bytes(balboa.UWB_SIZE)
 
 

@@ -221,7 +221,7 @@ def channel(kind: type[SyncApp], **values: object) -> Any:
 
 
 def channels_of(kind: type[BaseApp]) -> dict[str, ChannelDeclaration]:
-    """The channels that an app class and its bases declare, by name."""
+    """Return the channels that an app class and its bases declare, by name."""
     found: dict[str, ChannelDeclaration] = {}
     for base in reversed(kind.__mro__):
         found |= {name: value for name, value in vars(base).items() if isinstance(value, ChannelDeclaration)}

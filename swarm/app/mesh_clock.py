@@ -22,7 +22,7 @@ def mesh_time(state: Clock, monotonic: float) -> float:
 
 
 def monotonic_time(state: Clock, mesh: float) -> float:
-    """The robot's monotonic clock when it will be (or was) that mesh time, s: for deadlines."""
+    """Return the robot's monotonic clock when it will be (or was) that mesh time, s: for deadlines."""
     return (mesh - state.offset + state.rate * state.t) / (1.0 + state.rate)
 
 

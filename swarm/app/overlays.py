@@ -189,7 +189,8 @@ class Overlays:
         return self._open(request, self._send_key, refused, possible=to != self._robot)
 
     def answer(self, ticket: str) -> Flooded | Sent | None:
-        """The answer to a request of this process, by its ticket; None as long as there is none, or of another one."""
+        """Return the answer to a request of this process, by its ticket; None as long as there is none, or of another
+        one."""
         with self._lock:
             handle = self._handles.get(ticket)
         answer: Flooded | Sent | None = handle.answer if handle is not None else None

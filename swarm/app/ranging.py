@@ -40,7 +40,7 @@ class Ranging:
             return self._table.ranges(self._now())
 
     def distance(self, robot: str) -> float | None:
-        """The distance to another robot, m; None where neither has measured it within the last second."""
+        """Return the distance to another robot, m; None where neither has measured it within the last second."""
         self._listen()
         with self._lock:
             return self._table.distance(robot, self._now())

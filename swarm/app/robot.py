@@ -151,7 +151,8 @@ class Robot:
         return self._ranging().ranges
 
     def distance(self, robot: str) -> float | None:
-        """The measured distance to the robot `robot`, m; None if neither robot has measured it within the last second.
+        """Return the measured distance to the robot `robot`, m; None if neither robot has measured it within the last
+        second.
 
         One of the two modules must be an anchor (docs/how-to/robots/set-up-uwb.md). Raises `AppError` for a name that
         is no robot, and without a bus."""

@@ -52,8 +52,8 @@ def common_and_single(settings: Iterable[Setting]) -> tuple[dict[str, Value], di
 
 
 def on_top(app: AppConfig, settings: Iterable[Setting], robots: Iterable[str]) -> AppConfig:
-    """The app's parameters with these settings: those of one robot above those of all, else the later ones above. One
-    for all robots is above the file's for one.
+    """Return the app's parameters with these settings: those of one robot above those of all, else the later ones
+    above. One for all robots is above the file's for one.
 
     Raises `ConfigError` for a robot that there is not.
     """
@@ -71,5 +71,5 @@ def on_top(app: AppConfig, settings: Iterable[Setting], robots: Iterable[str]) -
 
 
 def with_settings(config: Config, app: str, settings: Iterable[Setting]) -> Config:
-    """The config with these settings of an app; raises `ConfigError` for a robot that there is not."""
+    """Return the config with these settings of an app; raises `ConfigError` for a robot that there is not."""
     return replace(config, apps={**config.apps, app: on_top(config.app(app), settings, config.names)})

@@ -102,7 +102,7 @@ def _is_platform(kind: type) -> bool:
 
 
 def _declared(cls: type, name: str) -> Parameter | None:
-    """The parameter of that name, with the plain value that a derived class gives it as its default."""
+    """Return the parameter of that name, with the plain value that a derived class gives it as its default."""
     values = [vars(kind)[name] for kind in cls.__mro__ if name in vars(kind)]
     found = next((value for value in values if isinstance(value, Parameter)), None)
     if found is None or values[0] is found:

@@ -90,17 +90,17 @@ class Reading(NamedTuple):
 
 
 def read(what: int, handle: int) -> bytes:
-    """The command with that opcode."""
+    """Return the command with that opcode."""
     return _COMMAND.pack(COMMAND, what, 2, handle)
 
 
 def switch_role(address: bytes, role: int) -> bytes:
-    """The command: have that role in the connection to a packed address."""
+    """Return the command: have that role in the connection to a packed address."""
     return _SWITCH.pack(COMMAND, SWITCH_ROLE, 7, address, role)
 
 
 def switched_role(packet: bytes, address: bytes) -> int | None:
-    """The status at the end of such a switch, 0 = fine; None where the packet is something else."""
+    """Return the status at the end of such a switch, 0 = fine; None where the packet is something else."""
     if len(packet) == _ROLE.size and packet[:2] == bytes((EVENT, ROLE_CHANGE)):
         _, _, _, status, peer, _ = _ROLE.unpack(packet)
         return int(status) if peer == address else None
@@ -110,7 +110,7 @@ def switched_role(packet: bytes, address: bytes) -> int | None:
 
 
 def write_supervision(handle: int, seconds: float) -> bytes:
-    """The command: so long may nothing come over a connection until it is over, up to 40.9 s."""
+    """Return the command: so long may nothing come over a connection until it is over, up to 40.9 s."""
     slots = round(seconds / SLOT)
     if not 0 < slots <= 0xFFFF:
         raise LocalError(f"a supervision time-out of {seconds:g} s: expected 0.000625 to 40.9")
@@ -118,7 +118,7 @@ def write_supervision(handle: int, seconds: float) -> bytes:
 
 
 def written_supervision(packet: bytes) -> int | None:
-    """The status in the answer to it, 0 = fine; None where the packet is something else."""
+    """Return the status in the answer to it, 0 = fine; None where the packet is something else."""
     if len(packet) >= 7 and packet[:2] == bytes((EVENT, COMPLETE)) and packet[4] | packet[5] << 8 == WRITE_SUPERVISION:
         return packet[6]
     if len(packet) == _STATUS.size and packet[1] == STATUS and _STATUS.unpack(packet)[5] == WRITE_SUPERVISION:
@@ -127,8 +127,8 @@ def written_supervision(packet: bytes) -> int | None:
 
 
 def reading(packet: bytes, what: int = READ_RSSI) -> Reading | None:
-    """The answer to the command with that opcode; None where the packet is another event. Raises `FrameError` for what
-    is no event at all."""
+    """Return the answer to the command with that opcode; None where the packet is another event. Raises `FrameError`
+    for what is no event at all."""
     if len(packet) < 3 or packet[0] != EVENT or packet[2] != len(packet) - 3:
         raise FrameError(f"HCI packet {packet[:8].hex(' ')}...: no event")
     if packet[1] == COMPLETE and len(packet) >= 6 and packet[4] | packet[5] << 8 == what:
@@ -173,7 +173,7 @@ def device_info(number: int) -> bytearray:
 
 
 def device_address(filled: bytes | bytearray) -> bytes:
-    """The adapter's address in it, packed."""
+    """Return the adapter's address in it, packed."""
     return bytes(filled[10:16])
 
 
@@ -183,7 +183,7 @@ def connection_info(address: bytes) -> bytearray:
 
 
 def connection_handle(filled: bytes | bytearray) -> int:
-    """The connection's handle in it."""
+    """Return the connection's handle in it."""
     handle: int = _CONNECTION.unpack(bytes(filled))[2]
     return handle
 

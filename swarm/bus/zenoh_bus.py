@@ -140,8 +140,8 @@ class Bus:
 
     @classmethod
     def of(cls, directory: Path, direct: str | None = None) -> "Bus":
-        """The bus of the robot whose runtime directory is `directory`. `direct`: the name of a service whose messages
-        to others of its kind, the mesh above all, are too many to go through the router."""
+        """Return the bus of the robot whose runtime directory is `directory`. `direct`: the name of a service whose
+        messages to others of its kind, the mesh above all, are too many to go through the router."""
         if direct is None:
             return cls(bus_endpoint(directory))
         lasting = "" if direct == _MESH else bus_endpoint(directory, _MESH)
@@ -187,8 +187,8 @@ class Bus:
                 _log.warning("put failed key=%s error=%s", key, text(error))
 
     def wanted(self, key: str) -> bool:
-        """Whether anybody hears what this session publishes under a key, or a key of an expression; somebody may until
-        the router has told."""
+        """Return whether anybody hears what this session publishes under a key, or a key of an expression; somebody may
+        until the router has told."""
         session = self._session
         try:
             return session is not None and self._publisher_of(session, key, False).heard()

@@ -11,7 +11,7 @@ from swarm.errors import LocalError
 
 
 def dump(config: Config) -> str:
-    """The text that `swarm.config.parse` reads as `config`."""
+    """Return the text that `swarm.config.parse` reads as `config`."""
     import tomli_w  # only where one is written
 
     rules = config.relay[len(DEFAULT_RELAY) :]

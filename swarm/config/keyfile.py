@@ -26,7 +26,7 @@ _HEADER = "# The key of a swarm: who can read this is a member of it. Made by `s
 
 
 def read_keys(path: Path) -> dict[int, bytes]:
-    """The keys of a file by id, the newest first; raises `LocalError` that says what to do."""
+    """Return the keys of a file by id, the newest first; raises `LocalError` that says what to do."""
     try:
         with path.open("rb") as file:
             mode = os.fstat(file.fileno()).st_mode & 0o777

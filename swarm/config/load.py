@@ -114,7 +114,7 @@ def parse(text: str, path: Path, *, addressed: bool = True) -> Config:
 
 
 def who_am_i(config: Config) -> str:
-    """The name of the robot this process belongs to: SWARM_ROBOT, else the host name up to its first dot."""
+    """Return the name of the robot this process belongs to: SWARM_ROBOT, else the host name up to its first dot."""
     name = os.environ.get("SWARM_ROBOT")
     source = "SWARM_ROBOT"
     if not name:

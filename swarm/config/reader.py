@@ -36,7 +36,7 @@ class Table:
                     raise self._unknown(key, value, known)
 
     def error(self, key: str | None, problem: str) -> ConfigError:
-        """The error to raise about an entry, or about the table itself."""
+        """Return the error to raise about an entry, or about the table itself."""
         table = [f"[{self.name}]"] if self.name else []
         place = " ".join(table if key is None else [*table, quoted(key)])
         return ConfigError(f"{self.file}: {place}: {problem}")
@@ -48,7 +48,7 @@ class Table:
         return self.error(key, f"unknown entry; {suggest(key, known)}")
 
     def wrong(self, key: str, expected: str) -> ConfigError:
-        """The error for an entry that is there but not as expected, or that is missing."""
+        """Return the error for an entry that is there but not as expected, or that is missing."""
         if key not in self.data:
             return self.error(key, f"missing; expected {expected}")
         return self.error(key, f"expected {expected}, got {shown(self.data[key])}")
@@ -178,7 +178,7 @@ def suggest(word: str, known: Sequence[str]) -> str:
 
 
 def listed(names: Sequence[str]) -> str:
-    """Names for a message, the first ones where there are many."""
+    """Return the names for a message, the first ones where there are many."""
     return ", ".join(names[:_MAX_LISTED]) + (", ..." if len(names) > _MAX_LISTED else "")
 
 

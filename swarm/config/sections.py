@@ -183,7 +183,7 @@ def _of_robots(
 
 
 def bodies(top: Table, robots: Sequence[str]) -> tuple[Body, dict[str, Body]]:
-    """The table [body] and, on top of it, [body.robots.ROBOT]."""
+    """Return the table [body] and, on top of it, [body.robots.ROBOT]."""
     return _of_robots(top, "body", robots, Body(), _body)
 
 
@@ -203,7 +203,7 @@ def _body(table: Table, normal: Body) -> Body:
 
 
 def balancings(top: Table, robots: Sequence[str]) -> tuple[Balancing, dict[str, Balancing]]:
-    """The table [balancing] and, on top of it, [balancing.robots.ROBOT]."""
+    """Return the table [balancing] and, on top of it, [balancing.robots.ROBOT]."""
     return _of_robots(top, "balancing", robots, Balancing(), _balancing)
 
 
@@ -233,7 +233,7 @@ def _balancing(table: Table, normal: Balancing) -> Balancing:
 
 
 def apps(top: Table, robots: Sequence[str]) -> dict[str, AppConfig]:
-    """The tables [apps.NAME] and, on top of them, [apps.NAME.robots.ROBOT]."""
+    """Return the tables [apps.NAME] and, on top of them, [apps.NAME.robots.ROBOT]."""
     found: dict[str, AppConfig] = {}
     every = top.table("apps", None)
     for name in every.data:
@@ -256,7 +256,7 @@ def recordings(top: Table) -> Recordings:
 
 
 def packages(top: Table) -> tuple[str, ...]:
-    """The table [robot]: Python packages for all robots."""
+    """Return the table [robot]: Python packages for all robots."""
     table = top.table("robot", ("packages",))
     expected = 'a list of packages as pip names them, like ["numpy", "scipy==1.16.0"]'
     found = table.data.get("packages", [])
@@ -289,7 +289,7 @@ def simulation(top: Table, robots: Sequence[str]) -> SimulationConfig:
 
 
 def uwb_address(table: Table, key: str) -> str:
-    """The short address of a DWM1001."""
+    """Return the short address of a DWM1001."""
     address: str = table.text(key, expected="four hex digits like C933", pattern=_UWB_ADDRESS)
     return address.upper()
 

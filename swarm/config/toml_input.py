@@ -7,7 +7,7 @@ from swarm.errors import PayloadError
 
 
 def read_toml(text: str) -> dict[str, Any]:
-    """The tables of a TOML text. Raises `PayloadError`."""
+    """Return the tables of a TOML text. Raises `PayloadError`."""
     try:
         return tomllib.loads(text)
     except ValueError as error:  # TOMLDecodeError, or int() refusing thousands of digits

@@ -225,7 +225,7 @@ class AppConfig:
     robots: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
 
     def of(self, robot: str) -> dict[str, Value]:
-        """The parameters that hold on `robot`."""
+        """Return the parameters that hold on `robot`."""
         return {**self.parameters, **self.robots.get(robot, {})}
 
 
@@ -309,14 +309,14 @@ class Config:
         return Graph(self.names, self.edges)
 
     def robot(self, name: str) -> RobotConfig:
-        """The robot called `name`; KeyError where there is none."""
+        """Return the robot called `name`; KeyError where there is none."""
         for robot in self.robots:
             if robot.name == name:
                 return robot
         raise KeyError(name)
 
     def body_of(self, name: str) -> Body:
-        """The body of a robot."""
+        """Return the body of a robot."""
         return self.bodies.get(name, self.body)
 
     def balancing_of(self, name: str) -> Balancing:
@@ -329,7 +329,7 @@ class Config:
         return {robot.uwb: robot.name for robot in self.robots if robot.uwb is not None}
 
     def neighbours(self, name: str) -> tuple[str, ...]:
-        """Names of the robots linked to `name` in the topology to begin with, sorted."""
+        """Return the names of the robots linked to `name` in the topology to begin with, sorted."""
         return tuple(sorted((b if a == name else a) for a, b in self.edges if name in (a, b)))
 
     def app(self, name: str) -> AppConfig:

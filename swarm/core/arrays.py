@@ -56,7 +56,7 @@ class Array:
 
 
 def numpy() -> Any:
-    """The module; raises `AppError`, which says how to get it, where it is not there."""
+    """Return the module; raises `AppError`, which says how to get it, where it is not there."""
     try:
         import numpy as np
     except ImportError:
@@ -91,7 +91,7 @@ def are_finite(array: Any) -> bool:
 
 
 def from_numbers(numbers: tuple[float, ...], shape: tuple[int, ...], *, single: bool) -> "Numbers":
-    """The array out of its packed numbers, which cannot be written to."""
+    """Return the array out of its packed numbers, which cannot be written to."""
     np = numpy()
     array: Numbers = np.array(numbers, dtype=np.float32 if single else np.float64).reshape(shape)
     array.setflags(write=False)

@@ -165,7 +165,7 @@ class Asynchronous:
         return self.running is not None and not self.failure and now - self._since >= HANG
 
     def known(self, now: float) -> list[NeighbourState]:
-        """The newest states of the neighbours that have told one, sorted by name."""
+        """Return the newest states of the neighbours that have told one, sorted by name."""
         found = ((name, peer) for name, peer in sorted(self._peers.items()))
         return [NeighbourState(name, peer.data, now - peer.came) for name, peer in found if peer.data is not None]
 

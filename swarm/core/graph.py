@@ -71,7 +71,7 @@ class Graph:
 
     @classmethod
     def of_shape(cls, shape: str, names: Sequence[str]) -> "Graph":
-        """The named shape over `names`: one of `SHAPES`. Raises `LocalError` for an impossible one."""
+        """Return the named shape over `names`: one of `SHAPES`. Raises `LocalError` for an impossible one."""
         n = len(names)
         kind, colon, seed = shape.partition(":")
         if kind == "random" and colon:
@@ -126,11 +126,11 @@ class Graph:
         return f"Graph({self.names!r}, {self.edges!r})"
 
     def matrix(self) -> tuple[tuple[int, ...], ...]:
-        """The adjacency matrix, rows in the order of `names`."""
+        """Return the adjacency matrix, rows in the order of `names`."""
         return tuple(tuple(int(b in self._neighbours[a]) for b in self.names) for a in self.names)
 
     def neighbours(self, name: str) -> tuple[str, ...]:
-        """Names of the robots linked to `name`, sorted by name."""
+        """Return the names of the robots linked to `name`, sorted by name."""
         return self._neighbours[name]
 
     def degree(self, name: str) -> int:
@@ -144,7 +144,7 @@ class Graph:
         return hops_from(self._neighbours, name)
 
     def components(self) -> list[tuple[str, ...]]:
-        """The connected parts, each in the order of `names`."""
+        """Return the connected parts, each in the order of `names`."""
         found: list[tuple[str, ...]] = []
         seen: set[str] = set()
         for name in self.names:

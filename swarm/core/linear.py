@@ -48,7 +48,7 @@ def solve(matrix: Sequence[Sequence[float]], right: Sequence[float], singular: f
 
 
 def least_squares(rows: Sequence[Sequence[float]], right: Sequence[float]) -> Vector:
-    """The x of least sum of (row . x - right)^2; raises `SingularError`.
+    """Return the x of least sum of (row . x - right)^2; raises `SingularError`.
 
     By the normal equations, columns scaled to unit length first: good for the few well-chosen columns used here.
     """

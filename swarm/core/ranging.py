@@ -24,7 +24,7 @@ class RangeTable:
         return self._of(self._me, now)
 
     def distance(self, robot: str, now: float) -> float | None:
-        """The distance to another robot, m: the newest of what this one measured to it and it to this one."""
+        """Return the distance to another robot, m: the newest of what this one measured to it and it to this one."""
         found = [item for item in self._of(self._me, now) if item.robot == robot]
         found += [item for item in self._of(robot, now) if item.robot == self._me]
         return min(found, key=lambda item: item.age).distance if found else None

@@ -75,7 +75,7 @@ def _lanczos(weights: list[list[tuple[int, float]]]) -> tuple[list[float], list[
 
 
 def _eigenvalue(diagonal: list[float], beside: list[float], number: int) -> float:
-    """The `number`-th smallest eigenvalue of a tridiagonal matrix whose eigenvalues lie in [-1, 1]."""
+    """Return the `number`-th smallest eigenvalue of a tridiagonal matrix whose eigenvalues lie in [-1, 1]."""
     squares = [0.0, *(b * b for b in beside)]
     low, high = -1.0, 1.0
     for _ in range(_BISECTIONS):

@@ -194,8 +194,8 @@ class Field:
         return (value,)
 
     def raised(self, numbers: tuple[Any, ...]) -> Item:
-        """The value out of the numbers that were packed, an array read-only; `FrameError` for an enum's member that is
-        not there."""
+        """Return the value out of the numbers that were packed, an array read-only; `FrameError` for an enum's member
+        that is not there."""
         if self.kind == "array":
             return arrays.from_numbers(numbers, self.sizes, single=self.single)
         if self.kind == "vector":
@@ -266,7 +266,7 @@ class Schema:
             raise AppError(f"the state of {self.app} takes {self.size} bytes, a frame holds {MAX_STATE} ({sizes})")
 
     def check(self, values: Mapping[str, object]) -> dict[str, Item]:
-        """The fields' checked and rounded values, in order; `AppError` names the field at fault."""
+        """Return the fields' checked and rounded values, in order; `AppError` names the field at fault."""
         checked: dict[str, Item] = {}
         for field in self.fields:
             try:
@@ -287,8 +287,8 @@ class Schema:
         return self._struct.pack(*flat)
 
     def unpack(self, data: bytes) -> tuple[Item, ...]:
-        """The values in declared order. `data` is of this schema's size, whoever took it in has checked; `FrameError`
-        where an enum has no such member."""
+        """Return the values in declared order. `data` is of this schema's size, whoever took it in has checked;
+        `FrameError` where an enum has no such member."""
         flat = self._struct.unpack(data)
         if self._is_flat:
             return flat
@@ -333,7 +333,7 @@ def names_of(name: str, count: int, shape: tuple[int, ...]) -> tuple[str, ...]:
 
 
 def field_of(name: str, annotation: object) -> Field:
-    """The field that an annotation of an app class declares; `AppError` where that type cannot travel."""
+    """Return the field that an annotation of an app class declares; `AppError` where that type cannot travel."""
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
         raise AppError(f"{name}: a shared field's name is of letters a-z, digits and _")
     if annotation in (float, int, bool):
@@ -369,7 +369,7 @@ def field_of(name: str, annotation: object) -> Field:
 
 
 def array_field(name: str, mark: arrays.ArrayShape) -> Field:
-    """The field that is declared as an array; `AppError` where numpy is missing."""
+    """Return the field that is declared as an array; `AppError` where numpy is missing."""
     try:
         arrays.numpy()
     except AppError as error:

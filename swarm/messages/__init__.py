@@ -92,7 +92,7 @@ def topics() -> dict[tuple[str, str], type]:
 
 
 def type_of(key: str) -> type | None:
-    """The message type that travels under `key`, None where the key is none of ours.
+    """Return the message type that travels under `key`, None where the key is none of ours.
 
     Raises `PayloadError` for a key that is not even well formed.
     """

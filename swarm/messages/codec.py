@@ -152,8 +152,8 @@ def as_value(value: object) -> Value:
 
 
 def limit_of(kind: type) -> int:
-    """Bytes that a packed message of a type may have: its `LIMIT`, for those that carry what apps send, or the usual
-    bound."""
+    """Return the number of bytes that a packed message of a type may have: its `LIMIT`, for those that carry what apps
+    send, or the usual bound."""
     limit: int = getattr(kind, "LIMIT", MAX_PAYLOAD)
     return limit
 

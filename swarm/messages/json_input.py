@@ -19,7 +19,7 @@ _INTEGERS = range(-(1 << 63), 1 << 64)
 
 
 def read_json(text: str | bytes) -> Any:
-    """The value of a JSON text: its numbers are finite and have at most 64 bits, its texts can be encoded.
+    """Return the value of a JSON text: its numbers are finite and have at most 64 bits, its texts can be encoded.
 
     Raises `PayloadError`.
     """

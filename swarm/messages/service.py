@@ -44,7 +44,7 @@ class Stop:
 
 
 def stop_of(payload: bytes) -> Stop:
-    """The stop of a sample of `swarm/stop`, whatever its payload: that says who stops and why, never whether.
+    """Return the stop of a sample of `swarm/stop`, whatever its payload: that says who stops and why, never whether.
 
     A field that is missing or of a wrong type has a neutral value, and unknown fields (of another release) are left
     out. Never raises.
@@ -70,8 +70,8 @@ def short_reason(reason: str) -> str:
 
 
 def stop_payload(message: object) -> bytes:
-    """The payload under which a stop is published; empty where `message` is too long or cannot be packed, since an
-    empty payload stops, too, and an exception would not. Never raises."""
+    """Return the payload under which a stop is published; empty where `message` is too long or cannot be packed, since
+    an empty payload stops, too, and an exception would not. Never raises."""
     if isinstance(message, Stop):
         origin, reason = message.origin[:MAX_STOP_TEXT], message.reason[:MAX_STOP_TEXT]
         message = Stop(message.t, origin, reason, message.repeated)

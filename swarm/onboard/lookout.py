@@ -211,7 +211,7 @@ def main() -> None:
 
 
 def _input(ended: int) -> Iterator[bytes]:
-    """The input as it arrives, until it ends or `ended` (an eventfd) is set."""
+    """Yield the input as it arrives, until it ends or `ended` (an eventfd) is set."""
     source = sys.stdin.fileno()
     while source in select.select([source, ended], [], [])[0]:
         data = os.read(source, MAX_COMMAND)

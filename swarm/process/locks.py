@@ -38,8 +38,8 @@ def folder_lock(folder: Path, *, wait: bool = True) -> Iterator[None]:
 
 
 def is_held(path: Path) -> bool:
-    """Whether another process has the exclusive lock of a file at this moment. Raises `OSError` where it cannot be
-    looked at."""
+    """Return whether another process has the exclusive lock of a file at this moment. Raises `OSError` where it cannot
+    be looked at."""
     if fcntl is None:
         return False
     descriptor = os.open(path, os.O_RDONLY)

@@ -28,7 +28,7 @@ ENDPOINT_PROTOCOL = "unixsock-stream"
 
 
 def runtime_dir() -> Path:
-    """The runtime directory of the robot this process belongs to."""
+    """Return the runtime directory of the robot this process belongs to."""
     return Path(os.environ.get("SWARM_RUNTIME") or DEFAULT_RUNTIME)
 
 
@@ -50,8 +50,8 @@ def socket_path(directory: Path, name: str) -> Path:
 
 
 def bus_endpoint(directory: Path, service: str = "") -> str:
-    """The Zenoh endpoint of the router with this runtime directory, or that of a service there which others reach
-    directly; `BusError` where it can be none."""
+    """Return the Zenoh endpoint of the router with this runtime directory, or that of a service there which others
+    reach directly; `BusError` where it can be none."""
     path = socket_path(directory, f"bus.{service.replace('/', '.')}.sock" if service else BUS_SOCKET)
     if odd := set(str(path)) & set("?#"):
         # Zenoh would cut the path there and listen somewhere else.

@@ -94,7 +94,7 @@ class Service:
             notify("WATCHDOG=1")
 
     def status(self) -> Status:
-        """The state as it is now."""
+        """Return the state as it is now."""
         with self._lock:
             state, reason, since = self._state, self._reason, self._since
         # The copy is one step of the interpreter: other threads may be counting a new name.

@@ -115,7 +115,8 @@ def robots(directory: Path) -> dict[str, Path]:
 
 
 def running(run_dir: Path | None) -> Path:
-    """The directory of the simulation that runs in `run_dir` (None = the usual place); `LocalError` where none does."""
+    """Return the directory of the simulation that runs in `run_dir` (None = the usual place); `LocalError` where none
+    does."""
     directory = (run_dir or default_run_dir()).absolute()
     if not is_live(directory):
         raise LocalError(f"no simulation is running in {directory} (--run-dir names another one)")
@@ -135,7 +136,7 @@ def runtime_of(run_dir: Path | None, robot: str) -> Path:
 
 
 def _listed(path: Path) -> list[str]:
-    """Names in a config that may be half written or of another version: only they are looked at."""
+    """Return the names in a config that may be half written or of another version: only they are looked at."""
     try:
         table = read_toml(path.read_text(encoding="utf-8"))
         return [str(robot["name"]) for robot in table.get("robots", [])]

@@ -52,7 +52,7 @@ class Clocks:
         self._relations.setdefault(clock, []).append(relation)
 
     def axes(self) -> dict[str, Axis]:
-        """The way from each clock to common time."""
+        """Return the way from each clock to common time."""
         if len(self._epochs) < 2:
             self.epoch = next(iter(self._epochs.values()), 0.0)
             return dict.fromkeys(self._epochs, _shifted(0.0))

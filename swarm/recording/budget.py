@@ -38,7 +38,7 @@ class _RunFolder:
 
 
 def runs_of(root: Path) -> list[_RunFolder]:
-    """The runs in a folder, the one that has rested longest first. What vanishes meanwhile is left out."""
+    """Return the runs in a folder, the one that has rested longest first. What vanishes meanwhile is left out."""
     found = []
     with contextlib.suppress(OSError):
         for entry in sorted(os.scandir(root), key=lambda entry: entry.name):

@@ -82,7 +82,7 @@ class RecordingReader:
             raise RecordingError(f"{path}: it is no MCAP file")
 
     def samples(self, wanted: Callable[[str], bool] = lambda topic: True) -> Iterator[RecordedSample]:
-        """The messages of the topics that are `wanted`, in the order of their writing."""
+        """Yield the messages of the topics that are `wanted`, in the order of their writing."""
         self.damage.clear()
         self.finished = False  # a process that was started again goes on with what the one before had ended
         chosen: dict[int, str | None] = {}
@@ -197,8 +197,8 @@ def _time(text: str) -> int:
 
 
 def run_of(path: Path) -> str:
-    """The run that a recording is of; empty where it names none. Raises `RecordingError` or `OSError` where it cannot
-    be read."""
+    """Return the run that a recording is of; empty where it names none. Raises `RecordingError` or `OSError` where it
+    cannot be read."""
     reader = RecordingReader(path)
     next(reader.samples(), None)
     return next((entries.get("run", "") for name, entries in reader.metadata if name == RUN), "")

@@ -13,7 +13,8 @@ from swarm.messages import type_of
 
 
 def published(topic: str, message: Mapping[str, Any]) -> dict[str, Any]:
-    """The message's fields as they were on the bus. Of topics that only recordings have, the message as it is."""
+    """Return the message's fields as they were on the bus. Of topics that only recordings have, the message as it
+    is."""
     try:
         kind = type_of(topic)
     except PayloadError:

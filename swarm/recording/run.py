@@ -70,7 +70,7 @@ class Run:
         return tuple(sorted({topic.split("/")[3] for topic in self.topics if is_state(topic)}))
 
     def notes(self, name: str) -> list[dict[str, str]]:
-        """The metadata records of a name."""
+        """Return the metadata records of a name."""
         return [entries for known, entries in self._metadata if known == name]
 
     @cached_property
@@ -79,7 +79,7 @@ class Run:
         return shapes_of(self._metadata)
 
     def states(self, app: str = "") -> dict[str, dict[str, str]]:
-        """The topics of an app's states (default: of the one looked at), by channel (the app itself is ``) and
+        """Return the topics of an app's states (default: of the one looked at), by channel (the app itself is ``) and
         robot."""
         app = app or self.app
         found: dict[str, dict[str, str]] = {}

@@ -49,12 +49,12 @@ def kind_of(path: PurePosixPath) -> str:
 
 
 def robot_of(path: PurePosixPath) -> str:
-    """The robot that a file is of."""
+    """Return the robot that a file is of."""
     return f"r{int(path.stem)}" if path.stem.isdecimal() else "r0"
 
 
 def channel_of(path: PurePosixPath) -> str:
-    """The app's channel that a file is of, empty for none."""
+    """Return the app's channel that a file is of, empty for none."""
     return path.parent.name if path.parent.name in CHANNELS else ""
 
 

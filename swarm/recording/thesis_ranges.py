@@ -88,7 +88,7 @@ class ThesisRecording:
 
 
 def read_folder(directory: Path) -> list[ThesisRecording]:
-    """The recordings of all robots of a run: 0.csv, 1.csv and so on. Raises `RecordingError`."""
+    """Return the recordings of all robots of a run: 0.csv, 1.csv and so on. Raises `RecordingError`."""
     there = {int(path.stem) for path in directory.glob("*.csv") if path.stem.isdecimal()}
     count = max(there, default=0) + 1
     if missing := sorted(set(range(count)) - there) if there else []:
@@ -183,7 +183,7 @@ def _later(one: ThesisRecording, recordings: Sequence[ThesisRecording]) -> tuple
 
 
 def read_recording(directory: Path, index: int) -> ThesisRecording:
-    """The recording of the robot that is number `index` in the config.
+    """Return the recording of the robot that is number `index` in the config.
 
     Raises `RecordingError`, with file and line, for anything that is not as described above.
     """

@@ -28,8 +28,8 @@ MOST_ROWS = 20_000
 
 
 def is_kept(k: int, every: int) -> bool:
-    """Whether the time of iteration k is kept where those of two windows in `every` are: so iterations can still be
-    measured over a window."""
+    """Return whether the time of iteration k is kept where those of two windows in `every` are: so iterations can still
+    be measured over a window."""
     return k <= WARM_UP or (k - WARM_UP) // WINDOW % every < 2
 
 
@@ -241,7 +241,8 @@ def _tells(topic: str) -> bool:
 
 
 def beside(states: str) -> tuple[str, str]:
-    """The topics of an app's changes of members and of its progress, by that of its states: see `Builder.heed`."""
+    """Return the topics of an app's changes of members and of its progress, by that of its states: see
+    `Builder.heed`."""
     prefix = states.removesuffix("state")
     return prefix + "epoch", prefix + "progress"
 
@@ -251,7 +252,7 @@ def _text(value: object) -> str:
 
 
 def iteration_times(trajectories: Mapping[str, Trajectory]) -> list[float]:
-    """Seconds an iteration of every robot, each over a window of `WINDOW`, after the warm-up."""
+    """Return the seconds an iteration of every robot, each over a window of `WINDOW`, after the warm-up."""
     return [
         (trajectory.times[k + WINDOW] - at) / WINDOW
         for trajectory in trajectories.values()
@@ -261,5 +262,5 @@ def iteration_times(trajectories: Mapping[str, Trajectory]) -> list[float]:
 
 
 def median(values: list[float]) -> float | None:
-    """The median, None of nothing."""
+    """Return the median, None of nothing."""
     return statistics.median(values) if values else None

@@ -26,7 +26,7 @@ class Consensus(SyncApp):
         self.value += math.fsum(w * (n.value - self.value) for w, n in self.weighted(neighbours))
 
     def result(self) -> Mapping[str, Value]:
-        """The value, in the unit of the first values."""
+        """Return the value, in the unit of the first values."""
         return {"value": self.value}
 
 
@@ -139,7 +139,7 @@ class FloodConsensus(SyncApp):
         self.value = math.fsum(there) / len(there)
 
     def result(self) -> Mapping[str, Value]:
-        """The mean of the known values, and how many they are."""
+        """Return the mean of the known values, and how many they are."""
         return {"value": self.value, "known": self.known.bit_count()}
 
 

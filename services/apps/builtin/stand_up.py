@@ -58,5 +58,5 @@ class StandUp(PeriodicApp):
             self.robot.stand_up()
 
     def result(self) -> Mapping[str, Value]:
-        """Whether it stands, and how it lies or stands."""
+        """Return whether it stands, and how it lies or stands."""
         return {"standing": self.standing, "posture": self.robot.posture}

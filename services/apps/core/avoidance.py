@@ -37,7 +37,7 @@ class Barrier(NamedTuple):
     """Share of the wished speed added to the right where somebody is in the way."""
 
     def least(self, place: Point, other: Point) -> float:
-        """The least (p_i - p_j) . u_i, m^2/s."""
+        """Return the least (p_i - p_j) . u_i, m^2/s."""
         return -self.rate / 4 * (math.dist(place, other) ** 2 - self.distance**2)
 
 
@@ -53,7 +53,8 @@ class _HalfPlane(NamedTuple):
 
 
 def way_round(place: Point, wish: Point, others: Sequence[Point], barrier: Barrier, speed: float) -> Point:
-    """The allowed velocity nearest to `wish`, m/s, at most `speed` fast; `others` are where the other robots are."""
+    """Return the allowed velocity nearest to `wish`, m/s, at most `speed` fast; `others` are where the other robots
+    are."""
     planes = [_half_plane(place, other, barrier) for other in others]
     x, y = wish = _at_most(wish, speed)
     pace = math.hypot(x, y)
@@ -72,7 +73,7 @@ def way_round(place: Point, wish: Point, others: Sequence[Point], barrier: Barri
 def allowed_speed(
     place: Point, heading: float, speed: float, others: Sequence[Point], barrier: Barrier, limit: float
 ) -> float:
-    """The speed along `heading` nearest to `speed` that (1) allows, m/s; at most `limit` either way.
+    """Return the speed along `heading` nearest to `speed` that (1) allows, m/s; at most `limit` either way.
 
     Where robots are nearer than D already it drives away from them, and stands where it cannot drive away from all.
     """

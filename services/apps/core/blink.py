@@ -25,7 +25,7 @@ class LedEdge(NamedTuple):
 
 
 def on_grid(frequency: float) -> float:
-    """The nearest frequency of the grid, at most 0.4 mHz off; Hz."""
+    """Return the nearest frequency of the grid, at most 0.4 mHz off; Hz."""
     return max(1, round(frequency * GRID_PER_HZ)) / GRID_PER_HZ
 
 

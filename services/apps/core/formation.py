@@ -32,8 +32,8 @@ def offset(shape: str, number: int, count: int, size: float) -> Point:
 
 
 def error(here: Point, mine: Point, others: Iterable[tuple[Point, Point]]) -> Point:
-    """The law's sum over n: how far this robot's view of the origin is from the mean of all, m. `mine` is its offset,
-    `others`: place and offset of each."""
+    """Return the law's sum over n: how far this robot's view of the origin is from the mean of all, m. `mine` is its
+    offset, `others`: place and offset of each."""
     x = y = 0.0
     n = 1
     for place, place_in_shape in others:

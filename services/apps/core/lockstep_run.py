@@ -342,14 +342,15 @@ class LockstepRun:
         return AppAnswer(own, private, self._program.told())
 
     def _resumes(self, snapshot: Snapshot) -> bool:
-        """Whether this robot goes on in the epoch of a snapshot."""
+        """Return whether this robot goes on in the epoch of a snapshot."""
         return snapshot.epoch == self.epochs.number and self.epochs.member
 
     def _channel_of(self, epoch: Epoch) -> Channel:
         return Channel(self.terms.run, epoch.number, self.epochs.birth, self.terms.schema)
 
     def _before(self, epoch: Epoch) -> RunState | None:
-        """The state with which this robot goes over to an epoch: that of its first iteration, or the newest one."""
+        """Return the state with which this robot goes over to an epoch: that of its first iteration, or the newest
+        one."""
         if self._me in epoch.carried and self.channel.epoch == epoch.before:
             for state in self._history:
                 if state.k == epoch.k:

@@ -62,8 +62,8 @@ class Places:
                 self._seen[robot] = _Seen(t, x, y, vx, vy)
 
     def tell(self, now: float) -> tuple[Row, ...]:
-        """The rows for the neighbours: the own first, then the nearest; empty as long as the own place is unknown and
-        nothing was heard."""
+        """Return the rows for the neighbours: the own first, then the nearest; empty as long as the own place is
+        unknown and nothing was heard."""
         self._forget(now)
         order: Sequence[int] = sorted(self._seen)
         if self._me in self._seen:

@@ -41,7 +41,7 @@ class Program(Protocol):
         """Bytes of one packed state."""
 
     def start(self, measurement: Measurement | None) -> tuple[bytes, bytes]:
-        """The first state, packed: shared, private."""
+        """Return the first state, packed: shared, private."""
 
     def step(
         self, k: int, own: bytes, values: Mapping[str, bytes], measurement: Measurement | None
@@ -59,7 +59,7 @@ class Program(Protocol):
         """The robot is in the epoch of the last `renew`, at its first iteration k."""
 
     def told(self) -> Told:
-        """What the app tells of the state at which it is."""
+        """Return what the app tells of the state at which it is."""
 
     def content(self) -> bool:
         """Return whether the last step has changed the state so little that the app might stop."""

@@ -28,7 +28,7 @@ class Measurements(Protocol):
 
 
 def source_of(runtime: Runtime, config: Config, last: int | None) -> Measurements:
-    """The source that the config names for this robot; `last`: the last iteration, if there is one."""
+    """Return the source that the config names for this robot; `last`: the last iteration, if there is one."""
     if config.dwm.source.startswith("replay:"):
         return Replayed(runtime, last)
     if config.dwm.target is None:

@@ -140,7 +140,7 @@ class _Printed(io.TextIOBase):
 
 
 def _speaking(frame: FrameType | None) -> Robot | None:
-    """The robot whose app's code has called."""
+    """Return the robot whose app's code has called."""
     while frame is not None:
         if frame.f_code is AppRunner._call.__code__:
             found: Robot = frame.f_locals["self"].app.robot

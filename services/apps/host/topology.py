@@ -65,7 +65,8 @@ class RunPlace(NamedTuple):
     def of(
         cls, run: int, digest: bytes, options: RunOptions, config: Config, epoch: int, incarnation: int
     ) -> "RunPlace":
-        """The place in a run that begins with the links of a configuration; `epoch` is the number of these links."""
+        """Return the place in a run that begins with the links of a configuration; `epoch` is the number of these
+        links."""
         begin = first(config.names, config.edges, epoch)
         return cls(run, digest, options, frozenset(config.names), begin, config.graph, incarnation)
 
@@ -87,7 +88,7 @@ class _Kept:
 
 
 def of_run(service: Service, app: str, run: int) -> RunLinks | None:
-    """The links of a run; waits for the mesh where they are not known yet. None = told to stop."""
+    """Return the links of a run; waits for the mesh where they are not known yet. None = told to stop."""
     config = service.config
     kept = run_file.read(_Kept, _path(service.runtime, app), run, "the links in force hold")
     if kept is not None:
@@ -120,7 +121,7 @@ def of_run(service: Service, app: str, run: int) -> RunLinks | None:
 
 
 def lacking(config: Config, topology: Topology, now: float) -> str:
-    """Why a run cannot begin on a topology; empty where it can."""
+    """Return why a run cannot begin on a topology; empty where it can."""
     reached = Graph(config.names, topology.edges).distances(config.names[0])
     if len(reached) < len(config.names):
         missing = " ".join(name for name in config.names if name not in reached)
@@ -183,7 +184,7 @@ class TopologyWatch:
         self._strangers.clear()
 
     def reason(self, waiting: tuple[str, ...]) -> str:
-        """Why robots are waited for, where that is known; else empty."""
+        """Return why robots are waited for, where that is known; else empty."""
         by_reason: dict[str, list[str]] = {}
         for name in waiting:
             if name in self._strangers:

@@ -107,7 +107,8 @@ def _goes_on(path: Path, run: str) -> bool:
 
 
 def place_of(app: str, run: int, *, wanted: bool) -> Path | None:
-    """The folder that SWARM_RECORD names, or the robot's own where a recording is `wanted`; None without either."""
+    """Return the folder that SWARM_RECORD names, or the robot's own where a recording is `wanted`; None without
+    either."""
     place = os.environ.get("SWARM_RECORD")
     if place:
         return Path(place)

@@ -36,7 +36,7 @@ class SlotFile:
 
     @staticmethod
     def most(room: int) -> int:
-        """Bytes of data that fit into a slot of `room` bytes."""
+        """Return the number of bytes of data that fit into a slot of `room` bytes."""
         return room - _HEAD.size
 
     @staticmethod

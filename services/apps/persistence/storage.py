@@ -48,7 +48,7 @@ class Storage(Protocol):
         """Return the votes of a lockstep."""
 
     def parameters(self, app: str) -> Path | None:
-        """The file for parameters that were changed while the app ran; None where they need not be kept."""
+        """Return the file for parameters that were changed while the app ran; None where they need not be kept."""
 
 
 class FileStorage:

@@ -70,7 +70,7 @@ class Bridge:
         return False
 
     def stop(self) -> Stop | None:
-        """The first stop that the bridge sent since the last call; None where it sent none."""
+        """Return the first stop that the bridge sent since the last call; None where it sent none."""
         if self._stops is None or not self._stop_is_there.poll(0):
             return None
         first = self._receive(self._stops)
@@ -85,7 +85,8 @@ class Bridge:
         return Stop(0.0, "", "")
 
     def commands(self) -> list[tuple[float, LoopMessage]]:
-        """The commands that the bridge sent since the last call, a few at most, and when it had heard each, s."""
+        """Return the commands that the bridge sent since the last call, a few at most, and when it had heard each,
+        s."""
         received: list[tuple[float, LoopMessage]] = []
         while len(received) < COMMANDS_A_TICK and (datagram := self._receive(self._socket)) is not None:
             try:
@@ -142,7 +143,7 @@ class Bridge:
 
     @staticmethod
     def _receive(end: socket.socket | None) -> bytes | None:
-        """The next datagram; None where there is none, or no bridge."""
+        """Return the next datagram; None where there is none, or no bridge."""
         if end is None:
             return None
         try:

@@ -89,12 +89,12 @@ MAX_DATAGRAM = MAX_PAYLOAD + 1 + _HEARD.size
 
 
 def pack(message: LoopMessage) -> bytes:
-    """The datagram that carries `message`."""
+    """Return the datagram that carries `message`."""
     return _BYTES[type(message)] + encode(message)
 
 
 def unpack(datagram: bytes) -> LoopMessage:
-    """The message of a datagram; raises `PayloadError` where it is none."""
+    """Return the message of a datagram; raises `PayloadError` where it is none."""
     try:
         kind = _KINDS[datagram[:1]]
     except KeyError:
@@ -103,7 +103,7 @@ def unpack(datagram: bytes) -> LoopMessage:
 
 
 def pack_command(heard: float, command: LoopCommand) -> bytes:
-    """The datagram that carries a command which the bridge heard at the time `heard`, s."""
+    """Return the datagram that carries a command which the bridge heard at the time `heard`, s."""
     return _HEARD.pack(heard) + pack(command)
 
 

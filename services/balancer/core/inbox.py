@@ -53,7 +53,7 @@ class Inbox:
         numbers.append(self._number)
 
     def take(self, most: int) -> list[WaitingCommand]:
-        """The `most` commands that have waited longest, or fewer, the oldest first."""
+        """Return the `most` commands that have waited longest, or fewer, the oldest first."""
         taken: list[WaitingCommand] = []
         while self._waiting and len(taken) < most:
             command = self._waiting.pop(next(iter(self._waiting)))

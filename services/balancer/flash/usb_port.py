@@ -35,7 +35,7 @@ def ports(sysfs: Path = SYSFS) -> dict[str, tuple[int, int]]:
 
 
 def wait_for_bootloader(seconds: float, sysfs: Path = SYSFS, sleep: Callable[[float], None] = time.sleep) -> str:
-    """The one bootloader's port; raises `RemoteError` where none comes, `LocalError` where there are several, or
+    """Return the one bootloader's port; raises `RemoteError` where none comes, `LocalError` where there are several, or
     where this system does not list its ports as Linux does."""
     if not sysfs.is_dir():
         raise LocalError("looking for a bootloader needs Linux (on Windows: WSL): name its port with --port")

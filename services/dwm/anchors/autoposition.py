@@ -45,9 +45,9 @@ class Layout:
 
 
 def locate(distances: Mapping[Pair, float], heights: Mapping[str, float] | None = None) -> Layout:
-    """The layout that fits the distances (m) best, the first anchor at the origin, the second on the x axis, the third
-    above it, as the phone app lays them. Both directions of a pair are averaged. Raises `LocalError` where they do not
-    fix a layout.
+    """Return the layout that fits the distances (m) best, the first anchor at the origin, the second on the x axis, the
+    third above it, as the phone app lays them. Both directions of a pair are averaged. Raises `LocalError` where they
+    do not fix a layout.
     """
     names = list(dict.fromkeys(name for pair in distances for name in pair))
     pairs = _flat(distances, names, heights or {})
@@ -63,7 +63,8 @@ def locate(distances: Mapping[Pair, float], heights: Mapping[str, float] | None 
 
 
 def align(layout: Layout, known: Mapping[str, tuple[float, float]]) -> Layout:
-    """The layout moved, turned and, if that fits better, mirrored onto places that are known roughly (Kabsch 1976)."""
+    """Return the layout moved, turned and, if that fits better, mirrored onto places that are known roughly (Kabsch
+    1976)."""
     names = [name for name in layout.places if name in known]
     if len(names) < 2:
         raise LocalError(f"{len(names)} of the anchors have a known place: two or more are needed to align them")

@@ -31,7 +31,7 @@ PERIOD = 0.1
 
 
 def sample(line: ModuleConnection, seconds: float, wait: Callable[[float], None]) -> list[Location]:
-    """The module's different answers over a while; raises `NoAnswerError`."""
+    """Return the module's different answers over a while; raises `NoAnswerError`."""
     found: list[Location] = []
     end = clock.now() + seconds
     due = clock.now()

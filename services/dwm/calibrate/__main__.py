@@ -204,7 +204,7 @@ def _modules(options: argparse.Namespace, config: Config) -> dict[str, Point3]:
 
 
 def _recorded(options: argparse.Namespace, config: Config) -> list[RangeSample]:
-    """The samples of `options.samples`; files in the thesis' layout have their places of `--places`."""
+    """Return the samples of `options.samples`; files in the thesis' layout have their places of `--places`."""
     return making.read(options.samples, _read_places(options.places) if options.places else None, config.dwm.target)
 
 
@@ -232,7 +232,7 @@ def _read_places(text: str) -> list[Place]:
 
 
 def _config(options: argparse.Namespace) -> Config:
-    """The swarm's file; that of a simulation where one runs and none is named."""
+    """Return the swarm's file; that of a simulation where one runs and none is named."""
     directory = options.run_dir or default_run_dir()
     if not os.environ.get("SWARM_CONFIG") and is_live(directory):
         return configuration.load(directory / CONFIG)

@@ -57,7 +57,7 @@ class CalibrationData:
 
 
 def read(path: Path, places: Sequence[Place] | None, target: str | None) -> list[RangeSample]:
-    """The samples of a file, or of all `*.csv` of a folder. Places of different files are different places.
+    """Return the samples of a file, or of all `*.csv` of a folder. Places of different files are different places.
 
     `places` (m) and `target` (its address) go with files in the thesis' layout.
     """
@@ -119,8 +119,8 @@ def save(part: CalibrationFile, path: Path, robot: str, anchors: Sequence[Anchor
 def with_offset(
     file: CalibrationFile | None, learned: LearnedOffset, made: str, robot: str, config: Config
 ) -> CalibrationFile:
-    """The file with its robot's ranges shorter by an offset more; where it has no model of ranges, with the one of
-    swarm.toml. Raises `ConfigError` where the file is another robot's, or the anchors stand elsewhere now."""
+    """Return the file with its robot's ranges shorter by an offset more; where it has no model of ranges, with the one
+    of swarm.toml. Raises `ConfigError` where the file is another robot's, or the anchors stand elsewhere now."""
     anchors = config.anchors
     if file is None:
         layout = calibration_file.layout_of(anchors)
@@ -175,7 +175,7 @@ def _is_number(value: object) -> bool:
 
 
 def fit_text(what: str, name: str, left_out: Mapping[str, float], nested: float, places: int, count: int) -> str:
-    """The table of the models that competed."""
+    """Return the table of the models that competed."""
     lines = [f"{what}: {count} samples at {places} places; rms error at places left out of the fit:"]
     lines += [
         f"  {model:<18}{100 * error:6.2f} cm{'  <- taken' if model == name else ''}"
@@ -186,7 +186,7 @@ def fit_text(what: str, name: str, left_out: Mapping[str, float], nested: float,
 
 
 def thesis_text(found: Sequence[RangeSample]) -> str:
-    """The thesis' figures from these samples, which must be its own."""
+    """Return the thesis' figures from these samples, which must be its own."""
     d, p = thesis.distances(found), thesis.positions(found)
     ((a, b), (c, e)), (u, v) = p.model.matrix, p.model.offset
     return "\n".join(

@@ -59,7 +59,7 @@ class Callers:
         self._refused: OrderedDict[str, tuple[int, float]] = OrderedDict()
 
     def refusal(self, caller: Caller, half_open: Iterable[Caller], now: float) -> tuple[str, str, str] | None:
-        """Why a caller may not begin its handshake: counter, problem and text; None where it may."""
+        """Return why a caller may not begin its handshake: counter, problem and text; None where it may."""
         if caller.robot == "":
             text = f"connection refused: {caller.source} is the address of no robot of ours"
             return "refused_robot", "strange address", text
@@ -216,7 +216,7 @@ class Calling:
     # -- calls of others -------------------------------------------------------------------------------------
 
     def refusal(self, caller: Caller, now: float) -> tuple[str, str, str] | None:
-        """Why a caller may not begin its handshake: counter, problem and text; None where it may."""
+        """Return why a caller may not begin its handshake: counter, problem and text; None where it may."""
         return self._callers.refusal(caller, self._half_open.values(), now)
 
     def is_knock(self, robot: str, now: float) -> bool:

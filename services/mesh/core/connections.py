@@ -324,7 +324,7 @@ class Connections:
         return None if link is None else link.session
 
     def _clash(self, robot: str, process: int, now: float) -> str:
-        """Why a robot's process may have no link because another robot has its name; empty where it may."""
+        """Return why a robot's process may have no link because another robot has its name; empty where it may."""
         session = self._session_of(robot)
         if session is not None and session.state == SUSPECT and session.process not in (0, process):
             return ""  # it was started anew, perhaps: no need to wait for silence

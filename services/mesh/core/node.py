@@ -133,7 +133,7 @@ class MeshNode:
             self._relay.set_peers(peers)
 
     def _longest(self, overlay: int, priority: int) -> int:
-        """The longest payload of a relayed value, bytes."""
+        """Return the longest payload of a relayed value, bytes."""
         if overlay == frames.NEIGHBOURS and self._carried:
             return carried.limit_of(priority, self._robots)
         if overlay == frames.NEIGHBOURS:

@@ -233,7 +233,7 @@ class KeyRelay:
         return route
 
     def _receiver(self, rule: _Rule, key: str, sender: str) -> str | None:
-        """The robot that a unicast rule sends a key of `sender`'s bus to; None where it does not."""
+        """Return the robot that a unicast rule sends a key of `sender`'s bus to; None where it does not."""
         if rule.overlay != UNICAST or (found := match(rule.config.keys, key)) is None:
             return None
         if found.get("self", sender) != sender or commands(key) != commands(rule.config.keys):

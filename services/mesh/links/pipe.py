@@ -54,7 +54,7 @@ class Pipe:
         self._arrived = self._receive()
 
     def take(self, now: float) -> bytes | None:
-        """Bytes that have arrived, b"" at the end of the connection, None when there is nothing now."""
+        """Return the bytes that have arrived, b"" at the end of the connection, None when there is nothing now."""
         if self._arrived is None and self._unwritable and not self._over:
             self._arrived = self._receive()
         data, self._arrived = self._arrived, None

@@ -32,7 +32,7 @@ class Found:
 
 
 def load() -> Any:
-    """The module `bluetooth`; `LocalError` that says how to get it."""
+    """Return the module `bluetooth`; `LocalError` that says how to get it."""
     try:
         return importlib.import_module("bluetooth")
     except ImportError:
@@ -66,7 +66,7 @@ def discover(seconds: float, *, ask_services: bool, adapter: str = "") -> list[F
 
 
 def find_channel(address: str) -> int | None:
-    """The RFCOMM channel of the mesh that a device offers; None where it offers none."""
+    """Return the RFCOMM channel of the mesh that a device offers; None where it offers none."""
     for record in load().find_service(uuid=SERVICE, address=address):
         if record.get("protocol") == "RFCOMM" and isinstance(record.get("port"), int):
             port: int = record["port"]

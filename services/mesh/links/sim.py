@@ -70,7 +70,7 @@ class LinkConditions:
         return self._cuts.get(peer, 0.0)
 
     def line(self, peer: str) -> DelayLine:
-        """The way of bytes from `peer` to us; both names and the seed decide its randomness."""
+        """Return the way of bytes from `peer` to us; both names and the seed decide its randomness."""
         return DelayLine(self.model, random.Random(f"{self.model.seed}:{peer}>{self.me}"))
 
     def wait_for_dial(self) -> bool:
@@ -159,7 +159,7 @@ class SimPipe(Pipe):
                 self._line.push(b"", now)
 
     def take(self, now: float) -> bytes | None:
-        """Bytes that have come through the air."""
+        """Return the bytes that have come through the air."""
         if self._line is None:
             return b"" if self._ended else None
         arrival = self._line.next_arrival()
@@ -220,7 +220,7 @@ class SimListener:
         return self._sock.fileno()
 
     def accept(self) -> Pipe:
-        """The next caller; raises OSError where it has gone already."""
+        """Return the next caller; raises OSError where it has gone already."""
         sock, _ = self._sock.accept()
         return SimPipe(sock, self._air, None)
 

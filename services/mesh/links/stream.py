@@ -21,7 +21,7 @@ class StreamListener:
         return self._sock.fileno()
 
     def accept(self) -> Pipe:
-        """The next caller; raises OSError where it has gone already."""
+        """Return the next caller; raises OSError where it has gone already."""
         sock, address = self._sock.accept()
         return self._adopt(sock, address)
 

@@ -71,15 +71,15 @@ class Epoch:
         return Graph(self.members, self.edges)
 
     def supersedes(self, other: "Epoch") -> bool:
-        """Whether robots of `other` leave it for this one. Where operators have made two of one counter, one of them
-        has to win everywhere."""
+        """Return whether robots of `other` leave it for this one. Where operators have made two of one counter, one of
+        them has to win everywhere."""
         if self.counter == 0 or self.number == other.number:
             return False
         return (self.counter, self.number) > (other.counter, other.number)
 
 
 def first(members: tuple[str, ...], edges: tuple[Edge, ...], number: int) -> Epoch:
-    """The epoch that a run begins with: nobody has agreed on it, `number` stands for the links."""
+    """Return the epoch that a run begins with: nobody has agreed on it, `number` stands for the links."""
     names = tuple(sorted(members))
     return Epoch(number, 0, "", 0, 0, names, (), edges, (), (), forced=False)
 
@@ -96,7 +96,7 @@ def following(
     *,
     forced: bool,
 ) -> Epoch:
-    """The epoch after `before`."""
+    """Return the epoch after `before`."""
     body = (before.counter + 1, proposer, before.number, k, members, carried, edges, away, restored, forced)
     return Epoch(_number(body), *body)
 

@@ -27,7 +27,7 @@ class Roster:
         return name == self.me or now - self.heard.get(name, float("-inf")) <= FRESH
 
     def of_members(self) -> dict[str, EpochNote]:
-        """The notes of members who know of this epoch, the own one too."""
+        """Return the notes of members who know of this epoch, the own one too."""
         return {
             name: note
             for name, note in ((n, self.mine if n == self.me else self.notes.get(n)) for n in self.mine.epoch.members)
@@ -35,12 +35,12 @@ class Roster:
         }
 
     def answered(self, ballot: Ballot) -> dict[str, EpochNote]:
-        """The notes of members who take part in a ballot."""
+        """Return the notes of members who take part in a ballot."""
         return {name: note for name, note in self.of_members().items() if note.promised == ballot}
 
     def newcomers(self, now: float, *added: str) -> dict[str, EpochNote]:
-        """Robots that are there and know that they have no part in this epoch, or that have lost their vote; `added`:
-        whom the operator lets in."""
+        """Return the robots that are there and know that they have no part in this epoch, or that have lost their vote;
+        `added`: whom the operator lets in."""
         away = set(self.mine.epoch.away) - set(added)
         return {
             name: note
@@ -49,8 +49,8 @@ class Roster:
         }
 
     def waited_for(self, now: float) -> bool:
-        """Whether there are robots that a further epoch would take in or give their vote back. A member that has lost
-        its vote and goes on without it is no reason to stop where the others are too few to decide."""
+        """Return whether there are robots that a further epoch would take in or give their vote back. A member that has
+        lost its vote and goes on without it is no reason to stop where the others are too few to decide."""
         members = self.mine.epoch.members
         lost = sum(1 for name in members if name in self.notes and self.notes[name].lost)
         enough = 2 * (len(members) - lost) > len(members)

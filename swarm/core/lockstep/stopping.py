@@ -50,7 +50,7 @@ class Stopping:
             raise LocalError(f"stop after {rule.rounds} rounds: at most {MOST - 2 * self._reach} are possible")
 
     def next(self, own: bytes, neighbours: Iterable[bytes], *, content: bool, seconds: float) -> bytes:
-        """The count that goes with x(k+1), from those that came with x(k)."""
+        """Return the count that goes with x(k+1), from those that came with x(k)."""
         counts = [_COUNT.unpack(own)[0], *(_COUNT.unpack(count)[0] for count in neighbours)]
         if (highest := max(counts)) >= self._threshold:
             count = min(highest + 1, MOST)
@@ -73,5 +73,5 @@ class Stopping:
 
     @staticmethod
     def first() -> bytes:
-        """The count that goes with the first state."""
+        """Return the count that goes with the first state."""
         return _COUNT.pack(0)

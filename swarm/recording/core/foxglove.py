@@ -31,7 +31,7 @@ def pose(message: Pose, log_time: int) -> bytes:
 
 
 def pose_schema() -> bytes:
-    """The JSON schema of such a pose."""
+    """Return the JSON schema of such a pose."""
     own = json.loads(json_text.schema(Pose(0.0, 0, 0.0, 0.0, None, 0, ""), POSE))
     own["properties"] = {
         "timestamp": _TIME,

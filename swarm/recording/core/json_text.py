@@ -44,14 +44,14 @@ def decode(data: bytes) -> Any:
 
 
 def schema(message: object, name: str) -> bytes:
-    """The JSON schema of messages like this one, packed. Free-form maps in it get the fields that they have now, and a
-    field of several types the type that it has now."""
+    """Return the JSON schema of messages like this one, packed. Free-form maps in it get the fields that they have now,
+    and a field of several types the type that it has now."""
     shape = _of_value(message)
     return json.dumps({"title": name, **shape}, separators=(",", ":")).encode()
 
 
 def schema_of(kind: type, fields: Mapping[str, object], name: str) -> bytes:
-    """The JSON schema of messages of a class, packed, made from a message that came as a map of its fields."""
+    """Return the JSON schema of messages of a class, packed, made from a message that came as a map of its fields."""
     return json.dumps({"title": name, **_of_fields(kind, fields)}, separators=(",", ":")).encode()
 
 
@@ -97,7 +97,7 @@ def _tupled(value: Any) -> Any:
 
 
 def _of_value(value: object) -> Json:
-    """The schema of one value as it stands."""
+    """Return the schema of one value as it stands."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return _of_fields(type(value), {name: getattr(value, name) for name in names_of(type(value))})
     if isinstance(value, Mapping):
@@ -113,7 +113,7 @@ def _of_value(value: object) -> Json:
 
 
 def _of_fields(kind: type, fields: Mapping[str, object]) -> Json:
-    """The schema of a message class; free-form maps, and fields of several types, as they stand in `fields`."""
+    """Return the schema of a message class; free-form maps, and fields of several types, as they stand in `fields`."""
     shape, hints = _of_type(kind), _hints(kind)
     free = {
         name: _of_value(fields[name])
@@ -132,7 +132,7 @@ _hints = cache(typing.get_type_hints)
 
 @cache
 def _of_type(kind: Any) -> Json:
-    """The schema of a message class, or of the type of one of its fields. What may be None may be missing."""
+    """Return the schema of a message class, or of the type of one of its fields. What may be None may be missing."""
     if dataclasses.is_dataclass(kind):
         hints = _hints(typing.cast(type, kind))
         return {

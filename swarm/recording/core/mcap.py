@@ -110,7 +110,7 @@ def record(opcode: int, content: bytes) -> bytes:
 
 
 def header(library: str) -> bytes:
-    """The file's beginning, magic included."""
+    """Return the file's beginning, magic included."""
     return MAGIC + record(HEADER, _text("") + _text(library))
 
 
@@ -281,8 +281,8 @@ def next_checkpoint(at: int, head: bytes) -> int | None:
 
 
 def read_checkpoint(at: int, content: bytes) -> tuple[bytes, bytes]:
-    """The index records of chunks, and the other records of a summary, that the content of a checkpoint at `at` holds;
-    raises `RecordingError` where it is none, or damaged."""
+    """Return the index records of chunks, and the other records of a summary, that the content of a checkpoint at `at`
+    holds; raises `RecordingError` where it is none, or damaged."""
     if len(content) < _CHECKPOINT.size:
         raise RecordingError("a checkpoint is too short")
     _, own, total = _CHECKPOINT.unpack_from(content)

@@ -276,8 +276,8 @@ class Writer:
         yield newest
 
     def take(self) -> bytes:
-        """The records that are complete since the last call, to be appended to the file. Messages of the chunk that is
-        still open are not among them: `cut` first where they are to be."""
+        """Return the records that are complete since the last call, to be appended to the file. Messages of the chunk
+        that is still open are not among them: `cut` first where they are to be."""
         data = bytes(self._ready)
         self._ready.clear()
         return data

@@ -79,7 +79,7 @@ def limit_step_size(
     *,
     metropolis: bool = False,
 ) -> float:
-    """The limit of gamma in 1/m^2, within one percent; `places` of the robots by name and `target` in m.
+    """Return the limit of gamma in 1/m^2, within one percent; `places` of the robots by name and `target` in m.
 
     The limit goes with 1 / size^2: a scene of 1 m, say, allows four times the step of one of 2 m.
     """
@@ -137,7 +137,7 @@ def check_step_size(gamma: float, limit: float) -> str | None:
 
 
 def _rows(graph: Graph, *, metropolis: bool) -> tuple[tuple[tuple[int, float], ...], ...]:
-    """The weights of all robots, each one's own first, by index."""
+    """Return the weights of all robots, each one's own first, by index."""
     place = {name: i for i, name in enumerate(graph.names)}
     rows = []
     for name in graph.names:

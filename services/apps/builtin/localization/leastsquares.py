@@ -11,7 +11,7 @@ _NEAREST = 1e-6  # m: at a robot's own place the residual has no slope
 
 
 def refine(seen: Sequence[tuple[float, float, float]], start: Pair) -> Pair:
-    """The minimum of sum (|x - p_i| - phi_i)^2 near `start`; `seen`: (phi, p_x, p_y) of each robot, m.
+    """Return the minimum of sum (|x - p_i| - phi_i)^2 near `start`; `seen`: (phi, p_x, p_y) of each robot, m.
 
     A step that does not make the sum smaller is halved: what comes out is never worse than `start`.
     """

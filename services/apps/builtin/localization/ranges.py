@@ -83,7 +83,7 @@ def statistics(distance: float, x: float, y: float, sigma: float) -> Statistics:
 
 
 def solve(s: Statistics, robots: int) -> TargetEstimate | None:
-    """The place that fits best. `s` is the mean over `robots` robots; None where no range came in yet."""
+    """Return the place that fits best. `s` is the mean over `robots` robots; None where no range came in yet."""
     m11, m12, m13, m22, m23, w, v1, v2, v3 = s
     if w <= 0.0:
         return None
@@ -159,7 +159,7 @@ class _Problem:
         return self.along / (self.big + lam), self.across / (self.small + lam)
 
     def best(self) -> tuple[float, float]:
-        """The global minimum: the one root with M + lam D positive definite, lam > -small, where the excess
+        """Return the global minimum: the one root with M + lam D positive definite, lam > -small, where the excess
         falls."""
         if self.across == 0.0:
             # The hard case: the two sides fit alike, lam = -small, unless the minimum lies on the axis.
@@ -173,7 +173,7 @@ class _Problem:
         return self._at(_bisect(self, low, high, falling=True))
 
     def second(self, u: float, h: float) -> tuple[float, float] | None:
-        """The other local minimum, if any: the larger root in -big < lam < -small, where the excess rises.
+        """Return the other local minimum, if any: the larger root in -big < lam < -small, where the excess rises.
 
         Martinez, "Local minimizers of quadratic functions on Euclidean balls and spheres" (SIAM J. Optim. 4,
         1994).
@@ -202,7 +202,7 @@ class _Problem:
 
 
 def _bisect(problem: _Problem, low: float, high: float, *, falling: bool) -> float:
-    """The root of the excess in (low, high), where it changes sign; never evaluates it at the ends, which are
+    """Return the root of the excess in (low, high), where it changes sign; never evaluates it at the ends, which are
     poles."""
     big, small, along, across, w, v = problem.big, problem.small, problem.along, problem.across, problem.w, problem.v
     for _ in range(_BISECTIONS):

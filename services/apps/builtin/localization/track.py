@@ -77,7 +77,7 @@ def predict(information: Information, keep: float) -> Information:
 
 
 def solve(information: Information, robots: int, slow: float, guess: tuple[float, float]) -> TargetMotion | None:
-    """The place and velocity that fit best. `information` is the mean over `robots` robots.
+    """Return the place and velocity that fit best. `information` is the mean over `robots` robots.
 
     `slow`: standard deviation of a velocity component before anything is known, m an iteration; `guess`: a velocity to
     begin with. None where no range came in yet.
@@ -107,7 +107,7 @@ def _moved(a: list[float]) -> list[float]:
 
 
 def _given(matrix: Matrix, vector: Information, velocity: tuple[float, float]) -> ranges.Statistics:
-    """The statistics of `ranges` of a target whose velocity is known: Y = B (x, y, |x|^2) + d."""
+    """Return the statistics of `ranges` of a target whose velocity is known: Y = B (x, y, |x|^2) + d."""
     vx, vy = velocity
     offset = (0.0, 0.0, 0.0, vx, vy, 0.0, vx * vx + vy * vy)
     rest = [v - fsum(m * d for m, d in zip(row, offset, strict=True)) for v, row in zip(vector, matrix, strict=True)]

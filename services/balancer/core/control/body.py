@@ -52,7 +52,7 @@ class BodyModel:
 
 
 def body_model(board: str, body: Body, *, battery: float = 7.4) -> BodyModel:
-    """The body of a robot with `board` (zero2w or pi4) as configured; `battery` in V."""
+    """Return the body of a robot with `board` (zero2w or pi4) as configured; `battery` in V."""
     payload = _PAYLOAD_MASS[board] if body.payload is None else body.payload
     mass = _BARE_MASS + payload
     lever = (_BARE_MASS * _BARE_LEVER + payload * body.payload_height) / mass

@@ -60,7 +60,7 @@ class Regulator(Protocol):
         """Begin after `duty` was commanded, at a tilt of `tilt` from the balance point."""
 
     def duty(self, off: Deviation, demand: Demand) -> float:
-        """The next command of both motors, -limit..limit."""
+        """Return the next command of both motors, -limit..limit."""
 
 
 def limited(value: float, limit: float) -> float:

@@ -143,7 +143,8 @@ class UwbProgress(NamedTuple):
 
 
 def joined(offset: int) -> int:
-    """The index that reads ENCODERS to STATUS and goes on at `offset`, a multiple of 4 from BUTTONS to LAST_JOINED."""
+    """Return the index that reads ENCODERS to STATUS and goes on at `offset`, a multiple of 4 from BUTTONS to
+    LAST_JOINED."""
     if offset % 4 or not BUTTONS <= offset <= LAST_JOINED:
         raise LocalError(f"offset {offset} cannot be joined to the encoders")
     return JOINED + offset // 4
@@ -165,7 +166,7 @@ def encode_motors(left: float, right: float) -> bytes:
 
 
 def decode_motors(data: bytes) -> tuple[float, float]:
-    """The inverse of `encode_motors`, as the firmware reads it: beyond the top is the top."""
+    """Return the inverse of `encode_motors`, as the firmware reads it: beyond the top is the top."""
     left, right = _PAIR.unpack(data)
     return (
         min(MOTOR_TOP, max(-MOTOR_TOP, left)) / MOTOR_TOP,
@@ -178,12 +179,12 @@ def _of_top(duty: float) -> int:
 
 
 def encode_leds(red: bool, yellow: bool, green: bool) -> bytes:
-    """The bytes at LEDS."""
+    """Return the bytes at LEDS."""
     return bytes((red, yellow, green))
 
 
 def decode_motion(data: bytes) -> MotionBlock:
-    """The bytes from ENCODERS to STATUS. Raises `RemoteError` on a short block."""
+    """Return the bytes from ENCODERS to STATUS. Raises `RemoteError` on a short block."""
     left, right, buttons, status = _unpack(_MOTION, data, "encoders")
     return MotionBlock(left, right, buttons & 7, bool(status & STOPPED_BY_WATCHDOG), status >> 4)
 
@@ -194,7 +195,7 @@ def encoder_step(old: int, new: int) -> int:
 
 
 def decode_housekeeping(data: bytes) -> Housekeeping:
-    """The bytes from BUTTONS to BUS_RESETS. Raises `RemoteError` on a short block."""
+    """Return the bytes from BUTTONS to BUS_RESETS. Raises `RemoteError` on a short block."""
     buttons, status, millivolts, cause, revision, stack, left, right, refused, resets = _unpack(
         _HOUSEKEEPING, data, "housekeeping"
     )
@@ -212,7 +213,7 @@ def decode_housekeeping(data: bytes) -> Housekeeping:
 
 
 def decode_progress(data: bytes) -> UwbProgress:
-    """The bytes from UWB_STATE on. Raises `RemoteError` on a short block."""
+    """Return the bytes from UWB_STATE on. Raises `RemoteError` on a short block."""
     return UwbProgress(*_unpack(_PROGRESS, data, "progress"))
 
 

@@ -172,7 +172,7 @@ class Screen:
         return Transfer(ADDRESS, data)
 
     def _changed(self, most: int) -> tuple[int, int, bytes] | None:
-        """The first columns that differ from what is shown, `most` at most, or None."""
+        """Return the first columns that differ from what is shown, `most` at most, or None."""
         for page, (wanted, shown) in enumerate(zip(self._wanted, self._shown, strict=True)):
             if list(wanted) == shown:
                 continue

@@ -52,7 +52,7 @@ _FLASH_EVERY_S, _FLASH_S = 2.0, 0.15
 
 
 def shown(mode: str, fault: str, claim: Shown | None, *, low_battery: bool, now: float) -> Shown:
-    """The LEDs for this moment; `fault` is its name in mode fault."""
+    """Return the LEDs for this moment; `fault` is its name in mode fault."""
     if mode == FAULT:
         return True, fault == STOPPED, False
     lamps = claim if claim is not None else _own(mode, now)

@@ -20,7 +20,8 @@ TRANSFER_S = 0.04
 
 
 def longest(count: int) -> float:
-    """Seconds after which a measurement of `count` transfers of each kind ends with those that there was time for."""
+    """Return the seconds after which a measurement of `count` transfers of each kind ends with those that there was
+    time for."""
     return 2 * count * TRANSFER_S
 
 

@@ -55,8 +55,8 @@ class UwbState(enum.IntEnum):
 
 
 def check(block: bytes) -> int:
-    """The sequence number of a block, 0 where there is no report in it, or not all of one: the ATmega was reset while
-    it was read. Raises `RemoteError` where it has another length."""
+    """Return the sequence number of a block, 0 where there is no report in it, or not all of one: the ATmega was reset
+    while it was read. Raises `RemoteError` where it has another length."""
     if len(block) != balboa.UWB_SIZE:
         raise RemoteError(f"ATmega: {len(block)} bytes of the UWB block instead of {balboa.UWB_SIZE}")
     sequence, _, count = _HEAD.unpack_from(block)
@@ -66,7 +66,7 @@ def check(block: bytes) -> int:
 
 
 def decode(block: bytes, t: float, bad: int, sequence: int, lost: int) -> Uwb:
-    """The message of a block that `check` accepted, selected at `t`; `bad`, `sequence` and `lost` go into it.
+    """Return the message of a block that `check` accepted, selected at `t`; `bad`, `sequence` and `lost` go into it.
 
     Raises `RemoteError` where the block says what the firmware lets no report say.
     """

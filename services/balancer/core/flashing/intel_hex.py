@@ -16,7 +16,7 @@ ERASED = 0xFF
 
 
 def parse(text: str, limit: int) -> bytes:
-    """The memory from address 0 to the last byte that the file names, gaps erased.
+    """Return the memory from address 0 to the last byte that the file names, gaps erased.
 
     Raises `LocalError` that names the line: a wrong sum, a byte at `limit` or above, one that is given twice, or an
     end that is missing or not the end.

@@ -49,5 +49,5 @@ class QueuedTask:
 
 
 def by_urgency(tasks: Iterable[QueuedTask], now: float) -> list[QueuedTask]:
-    """The task first that has lost its patience by the most; the others stay in their order."""
+    """Return the task first that has lost its patience by the most; the others stay in their order."""
     return sorted(tasks, key=lambda each: -each.urgency(now))

@@ -76,7 +76,7 @@ def layout_of(anchors: Sequence[Anchor]) -> str:
 
 
 def described(anchors: Sequence[Anchor]) -> tuple[str, ...]:
-    """The anchors for people."""
+    """Return the anchors for people."""
     return tuple(f"{a.address} ({a.x:g}, {a.y:g}, {a.z:g})" for a in sorted(anchors, key=lambda a: a.address))
 
 
@@ -93,7 +93,7 @@ def check(file: CalibrationFile, path: str, robot: str, anchors: Sequence[Anchor
 
 
 def parse(text: str, path: str) -> CalibrationFile:
-    """The file with that text; raises `ConfigError` naming path, table and entry."""
+    """Return the file with that text; raises `ConfigError` naming path, table and entry."""
     try:
         data = read_toml(text)
     except PayloadError as error:
@@ -112,7 +112,7 @@ def parse(text: str, path: str) -> CalibrationFile:
 
 
 def text_of(file: CalibrationFile) -> str:
-    """The text that `parse` reads as `file`."""
+    """Return the text that `parse` reads as `file`."""
     lines = [_HEADER.rstrip(), f"robot = {_toml(file.robot)}", f"layout = {_toml(file.layout)}"]
     lines.append(f"anchors = {_toml(file.anchors)}")
     if file.distance is not None:

@@ -225,7 +225,7 @@ def _errors_left_out(groups: Sequence[SampleGroup], fit: RangeFit, folds: Folds)
 
 
 def fit_affine(spots: Sequence[Spot]) -> Affine:
-    """The thesis' model (eq. 2.10): a matrix of four and an offset of two."""
+    """Return the thesis' model (eq. 2.10): a matrix of four and an offset of two."""
     rows = [[*spot.mean, 1.0] for spot in spots]
     a, b, e = least_squares(rows, [spot.x for spot in spots])
     c, d, f = least_squares(rows, [spot.y for spot in spots])
@@ -269,7 +269,7 @@ def place_error(model: Affine, spot: Spot, measured: Place) -> float:
 
 
 def _choose_place(spots: Sequence[Spot]) -> str:
-    """The thesis' model, unless one of fewer unknowns wins: then the best of these."""
+    """Return the thesis' model, unless one of fewer unknowns wins: then the best of these."""
     errors = {name: _places_left_out(spots, fit) for name, fit in PLACE_MODELS.items()}
     best = min(errors, key=lambda name: errors[name])
     return best if errors[best] <= MARGIN * errors["affine"] else "affine"

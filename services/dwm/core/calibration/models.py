@@ -31,11 +31,11 @@ class RangeModel:
 
     @classmethod
     def of(cls, model: Linear) -> "RangeModel":
-        """The model that swarm.toml holds."""
+        """Return the model that swarm.toml holds."""
         return cls(model.gain, model.offset)
 
     def distance(self, measured: float) -> float:
-        """The distance for a reported range, the antenna's part left in; never below zero."""
+        """Return the distance for a reported range, the antenna's part left in; never below zero."""
         value = self.gain * measured + self.offset - self.robot
         if self.log:
             if measured >= self.low:

@@ -105,7 +105,7 @@ class Spot:
 
 
 def read(text: str, name: str, places: Sequence[Place] | None = None, module: str = TARGET) -> list[RangeSample]:
-    """The samples of a file in either layout; `name` is for the messages. Raises `RecordingError`.
+    """Return the samples of a file in either layout; `name` is for the messages. Raises `RecordingError`.
 
     A file in the thesis' layout needs `places`, the k-th that of place k (m), and its ranges go to `module`.
     """

@@ -39,7 +39,7 @@ def bounds(values: Sequence[float], percents: tuple[float, float] = QUARTILES) -
 
 
 def inliers(values: Sequence[float], percents: tuple[float, float] = QUARTILES) -> list[float]:
-    """The values within the bounds, in order; all of them where there are fewer than four."""
+    """Return the values within the bounds, in order; all of them where there are fewer than four."""
     if len(values) < _FEWEST:
         return list(values)
     low, high = bounds(values, percents)
@@ -47,7 +47,8 @@ def inliers(values: Sequence[float], percents: tuple[float, float] = QUARTILES) 
 
 
 def inlying_places(places: Sequence[Place], percents: tuple[float, float] = QUARTILES) -> list[Place]:
-    """The places not farther from the centroid than the upper bound of these distances (figure 2.12), in order."""
+    """Return the places not farther from the centroid than the upper bound of these distances (figure 2.12), in
+    order."""
     if len(places) < _FEWEST:
         return list(places)
     x, y = mean([place[0] for place in places]), mean([place[1] for place in places])

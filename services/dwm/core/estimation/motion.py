@@ -57,7 +57,8 @@ class DeadReckoning:
             self._nodes.popleft()
 
     def at(self, t: float) -> OdometryNode:
-        """The robot at `t`: between nodes on a line, after the newest one on at its speed, before the first there."""
+        """Return the robot at `t`: between nodes on a line, after the newest one on at its speed, before the first
+        there."""
         nodes = self._nodes
         if t <= nodes[0].t or len(nodes) == 1:
             return nodes[0]

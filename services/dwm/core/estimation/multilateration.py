@@ -56,7 +56,7 @@ class NoFix:
 
 
 def multilaterate(anchors: Sequence[Point], distances: Sequence[float], height: float, sigma: float) -> Fix | NoFix:
-    """The place of a tag at `height` (m). `sigma`: standard deviation of a good range, m.
+    """Return the place of a tag at `height` (m). `sigma`: standard deviation of a good range, m.
 
     `anchors` are (x, y, z) in m. Anchors in a line leave the side of the line open, and fewer than three any
     side: both give `NoFix` with the reason, as does an iteration that leads nowhere.
@@ -87,7 +87,7 @@ def _wonder(residuals: Sequence[float], sigma: float) -> float:
 
 
 def _solve(anchors: Sequence[Point], distances: Sequence[float], height: float, sigma: float) -> Fix | NoFix:
-    """The place with the least of Huber's loss."""
+    """Return the place with the least of Huber's loss."""
     if len(anchors) < 3:
         return NoFix(f"{len(anchors)} ranges, three are needed")
     if (problem := degenerate(anchors)) is not None:
@@ -122,9 +122,9 @@ def degenerate(anchors: Sequence[Point]) -> str | None:
 def _starts(
     anchors: Sequence[Point], distances: Sequence[float], height: float, sigma: float
 ) -> list[tuple[float, float]]:
-    """The anchors' centre, and the two likeliest of the points where two circles of the plane meet: the error may have
-    further local minima (near the mirror image of a place outside of the anchors' hull, where a range is wrong, where
-    an anchor is high above), and for exact ranges one of the meeting points is the place itself."""
+    """Return the anchors' centre, and the two likeliest of the points where two circles of the plane meet: the error
+    may have further local minima (near the mirror image of a place outside of the anchors' hull, where a range is
+    wrong, where an anchor is high above), and for exact ranges one of the meeting points is the place itself."""
     x, y = (fsum(anchor[axis] for anchor in anchors) / len(anchors) for axis in (0, 1))
     circles = [
         (anchor[0], anchor[1], sqrt(max(0.0, distance * distance - (height - anchor[2]) ** 2)))

@@ -64,7 +64,7 @@ class Pipeline:
         return dropped
 
     def report(self, location: Location, now: float) -> tuple[Ranges, Pose]:
-        """The messages that follow from the module's answer of `now`."""
+        """Return the messages that follow from the module's answer of `now`."""
         if self._book.report(location, now):
             self._sequence += 1
             self._smooth(now)
@@ -135,7 +135,8 @@ class Pipeline:
         self._fix = self._place.add(x, y)
 
     def _tracked(self, now: float) -> Pose:
-        """The Kalman filter's, for the moment; while it has none, the average's, or none where `ekf` was asked for."""
+        """Return the Kalman filter's, for the moment; while it has none, the average's, or none where `ekf` was asked
+        for."""
         estimate = self.tracker.estimate(now) if self.tracker.has_odometry(now) else None
         if estimate is not None:
             pose = Pose(now, self._sequence, estimate.x, estimate.y, estimate.heading, 0, "ekf")
@@ -147,7 +148,7 @@ class Pipeline:
 
 
 def _with_covariance(pose: Pose, covariance: tuple[float, float, float]) -> Pose:
-    """The pose with the deviations of its place, and a quality that says as much in one number."""
+    """Return the pose with the deviations of its place, and a quality that says as much in one number."""
     xx, xy, yy = covariance
     quality = max(1, round(100 * min(1.0, _GOOD / sqrt(max(xx, yy)))))
     return replace(pose, quality=quality, deviation_x=sqrt(xx), deviation_y=sqrt(yy), correlation=xy / sqrt(xx * yy))

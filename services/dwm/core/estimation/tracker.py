@@ -169,7 +169,7 @@ class Tracker:
         return told
 
     def estimate(self, now: float) -> PoseEstimate | None:
-        """The pose at `now`; None before there is one."""
+        """Return the pose at `now`; None before there is one."""
         if self._motion is None or not self._filters:
             return None
         x, y, covariance = self._mixture()

@@ -60,7 +60,7 @@ class TruthComparison:
         }
 
     def _at(self, t: float) -> Place | None:
-        """The true place at a time between two reports that are near enough; None elsewhere."""
+        """Return the true place at a time between two reports that are near enough; None elsewhere."""
         index = bisect_left(self._truth, (t,))
         if not 0 < index < len(self._truth):
             return None

@@ -62,7 +62,7 @@ class Block:
 
 
 def location(block: Uwb) -> Location:
-    """The report as the module gave it to the ATmega."""
+    """Return the report as the module gave it to the ATmega."""
     ranges = [
         AnchorRange(item.anchor, item.distance, item.quality, Position(item.x, item.y, item.z, item.place_quality))
         for item in block.ranges

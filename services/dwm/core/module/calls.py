@@ -126,7 +126,7 @@ def cfg_set(settings: Settings) -> ModuleCall[None]:
 
 
 def encode_settings(settings: Settings) -> bytes:
-    """The two bytes of the answer to `cfg_get`."""
+    """Return the two bytes of the answer to `cfg_get`."""
     first = _common(settings) | _LOW_POWER * settings.low_power | _ENGINE * settings.engine
     second = _IS_ANCHOR * settings.anchor | _IS_INITIATOR * settings.initiator | _IS_BRIDGE * settings.bridge
     return bytes((first, second | _STATIONARY * settings.stationary | settings.measurement & 3))
@@ -164,7 +164,7 @@ def decode_anchor(value: bytes) -> Settings:
 
 
 def encode_version(version: Version) -> bytes:
-    """The parts of the answer to `ver_get`."""
+    """Return the parts of the answer to `ver_get`."""
     major, minor, patch, variant = version.firmware
     return (
         encode_part(FIRMWARE, bytes((variant, patch, minor, major)))
@@ -174,7 +174,7 @@ def encode_version(version: Version) -> bytes:
 
 
 def encode_rate(rate: UpdateRate) -> bytes:
-    """The part of the answer to `upd_rate_get`."""
+    """Return the part of the answer to `upd_rate_get`."""
     return encode_part(UPDATE_RATE, _RATES.pack(rate.moving, rate.still))
 
 
@@ -243,8 +243,8 @@ _WITH_VALUE = {POS_SET: "pos_set", RATE_SET: "upd_rate_set", TAG_SET: "cfg_tag_s
 
 
 def call_of(request: bytes) -> ModuleCall[object]:
-    """The call that these bytes ask for, to read its answer. Raises `FrameError` for any other (factory reset, keys,
-    sleep): a robot must not lose its module by a command that came over the bus."""
+    """Return the call that these bytes ask for, to read its answer. Raises `FrameError` for any other (factory reset,
+    keys, sleep): a robot must not lose its module by a command that came over the bus."""
     known = _WITHOUT_VALUE.get(request)
     if known is not None:
         return known

@@ -76,7 +76,7 @@ class ModuleFinding:
 
 
 def of_trouble(trouble: Trouble) -> ModuleFinding:
-    """The module gives no proper answer."""
+    """Return the module gives no proper answer."""
     codes = {"silent": "no-module", "garbled": "garbled", "shell": "shell-mode", "layout": "layout"}
     return ModuleFinding(codes.get(trouble.kind, trouble.kind), trouble.reason, _ADVICE[trouble.kind])
 
@@ -130,7 +130,7 @@ def _no_network() -> ModuleFinding:
 
 
 def of_anchors(anchors: Sequence[Anchor]) -> list[ModuleFinding]:
-    """The anchors as swarm.toml has them."""
+    """Return the anchors as swarm.toml has them."""
     if not anchors:
         return [
             ModuleFinding("no-anchors", "swarm.toml lists no [[anchors]]", "`swarm dwm anchors --auto`, or a ruler")
@@ -169,7 +169,7 @@ def of_standing(
     height: float = 0.0,
     calibrate: Callable[[str, float], float] = lambda _, distance: distance,
 ) -> list[ModuleFinding]:
-    """The same of a tag that stands at `height` (m): what the distances say of the anchors.
+    """Return the same of a tag that stands at `height` (m): what the distances say of the anchors.
 
     `calibrate(anchor, measured)` gives the distance, m.
     """
@@ -333,7 +333,7 @@ def _misfit(
 
 
 def _halves(values: Sequence[float]) -> tuple[Sequence[float], Sequence[float]]:
-    """The values split at their widest gap."""
+    """Return the values split at their widest gap."""
     ordered = sorted(values)
     at = max(range(1, len(ordered)), key=lambda i: ordered[i] - ordered[i - 1])
     return ordered[:at], ordered[at:]

@@ -116,7 +116,7 @@ class Poller:
             self._finish(exchange, outcome, now)
 
     def to_send(self) -> bytes:
-        """Bytes for the line, to be written in one piece: a gap of 763 us ends a request."""
+        """Return the bytes for the line, to be written in one piece: a gap of 763 us ends a request."""
         data = bytes(self._out)
         self._out.clear()
         return data

@@ -76,7 +76,7 @@ class RangeBook:
         return True
 
     def listed(self, now: float) -> list[TrackedModule]:
-        """The modules seen in the last seconds."""
+        """Return the modules seen in the last seconds."""
         return [track for track in self.tracks.values() if now - track.measured <= FORGET]
 
     def _sample(self, item: AnchorRange, now: float) -> None:

@@ -212,7 +212,7 @@ class TlvDecoder(Generic[T_co]):
         self._buffer.clear()
 
     def next(self) -> T_co | Refusal | None:
-        """The next answer, None where more bytes are needed.
+        """Return the next answer, None where more bytes are needed.
 
         Raises `FrameError` for what started like an answer and is none; it has been dropped, call again.
         """
@@ -277,7 +277,7 @@ class TlvDecoder(Generic[T_co]):
 
 
 def encode_refusal(code: int) -> bytes:
-    """The answer of a module that refuses a call; 0 is the answer to a call that asks for no data."""
+    """Return the answer of a module that refuses a call; 0 is the answer to a call that asks for no data."""
     return bytes((STATUS, 1, code))
 
 
@@ -287,7 +287,7 @@ def encode_part(kind: int, value: bytes) -> bytes:
 
 
 def encode_location(location: Location, *, anchor: bool = False) -> bytes:
-    """The answer of a tag, or of an anchor, to `dwm_loc_get`. Raises `LocalError` where a value does not fit."""
+    """Return the answer of a tag, or of an anchor, to `dwm_loc_get`. Raises `LocalError` where a value does not fit."""
     most = MAX_ANCHOR_RANGES if anchor else MAX_RANGES
     if len(location.ranges) > most:
         raise LocalError(f"{len(location.ranges)} ranges, an answer holds at most {most}")

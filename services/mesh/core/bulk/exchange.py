@@ -348,5 +348,5 @@ class BulkExchange:
 
 
 def total_of(fetches: Iterable[Fetch]) -> int:
-    """Bytes that these messages have, or will have."""
+    """Return the number of bytes that these messages have, or will have."""
     return sum(fetch.total for fetch in fetches)

@@ -54,7 +54,7 @@ class SeenLives:
         self._lives: dict[str, OrderedDict[int, SeenNumbers]] = {}
 
     def of(self, sender: str, incarnation: int) -> SeenNumbers:
-        """The numbers seen of one incarnation."""
+        """Return the numbers seen of one incarnation."""
         lives = self._lives.setdefault(sender, OrderedDict())
         seen = lives.get(incarnation)
         if seen is None:

@@ -115,7 +115,7 @@ def encode_offer(total: int, key: str) -> bytes:
 
 
 def decode_offer(body: bytes) -> tuple[int, str]:
-    """Bytes and key of the message that is offered."""
+    """Return the bytes and key of the message that is offered."""
     reader = PacketReader(body)
     (total,) = reader.unpack(_OFFER)
     key = reader.key()
@@ -239,7 +239,7 @@ class Fetch:
         return self._next < self.count
 
     def pick(self, now: float) -> int | None:
-        """The next piece to ask for, noted as asked for; None where all are."""
+        """Return the next piece to ask for, noted as asked for; None where all are."""
         while self._again:
             index = self._again.popleft()
             if index not in self._parts:

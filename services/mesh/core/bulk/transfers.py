@@ -107,13 +107,13 @@ class Transfers:
         self._own.give_up(to, key)
 
     def has(self, id: MessageId, to: str) -> bytes | None:
-        """The payload of an own message that `to` may fetch."""
+        """Return the payload of an own message that `to` may fetch."""
         parcel = self._own.get(to, id.number)
         ours = id.origin == self._me and id.incarnation == self._incarnation
         return parcel.payload if ours and parcel is not None else None
 
     def progress(self, token: object) -> tuple[int, int] | None:
-        """Bytes that arrived of an own message, and all its bytes; None where it is not under way."""
+        """Return the bytes that arrived of an own message, and all its bytes; None where it is not under way."""
         found = [parcel for parcel in self._own.all() if parcel.token == token]
         return (found[0].done, len(found[0].payload)) if found else None
 

@@ -53,7 +53,7 @@ of one name, which replace each other's connection, would do so several times a 
 
 
 def dials(me: RobotConfig, peer: RobotConfig) -> bool:
-    """Whether `me` dials `peer`: the lower Bluetooth address does, or the lower name where one has none.
+    """Return whether `me` dials `peer`: the lower Bluetooth address does, or the lower name where one has none.
 
     With both ends dialling, Bluetooth pages collide: both fail after 5 s (measured, docs/reference/network/frames.md).
     """
@@ -279,7 +279,7 @@ class Local:
 
 
 def process_of(incarnation: int) -> int:
-    """The number in link states of the mesh process with this incarnation, u32."""
+    """Return the number in link states of the mesh process with this incarnation, u32."""
     return incarnation & 0xFFFFFFFF
 
 
@@ -294,7 +294,7 @@ def refusal(
     is_held: Callable[[str], bool],
     clash: Callable[[str, int], str],
 ) -> tuple[int, str] | None:
-    """Why the sender of a HELLO is refused, as code of BYE and text; None = it may prove that it holds the key.
+    """Return why the sender of a HELLO is refused, as code of BYE and text; None = it may prove that it holds the key.
 
     `dialled` names whom we called, None where we were called; `expected` names the robot whose address a caller has,
     where the transport knows it; `may_call(robot)` says whether a robot that we dial may call us, `has_room(robot)`

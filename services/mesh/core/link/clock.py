@@ -107,7 +107,7 @@ def encode_claim(claim: ClockClaim) -> bytes:
 
 
 def decode_claim(body: bytes) -> ClockClaim:
-    """The body of a CLOCK frame. Raises `FrameError`."""
+    """Return the body of a CLOCK frame. Raises `FrameError`."""
     if len(body) <= _CLAIM.size:
         raise FrameError(f"CLOCK of {len(body)} bytes: it has more than {_CLAIM.size}")
     incarnation, epoch, hop, flags, at, offset, rate, error = _CLAIM.unpack_from(body)
@@ -244,7 +244,7 @@ class ClockSync:
         )
 
     def state(self, now: float) -> ClockState:
-        """The mesh clock now."""
+        """Return the mesh clock now."""
         self._update(now)
         return ClockState(now, self._offset, self._rate, self._followed, self._hop, self._error)
 
@@ -318,8 +318,8 @@ class ClockSync:
         self._offset = max(-MAX_APART, min(offset, MAX_APART))
 
     def _choose_root(self, now: float) -> tuple[str, int]:
-        """The smallest name heard of lately, or the own one; of two incarnations the last one heard. Those in company
-        go before others, and then settled ones: a time that robots share is not given up for that of new ones.
+        """Return the smallest name heard of lately, or the own one; of two incarnations the last one heard. Those in
+        company go before others, and then settled ones: a time that robots share is not given up for that of new ones.
         """
         candidates = [
             (each.epoch < IN_COMPANY, not each.settled, root[0], -each.at, root)
@@ -331,7 +331,7 @@ class ClockSync:
         return min(candidates)[-1]
 
     def _choose_parent(self, now: float) -> str | None:
-        """The neighbour with the fewest hops to the root, the present one where several have."""
+        """Return the neighbour with the fewest hops to the root, the present one where several have."""
         best = None
         for peer, neighbour in self._neighbours.items():
             claim = neighbour.claim

@@ -73,7 +73,7 @@ def encode_fragment(fragment: Fragment) -> bytes:
 
 
 def decode_fragment(body: bytes) -> Fragment:
-    """The body of a FRAGMENT frame. Raises `FrameError`."""
+    """Return the body of a FRAGMENT frame. Raises `FrameError`."""
     if len(body) < _HEAD.size:
         raise FrameError(f"FRAGMENT of {len(body)} bytes: no channel and index")
     channel, number = _HEAD.unpack_from(body)
@@ -218,7 +218,7 @@ def encode_ack(count: int) -> bytes:
 
 
 def decode_ack(body: bytes) -> int:
-    """The count of an ACK frame, modulo 2^32. Raises `FrameError`."""
+    """Return the count of an ACK frame, modulo 2^32. Raises `FrameError`."""
     if len(body) != _ACK.size:
         raise FrameError(f"ACK of {len(body)} bytes: it has {_ACK.size}")
     count: int = _ACK.unpack(body)[0]
@@ -282,9 +282,8 @@ class SendWindow:
         return self.sent - self.acknowledged
 
     def free(self, size: int, now: float) -> float:
-        """Bytes that may still leave when `size` are about to be written. Bulk needs a positive number, and there is
-        none before `next_bulk`; sync and control may make it as low as
-        -`SYNC_EXTRA`."""
+        """Return the bytes that may still leave when `size` are about to be written. Bulk needs a positive number, and
+        there is none before `next_bulk`; sync and control may make it as low as -`SYNC_EXTRA`."""
         free = self.limit - (self.sent - self.acknowledged) - size
         return free if now >= self.next_bulk else min(free, 0.0)
 

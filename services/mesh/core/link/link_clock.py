@@ -43,7 +43,7 @@ class ClockFit(NamedTuple):
     """Standard error of the skew, s/s."""
 
     def offset_at(self, now: float) -> float:
-        """The offset at another time."""
+        """Return the offset at another time."""
         return self.offset + self.skew * (now - self.at)
 
     def error_at(self, now: float) -> float:

@@ -48,7 +48,7 @@ class Channels:
         self._handles: dict[str, int] = {}
 
     def handle(self, key: str) -> tuple[int, bool]:
-        """The handle of `key`, and whether the other end must be told of it first."""
+        """Return the handle of `key`, and whether the other end must be told of it first."""
         handles = self._handles
         handle = handles.get(key)
         if handle is None:
@@ -235,7 +235,7 @@ class Outbox:
         return waiting < messages and self._sizes[BULK] + message.size <= size
 
     def _next_bulk(self, fragment: int) -> QueuedMessage | OutgoingPart:
-        """The next piece of bulk; its key goes to the end of the turns."""
+        """Return the next piece of bulk; its key goes to the end of the turns."""
         while True:
             key = self._turns[0]
             queue = self._bulk[key]

@@ -138,7 +138,7 @@ class Pulse:
         return now + (wait if wait > least / 4 else wait + least) + (self.period(least) - least)
 
     def beat(self, now: float, sent: int, received: int) -> Heartbeat:
-        """The heartbeat to send after so many bytes each way."""
+        """Return the heartbeat to send after so many bytes each way."""
         since, sent_before, received_before = self._rated
         if now > since:
             self.sent_rate = (sent - sent_before) / (now - since)
@@ -147,8 +147,8 @@ class Pulse:
         return Heartbeat(self._peer_stamp, self._peer_stamp_at, _microseconds(now))
 
     def heard(self, stamps: Heartbeat, now: float) -> tuple[float, float] | None:
-        """The round trip that a heartbeat of the other end closes and how far its clock is ahead of ours, both in s;
-        None where it closes none."""
+        """Return the round trip that a heartbeat of the other end closes and how far its clock is ahead of ours, both
+        in s; None where it closes none."""
         arrival = _microseconds(now)
         self._peer_stamp, self._peer_stamp_at = stamps.sent, arrival
         if not stamps.echo:

@@ -60,7 +60,7 @@ def decode_carried(data: bytes) -> Carried:
 
 
 def limit_of(priority: int, robots: Collection[str]) -> int:
-    """Bytes that a carried value of a class may have, in a swarm of these robots."""
+    """Return the number of bytes that a carried value of a class may have, in a swarm of these robots."""
     return frames.largest(priority, frames.MAX_PAYLOAD) - _HEAD.size - (len(robots) + 7) // 8
 
 

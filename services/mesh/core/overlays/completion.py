@@ -231,8 +231,8 @@ class Completion:
         return True
 
     def _told_by_us(self, origin: str, peer: str) -> tuple[int, ...]:
-        """The sets of robots, each of which we tell a neighbour when we know all of it: those with a shortest way to it
-        over us. Over a link of the tree to our parent also those on our side, to a child only those."""
+        """Return the sets of robots, each of which we tell a neighbour when we know all of it: those with a shortest
+        way to it over us. Over a link of the tree to our parent also those on our side, to a child only those."""
         if (origin, peer) not in self._through:
             ours, theirs = hops_from(self._map, self._me), hops_from(self._map, peer)
             told = {self._bits((self._me, *(name for name, hops in ours.items() if theirs.get(name) == hops + 1)))}
@@ -258,8 +258,8 @@ class Completion:
 
 
 def _tree(graph: Mapping[str, Collection[str]], origin: str) -> dict[str, set[str]]:
-    """The neighbours of each robot in the tree of shortest ways to the origin; the first way by name where there are
-    several."""
+    """Return the neighbours of each robot in the tree of shortest ways to the origin; the first way by name where there
+    are several."""
     hops = hops_from(graph, origin)
     tree: dict[str, set[str]] = {name: set() for name in hops}
     for name in hops:

@@ -153,8 +153,8 @@ class FloodOverlay:
         return True
 
     def progress(self, token: object) -> tuple[int, int] | None:
-        """Bytes of an own large flood that every neighbour who fetches it has, and all its bytes; None where that flood
-        is not under way."""
+        """Return the bytes of an own large flood that every neighbour who fetches it has, and all its bytes; None where
+        that flood is not under way."""
         for attempt in self._attempts.values():
             if attempt.token == token:
                 id = pieces.MessageId(self._me, self.incarnation, attempt.first, flood=True)
@@ -162,7 +162,7 @@ class FloodOverlay:
         return None
 
     def known(self, origin: str) -> int:
-        """The newest incarnation of a robot that was heard of; 0 = none."""
+        """Return the newest incarnation of a robot that was heard of; 0 = none."""
         return self.store.incarnation(origin)
 
     # -- inputs ------------------------------------------------------------------------------------------------

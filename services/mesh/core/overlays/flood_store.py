@@ -77,7 +77,7 @@ class Store:
         return sum(len(origin.latest) for origin in self._origins.values())
 
     def incarnation(self, name: str) -> int:
-        """The newest incarnation heard of; 0 = none."""
+        """Return the newest incarnation heard of; 0 = none."""
         origin = self._origins.get(name)
         return 0 if origin is None else origin.incarnation
 
@@ -112,7 +112,7 @@ class Store:
         return NEW if unseen else DUPLICATE
 
     def payload(self, name: str, incarnation: int, sequence: int) -> bytes | None:
-        """The latest value of that number."""
+        """Return the latest value of that number."""
         origin = self._origins.get(name)
         if origin is None or origin.incarnation != incarnation:
             return None
@@ -123,12 +123,12 @@ class Store:
         return not self._origins[name].window.add(sequence)
 
     def kept(self, name: str) -> list[tuple[str, Kept]]:
-        """The latest values of an origin."""
+        """Return the latest values of an origin."""
         origin = self._origins.get(name)
         return [] if origin is None else list(origin.latest.items())
 
     def one(self, name: str, key: str) -> Kept | None:
-        """The latest value of one key."""
+        """Return the latest value of one key."""
         origin = self._origins.get(name)
         return None if origin is None else origin.latest.get(key)
 

@@ -122,7 +122,7 @@ class LargeFloods:
             held.have[peer] = have
 
     def progress(self, id: MessageId) -> int:
-        """Bytes that all who fetch a message from us have."""
+        """Return the number of bytes that all who fetch a message from us have."""
         held = self._held.get(id)
         return min(min(held.have.values(), default=0) * SIZE, len(held.payload)) if held is not None else 0
 

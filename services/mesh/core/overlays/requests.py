@@ -225,7 +225,8 @@ class OverlayRequests:
 
 
 def app_of(key: str) -> str:
-    """The app that a message's key belongs to, `swarm/<sender>/app/<app>/send/<to>`; empty where it is no app's."""
+    """Return the app that a message's key belongs to, `swarm/<sender>/app/<app>/send/<to>`; empty where it is no
+    app's."""
     chunks = key.split("/")
     return chunks[3] if len(chunks) == 6 and chunks[2] == "app" and chunks[4] == "send" else ""
 

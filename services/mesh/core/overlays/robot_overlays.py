@@ -393,5 +393,5 @@ class RobotOverlays:
 
 @lru_cache(maxsize=1)
 def _sorted(robots: frozenset[str]) -> tuple[str, ...]:
-    """Names in order; of the robots of a simulation the same for all."""
+    """Return the names in order; of the robots of a simulation the same for all."""
     return tuple(sorted(robots))

@@ -55,7 +55,7 @@ class Halt(NamedTuple):
 
 
 def encode_halts(halt: Halt) -> list[bytes]:
-    """HALT packets: each may be understood without the others."""
+    """Return HALT packets: each may be understood without the others."""
     stops = [
         packed(name) + _MARK.pack(*mark) + packed(reason, MAX_REASON)
         for name, (mark, reason) in sorted(halt.stops.items())

@@ -81,7 +81,7 @@ class _Graph:
         return found
 
     def parts(self, without: int = -1) -> list[set[int]]:
-        """The parts, without one robot."""
+        """Return the parts, without one robot."""
         found: list[set[int]] = []
         left = dict.fromkeys(member for member in self.near if member != without)
         while left:
@@ -103,7 +103,7 @@ def plan(
     heard: Collection[Edge],
     up: Collection[Edge],
 ) -> tuple[Edge, ...]:
-    """The links there should be, in the order of `names`.
+    """Return the links there should be, in the order of `names`.
 
     `members` are the robots in reach, `edges` the links there should have been so far, `heard` those that can be made
     between members, `up` those of them that are up.
@@ -243,7 +243,7 @@ def _bound(graph: _Graph) -> int:
 
 
 def _farthest(graph: _Graph, pairs: Sequence[Pair]) -> tuple[int, Pair]:
-    """The pair that is farthest apart, of several that with the fewest links."""
+    """Return the pair that is farthest apart, of several that with the fewest links."""
     distances = {start: graph.distances(start) for start in {pair[0] for pair in pairs}}
 
     def merit(pair: Pair) -> tuple[int, int, int, int]:
@@ -261,7 +261,7 @@ def place_of(names: tuple[str, ...]) -> Mapping[str, int]:
 
 
 def places(bits: int, count: int) -> list[int]:
-    """The places below `count` whose bit is set. A peer may have set others."""
+    """Return the places below `count` whose bit is set. A peer may have set others."""
     return [place for place in range(count) if bits >> place & 1]
 
 

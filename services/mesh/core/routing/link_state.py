@@ -271,11 +271,12 @@ class LinkStateMap:
     # -- outputs -----------------------------------------------------------------------------------------------
 
     def neighbours(self) -> Collection[str]:
-        """Robots that we have a link to."""
+        """Return the robots that we have a link to."""
         return self._links.keys()
 
     def route(self, to: str, avoided: tuple[str, str] | None = None) -> Route | None:
-        """The way to a robot that does not use the link between the robots `avoided`; None where there is none."""
+        """Return the way to a robot that does not use the link between the robots `avoided`; None where there is
+        none."""
         if avoided is None:
             return self.routes().get(to)
         if (to, avoided) not in self._avoiding:
@@ -286,7 +287,7 @@ class LinkStateMap:
         return self._avoiding[to, avoided]
 
     def routes(self) -> dict[str, Route]:
-        """The ways to all robots that can be reached."""
+        """Return the ways to all robots that can be reached."""
         if self._routes is None and self._metric == HOPS:
             told = {name: known.advertisement.neighbours for name, known in self._known.items()}
             self._routes = routes_by_hops(self._me, self._own_times(), told)
@@ -315,7 +316,7 @@ class LinkStateMap:
         return graph
 
     def told(self) -> dict[str, Collection[str]]:
-        """The neighbours that each of the others says it has a link to."""
+        """Return the neighbours that each of the others says it has a link to."""
         return {name: known.advertisement.neighbours for name, known in self._known.items() if name != self._me}
 
     @property
@@ -324,7 +325,8 @@ class LinkStateMap:
         return self._borrowed and not self._settled
 
     def links(self, name: str) -> dict[str, int]:
-        """The links that a robot says it has, and their one-way times in units of 0.1 ms; this robot's as they are."""
+        """Return the links that a robot says it has, and their one-way times in units of 0.1 ms; this robot's as they
+        are."""
         if name == self._me:
             return {peer: link.level.time for peer, link in self._links.items()}
         known = self._known.get(name)
@@ -343,7 +345,7 @@ class LinkStateMap:
         return known.advertisement.topology if known is not None else -1
 
     def heard(self, name: str) -> int:
-        """The robots that a robot has reached by calling them, as bits."""
+        """Return the robots that a robot has reached by calling them, as bits."""
         if name == self._me:
             return self._heard
         known = self._known.get(name)
@@ -357,7 +359,7 @@ class LinkStateMap:
     # -- inside ------------------------------------------------------------------------------------------------
 
     def _own_known(self) -> dict[str, AdvertisedLinks]:
-        """The table of the others, to be changed."""
+        """Return the table of the others, to be changed."""
         if self._borrowed:
             self._borrowed = False
             self._known = {name: known for name, known in self._known.items() if name != self._me}

@@ -150,7 +150,7 @@ class Survey:
         self._stopped[origin] = incarnation, decode(Stopped, payload, key).stopped
 
     def graph(self, now: float, *, stopped: bool, after: str = "") -> MeshGraph:
-        """Robots with names behind `after`; `stopped` says whether this one is."""
+        """Return the robots with names behind `after`; `stopped` says whether this one is."""
         names = [name for name in self._names if name > after]
         page: list[GraphRobot] = []
         links = 0
@@ -232,7 +232,7 @@ class Clashes:
         signs.last, signs.text = now, text
 
     def refusal(self, robot: str, process: int, linked: int, now: float) -> str:
-        """Why a process may have no link because another robot has its name; empty where it may. `linked` is the
+        """Return why a process may have no link because another robot has its name; empty where it may. `linked` is the
         process that this robot has a link with; a process of 0 is not known."""
         if not process:
             return ""  # a caller that tells no process is taken for the robot that it names
@@ -261,13 +261,13 @@ class Clashes:
         self._doubts.pop(robot, None)
 
     def own(self, now: float) -> Iterator[str]:
-        """Names of which this robot itself has seen two owners."""
+        """Yield the names of which this robot itself has seen two owners."""
         for robot, signs in self._signs.items():
             if signs.last - signs.first >= NAMED_AFTER and now <= signs.last + FORGET:
                 yield robot
 
     def named(self, now: float) -> dict[str, str]:
-        """Names that two robots have, by what this robot or others in reach have seen, and what that is."""
+        """Return the names that two robots have, by what this robot or others in reach have seen, and what that is."""
         found = {robot: self._signs[robot].text for robot in self.own(now)}
         for teller in sorted(self._map.tellers):
             told = self._map.advertised(teller)

@@ -85,8 +85,8 @@ def follow(dials: MutableMapping[str, bool], order: Sequence[str], me: str) -> s
 
 
 def _hub(place: int) -> int:
-    """The place of the hub that has a link with the robot at this place. All hubs but the first have one of their own
-    besides, so they call six."""
+    """Return the place of the hub that has a link with the robot at this place. All hubs but the first have one of
+    their own besides, so they call six."""
     return 0 if place <= MAX_RFCOMM_LINKS else 1 + (place - MAX_RFCOMM_LINKS - 1) // (MAX_RFCOMM_LINKS - 1)
 
 

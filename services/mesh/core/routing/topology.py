@@ -114,20 +114,21 @@ class Ground:
         self._read: dict[bytes, TopologyVersion] = {self._packet[1]: self.first}
 
     def edge(self, a: str, b: str) -> Edge:
-        """The link of two robots as it stands in a graph."""
+        """Return the link of two robots as it stands in a graph."""
         return (a, b) if self.place[a] < self.place[b] else (b, a)
 
     def physical(self, value: TopologyVersion) -> tuple[Edge, ...]:
-        """The links that carry a value."""
+        """Return the links that carry a value."""
         return physical(self.order(value), value.edges, self._links)
 
     def order(self, value: TopologyVersion) -> tuple[str, ...]:
-        """The robots in the order of hubs: the chosen one, then the others as in the configuration."""
+        """Return the robots in the order of hubs: the chosen one, then the others as in the configuration."""
         hub = value.hub.place
         return (self.names[hub], *self.names[:hub], *self.names[hub + 1 :])
 
     def edges_of(self, shape: str, edges: Collection[Sequence[str]]) -> tuple[Edge, ...]:
-        """The links that an operator asks for by a shape, or one by one; `LocalError` says what is wrong with them."""
+        """Return the links that an operator asks for by a shape, or one by one; `LocalError` says what is wrong with
+        them."""
         if shape:
             graph = Graph.of_shape(shape, self.names)
         else:
@@ -166,7 +167,8 @@ class Ground:
         return head + bytes((len(issuer),)) + issuer + chosen + rows
 
     def decode(self, data: bytes) -> TopologyVersion | None:
-        """The value in a TOPOLOGY packet; None where it belongs to another configuration. Raises `FrameError`."""
+        """Return the value in a TOPOLOGY packet; None where it belongs to another configuration. Raises
+        `FrameError`."""
         if (known := self._read.get(data)) is not None:
             return known
         if len(data) <= _HEAD.size:
@@ -195,7 +197,7 @@ class Ground:
         return body + _CHECK.pack(zlib.crc32(body))
 
     def from_file(self, data: bytes) -> TopologyVersion | None:
-        """The value that was kept; None where it belongs to another configuration. Raises `FrameError`."""
+        """Return the value that was kept; None where it belongs to another configuration. Raises `FrameError`."""
         body = data[: -_CHECK.size]
         if not body.startswith(_MAGIC) or _CHECK.pack(zlib.crc32(body)) != data[-_CHECK.size :]:
             raise FrameError("the file is damaged")
@@ -264,7 +266,7 @@ class Advertisement(NamedTuple):
 
 
 def encode_advertisement(packet: Advertisement) -> bytes:
-    """The payload of a flooded LSA."""
+    """Return the payload of a flooded LSA."""
     names = b"".join(packed(name) + _METRIC.pack(time) for name, time in sorted(packet.neighbours.items()))
     heard = packet.heard.to_bytes((packet.heard.bit_length() + 7) // 8, "little")
     twins = packet.twins[:MAX_TWINS]
@@ -278,7 +280,7 @@ def encode_advertisement(packet: Advertisement) -> bytes:
 
 
 def decode_advertisement(data: bytes) -> Advertisement:
-    """The payload of a flooded LSA. Most only repeat what is known: small ones are not taken apart again."""
+    """Return the payload of a flooded LSA. Most only repeat what is known: small ones are not taken apart again."""
     return _decode_small_advertisement(data) if len(data) <= _SMALL else _decode_advertisement(data)
 
 
@@ -327,7 +329,7 @@ class Weight(NamedTuple):
 
 
 def routes(me: str, graph: Mapping[str, Mapping[str, Weight]]) -> dict[str, Route]:
-    """The best route to every robot that can be reached; `graph[a][b]` is the edge from a to b.
+    """Return the best route to every robot that can be reached; `graph[a][b]` is the edge from a to b.
 
     Of ways that cost the same the one with fewer hops wins, then the one whose first robot has the lower name: the
     same graph gives the same routes everywhere and every time.
@@ -348,8 +350,8 @@ def routes(me: str, graph: Mapping[str, Mapping[str, Weight]]) -> dict[str, Rout
 
 
 def routes_by_hops(me: str, own: Mapping[str, int], told: Mapping[str, Mapping[str, int]]) -> dict[str, Route]:
-    """The same where every edge costs 1, level by level. `own`: times of this robot's edges; `told[a][b]`: the time
-    that a tells of its edge to b, which counts where b tells of it, too."""
+    """Return the same where every edge costs 1, level by level. `own`: times of this robot's edges; `told[a][b]`: the
+    time that a tells of its edge to b, which counts where b tells of it, too."""
     found: dict[str, Route] = {}
     nothing: Mapping[str, int] = {}
     level = {peer: (peer, time) for peer, time in own.items()}

@@ -34,7 +34,8 @@ def hkdf(secret: bytes, salt: bytes, info: bytes, length: int) -> bytes:
 
 
 def newest_common(ours: Collection[int], theirs: Collection[int]) -> int | None:
-    """The id of the key to use: the highest one both ends have, since ids grow with time; None = there is none."""
+    """Return the id of the key to use: the highest one both ends have, since ids grow with time; None = there is
+    none."""
     return max(set(ours).intersection(theirs), default=None)
 
 
@@ -46,7 +47,7 @@ class Tagger:
         self._count = count
 
     def __call__(self, frame: bytes) -> bytes:
-        """The tag of the next frame, given from its length up to its body's end."""
+        """Return the tag of the next frame, given from its length up to its body's end."""
         mac = self._keyed.copy()
         mac.update(_COUNTER.pack(self._count) + frame)
         self._count += 1

@@ -247,7 +247,7 @@ def encode_bind(bind: Bind) -> bytes:
 
 
 def decode_bind(body: bytes) -> Bind:
-    """The body of a BIND frame. The key's characters are checked by whoever knows what may come in."""
+    """Return the body of a BIND frame. The key's characters are checked by whoever knows what may come in."""
     if not _BIND.size < len(body) <= _BIND.size + MAX_KEY_LENGTH:
         raise FrameError(f"BIND of {len(body)} bytes: a key has 1 to {MAX_KEY_LENGTH}")
     channel, overlay = _BIND.unpack_from(body)
@@ -264,7 +264,7 @@ def encode_heartbeat(stamps: Heartbeat) -> bytes:
 
 
 def decode_heartbeat(body: bytes) -> Heartbeat:
-    """The body of a HEARTBEAT frame."""
+    """Return the body of a HEARTBEAT frame."""
     if len(body) != _HEARTBEAT.size:
         raise FrameError(f"HEARTBEAT of {len(body)} bytes: it has {_HEARTBEAT.size}")
     return Heartbeat(*_HEARTBEAT.unpack(body))
@@ -276,7 +276,7 @@ def encode_confirm(mac: bytes = b"") -> bytes:
 
 
 def decode_confirm(body: bytes, size: int = 0) -> bytes:
-    """The MAC of a CONFIRM frame, `size` bytes: 0 on an insecure link."""
+    """Return the MAC of a CONFIRM frame, `size` bytes: 0 on an insecure link."""
     if len(body) != size:
         raise FrameError(f"CONFIRM of {len(body)} bytes: it has {size} here")
     return body
@@ -288,7 +288,7 @@ def encode_bye(code: int) -> bytes:
 
 
 def decode_bye(body: bytes) -> int:
-    """The code of a BYE frame; codes of later versions are let through."""
+    """Return the code of a BYE frame; codes of later versions are let through."""
     if len(body) != 1:
         raise FrameError(f"BYE of {len(body)} bytes: it has 1")
     return body[0]
@@ -313,7 +313,7 @@ def encode_hello(hello: Hello) -> bytes:
 
 
 def decode_hello(body: bytes) -> Hello:
-    """The body of a HELLO frame.
+    """Return the body of a HELLO frame.
 
     Magic and version range come first and keep their place in every version, so that `VersionError` can be
     told from noise whatever follows them.

@@ -49,7 +49,7 @@ class PacketReader:
         return fields
 
     def name(self, *, empty: bool = False) -> str:
-        """The next robot's name."""
+        """Return the next robot's name."""
         data = self._text(16)
         return "" if empty and not data else _name(data)
 
@@ -65,7 +65,7 @@ class PacketReader:
         return text
 
     def octets(self) -> bytes:
-        """The next bytes behind their length, u8."""
+        """Return the next bytes behind their length, u8."""
         return self._text(255)
 
     def end(self) -> None:
@@ -206,7 +206,7 @@ class Ack(NamedTuple):
 
 
 def kind_of(data: bytes) -> int:
-    """The kind of a packet."""
+    """Return the kind of a packet."""
     if not data:
         raise FrameError("overlay packet without a kind")
     return data[0]
@@ -291,7 +291,7 @@ def decode_echo(data: bytes) -> EchoPacket:
 
 
 def encode_digests(origins: Mapping[str, tuple[int, int]], *, answer: bool) -> list[bytes]:
-    """DIGEST packets that cover all names."""
+    """Return DIGEST packets that cover all names."""
     packets: list[bytes] = []
     names = sorted(origins)
     at, low = 0, ""
