@@ -308,7 +308,7 @@ class Balancer:
         return True
 
     def motors_off(self) -> None:
-        """The last act: stop, whatever state this is in. Where the bus fails the ATmega's watchdog does it."""
+        """Stop the motors as the last act, whatever the state. Where the bus fails, the ATmega's watchdog does it."""
         for _ in range(3):
             try:
                 self.balboa.write_motors(0.0, 0.0)

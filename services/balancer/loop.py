@@ -167,7 +167,7 @@ class Loop:
             self._show_leds_at(due, write_at, until)
 
     def _show_leds_at(self, due: float, write_at: float, until: float) -> None:
-        """The change that is due at `due`, to be written at `write_at` unless the next tick is too near by then."""
+        """Write at `write_at` the LEDs that are due at `due`, unless the next tick is too near by then."""
         now = clock.now()
         if now < write_at:
             time.sleep(write_at - now)

@@ -40,7 +40,7 @@ class StandUp(PeriodicApp):
             self._rise("button")
 
     def on_neighbour(self, neighbour: Any) -> None:
-        """The news that the domino is about."""
+        """Stand up where the neighbour stands."""
         if neighbour.standing:
             self._rise(neighbour.name)
 

@@ -153,7 +153,7 @@ class TopologyWatch:
         self._strangers: dict[str, str] = {}
 
     def take(self, topology: Topology) -> None:
-        """The topology in force."""
+        """Take the topology in force."""
         lost = self._needed - set(topology.wanted)
         self._version = topology.number
         if lost - self._lost:

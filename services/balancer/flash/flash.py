@@ -136,7 +136,7 @@ def _flash(firmware: image.Image, port: str, say: Say) -> None:
 
 
 def _check(bus: I2CBus, firmware: image.Image) -> None:
-    """Whether what was flashed answers over I2C."""
+    """Check that what was flashed answers over I2C."""
     end = time.monotonic() + START_S
     found = None
     while time.monotonic() < end:

@@ -33,8 +33,8 @@ def limit(adapter: Adapter, peer: str, seconds: float) -> None:
 
 
 def try_limit(own: str, peer: str, dead: float) -> None:
-    """The same for a mesh that takes a robot for dead after that time, s. Links work without it, too: where it cannot
-    be done the reason is logged, once."""
+    """Limit the silence of a link for a mesh that takes a robot for dead after `dead` seconds. Links work without the
+    limit, too: where it cannot be set, the reason is logged, once."""
     try:
         with contextlib.closing(Adapter(own)) as adapter:
             limit(adapter, peer, hci.SUPERVISION_SHARE * dead)

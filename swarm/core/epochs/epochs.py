@@ -156,7 +156,7 @@ class Epochs:
     # What the host tells
 
     def take_links(self, edges: tuple[Edge, ...]) -> None:
-        """The links of the topology in force."""
+        """Take the links of the topology in force."""
         if edges != self._edges:
             self._edges = edges
             members = set(self.epoch.members)

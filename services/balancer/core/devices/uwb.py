@@ -135,7 +135,7 @@ class UwbReader:
         return sum(self._missed) >= BEHIND
 
     def notice(self, newest: int) -> None:
-        """The number of the ATmega's newest report, modulo 16, as each tick finds it."""
+        """Take the number of the ATmega's newest report, modulo 16, as each tick finds it."""
         self._newest = newest
 
     def next(self, now: float, room: Room = WHOLE) -> Transfer | None:

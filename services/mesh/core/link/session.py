@@ -159,7 +159,7 @@ class Session:
     # -- inputs ------------------------------------------------------------------------------------
 
     def receive(self, data: bytes, now: float) -> None:
-        """Bytes from the transport, cut anyhow."""
+        """Take bytes from the transport, cut anyhow."""
         if self.state == DOWN:
             return
         self._receipts.taken += len(data)

@@ -150,7 +150,7 @@ class OverlayRequests:
         self._end(TopologySet(self._now(), request.ticket, linking.value.version, problem))
 
     def _remind(self, reminder: Reminder) -> None:
-        """The answer again, or how far it is."""
+        """Tell the answer again, or how far it is."""
         known = self._tickets.get(reminder.ticket)
         if known is not None and not isinstance(known, _Ticket):
             self._tell(known)

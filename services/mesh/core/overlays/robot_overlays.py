@@ -200,7 +200,7 @@ class RobotOverlays:
         self._map.tell_twins(tuple(sorted(self.clashes.own(now))), now)
 
     def measured(self, peer: str, rtt: float, now: float) -> None:
-        """The smoothed round-trip time of a link, s."""
+        """Take the smoothed round-trip time of a link, s."""
         self.now = now
         self._map.measured(peer, rtt, now)
 

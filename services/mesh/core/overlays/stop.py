@@ -24,7 +24,7 @@ from services.mesh.core.wire.packets import HALT, MAX_INCARNATION, MAX_SEQUENCE,
 from swarm.errors import FrameError
 from swarm.messages import Stop, Stopped
 from swarm.messages.codec import encode
-from swarm.messages.keys import STOP, key
+from swarm.messages.keys import STOP
 from swarm.messages.keys import key as key_of
 from swarm.messages.service import MAX_REASON, short_reason
 
@@ -320,8 +320,6 @@ make one flood of each robot."""
 MAX_NAMED = 16
 """Robots that `mesh/stopped` names: with their reasons it stays far below what a flood carries."""
 
-_NEVER = float("inf")
-
 
 class Stops:
     """Watches the register."""
@@ -334,7 +332,7 @@ class Stops:
         self._register = register
         self._flood = flood
         self._to_bus = to_bus
-        self._key = key(me, "mesh", "stopped")
+        self._key = key_of(me, "mesh", "stopped")
         self._confirmed: dict[str, str] = {}
         self._tell_at = _NEVER
         self._confirm_at = _NEVER

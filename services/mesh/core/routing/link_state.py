@@ -189,7 +189,7 @@ class LinkStateMap:
             self.handle_timer(now)
 
     def measured(self, peer: str, rtt: float, now: float) -> None:
-        """The smoothed round-trip time of a link."""
+        """Take the smoothed round-trip time of a link."""
         link = self._links.get(peer)
         if link is None:
             return
@@ -206,7 +206,7 @@ class LinkStateMap:
             self._due = min(self._due, now + HOLD_DOWN)
 
     def tell_twins(self, twins: tuple[str, ...], now: float) -> None:
-        """The names that two robots have, as this robot has seen."""
+        """Tell the names that two robots have, as this robot has seen."""
         if twins != self._twins:
             self._twins = twins
             self._due = min(self._due, now + HOLD_DOWN)
