@@ -27,12 +27,12 @@ from sim.disturbances import (
     ScheduledPush,
     never,
 )
-from sim.processes import footprint
+from sim.processes import findings, footprint
 from sim.processes.monitor import START_LIMIT_S, Monitor, Seen, StartTimeout, unrecorded
 from sim.processes.processes import APP_FAULT, Processes
 from sim.processes.progress import ProgressDisplay
 from sim.processes.radio import LATENESS
-from sim.report import RunOutcome, fault
+from sim.report import RunOutcome
 from sim.scenario.options import PRESS_S, Options
 from sim.scenario.scenario import Scenario
 from sim.world import BodyWorld
@@ -166,11 +166,11 @@ class ProcessRun:
                     started = now
                     self._moves_from = now
                     self._world.move_target(now)
-                elif (faults := _faults(seen)) and not self._scenario.run_options.drop:
+                elif (faults := findings.faults(seen)) and not self._scenario.run_options.drop:
                     self._problems += faults
                     break
-                elif not self._late and start_timeout.lost(_ready(seen, missing), now):
-                    found = _obstacles(seen, missing)
+                elif not self._late and start_timeout.lost(findings.ready(seen, missing), now):
+                    found = findings.obstacles(seen, missing)
                     self._problems.append(f"no first iteration, and nothing new for {START_LIMIT_S:g} s: {found}")
                     break
             else:
@@ -226,10 +226,12 @@ class ProcessRun:
             return ready and all(
                 robot.progress is not None and robot.progress.phase == "running" for robot in present.values()
             )
-        return bool(present) and all(_iteration(robot) >= 1 or _failed(robot) for robot in present.values())
+        return bool(present) and all(
+            findings.iteration(robot) >= 1 or findings.failed(robot) for robot in present.values()
+        )
 
     def _is_done(self, seen: Mapping[str, Seen], elapsed: float) -> bool:
-        faults = _faults(seen)
+        faults = findings.faults(seen)
         if faults and not self._scenario.run_options.drop:
             self._problems += faults
             return True
@@ -237,7 +239,7 @@ class ProcessRun:
             return elapsed >= self._options.seconds
         if self._scenario.app is None:
             return False
-        members = _members(seen)  # robots that the others go on without are waited for no more
+        members = findings.members(seen)  # robots that the others go on without are waited for no more
         told = [progress for name in members if (progress := seen[name].progress) is not None]
         if len(told) < len(members) or any(progress.phase not in ("done", "fault") for progress in told):
             return False
@@ -301,7 +303,7 @@ class ProcessRun:
         self._refresh(now)
         seen = self._monitor.look()
         if self._options.seconds is not None:
-            self._problems += _held_up(seen)
+            self._problems += findings.held_up(seen)
         self._problems += unrecorded(seen)
         memory = {name: footprint.resident_mib(self._processes.of(name)) for name in names}
         found = self._world.look(lambda record, contacts: scene.seen(self._scenario, record, contacts, self._commanded))
@@ -323,14 +325,14 @@ class ProcessRun:
             seconds=0.0 if started is None else now - started,
             trajectories=paths,
             bodies={name: seen[name].balancer for name in names},
-            messages=_messages(seen),
+            messages=findings.messages(seen),
             rss_mib=memory,
             restarts={
                 name: self._power.cycles[name] + sum(child.restarts for child in self._processes.of(name))
                 for name in names
             },
             problems=tuple(self._problems),
-            missing=tuple(name for name in names if name not in _members(seen)),
+            missing=tuple(name for name in names if name not in findings.members(seen)),
             scene=found,
             moves_from=self._moves_from,
             beside=beside,
@@ -338,63 +340,3 @@ class ProcessRun:
             ended_by=self._signal,
             never=(*self._impossible, *never(left, 0.0 if started is None else now - started)),
         )
-
-
-def _members(seen: Mapping[str, Seen]) -> tuple[str, ...]:
-    """Return the members of the newest epoch that a robot knows."""
-    epochs = [robot.epoch for robot in seen.values() if robot.epoch is not None]
-    newest = max(epochs, key=lambda epoch: (epoch.epoch, epoch.frames), default=None)
-    return tuple(seen) if newest is None else newest.members
-
-
-def _faults(seen: Mapping[str, Seen]) -> list[str]:
-    return [
-        fault(name, "app", robot.progress.reason) for name, robot in seen.items() if robot.progress and _failed(robot)
-    ]
-
-
-def _held_up(seen: Mapping[str, Seen]) -> list[str]:
-    """Return what members of the run wait for, except for a robot that is away."""
-    waiting = [(name, seen[name].progress) for name in _members(seen)]
-    return [
-        f"{name} app waits for {', '.join(told.waiting_for)} at iteration {told.k}: {told.reason}"
-        for name, told in waiting
-        if told is not None and told.phase == "waiting" and told.waiting_for and told.reason
-    ]
-
-
-def _failed(seen: Seen) -> bool:
-    return seen.progress is not None and seen.progress.phase == "fault"
-
-
-def _iteration(seen: Seen) -> int:
-    return max(seen.progress.k if seen.progress is not None else 0, seen.state.k if seen.state is not None else 0)
-
-
-def _messages(seen: Mapping[str, Seen]) -> int | None:
-    """Return the number of app frames that all meshes have sent, as they count them in their status."""
-    counts = [robot.status["mesh"].counters.get("sent_sync", 0) for robot in seen.values() if "mesh" in robot.status]
-    return sum(counts) if counts else None
-
-
-def _ready(seen: Mapping[str, Seen], missing: Mapping[str, Sequence[str]]) -> int:
-    """Return how much of a starting swarm is there: services that are ready, links that are up, apps that report."""
-    services = sum(len(robot.status.keys() - set(missing[name])) for name, robot in seen.items())
-    links = sum(link.state == "up" for robot in seen.values() if robot.links for link in robot.links.links)
-    return services + links + sum(robot.progress is not None for robot in seen.values())
-
-
-def _obstacles(seen: Mapping[str, Seen], missing: Mapping[str, Sequence[str]]) -> str:
-    """Return why a swarm did not start, robot by robot."""
-    found = []
-    for name, robot in seen.items():
-        if missing[name]:
-            found.append(f"{name}: {', '.join(missing[name])} not ready")
-        elif robot.progress is not None and robot.progress.k < 1:
-            waits = (
-                f"waits for {', '.join(robot.progress.waiting_for)}"
-                if robot.progress.waiting_for
-                else robot.progress.phase
-            )
-            found.append(f"{name}: app {waits} {robot.progress.reason}".rstrip())
-    return "; ".join(found) or "the apps say nothing"
