@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 
 from swarm.core.epochs.actions import EpochRequest
-from swarm.core.epochs.notes import Ballot, Epoch, EpochNote, Offer, following
+from swarm.core.epochs.notes import Epoch, EpochNote, Offer, Vote, following
 from swarm.core.epochs.roster import Roster
 from swarm.core.graph import Edge, Graph
 from swarm.messages.codec import MAX_COUNT
@@ -52,17 +52,13 @@ def choose(
 
 def decided(epoch: Epoch, notes: Mapping[str, EpochNote]) -> Epoch | None:
     """Return the successor of `epoch` that has votes enough, None where none has; `notes` are its members'."""
-    votes: dict[Ballot, set[str]] = {}
-    epochs: dict[Ballot, Epoch] = {}
+    voters: dict[Vote, set[str]] = {}
     for name, note in notes.items():
         if note.accepted is not None:
-            votes.setdefault(note.accepted.ballot, set()).add(name)
-            epochs[note.accepted.ballot] = note.accepted.epoch
-    for ballot, successor in epochs.items():
-        if successor.forced:
-            enough = votes[ballot] >= set(successor.carried)
-        else:
-            enough = 2 * len(votes[ballot]) > len(epoch.members)
+            voters.setdefault(note.accepted, set()).add(name)
+    for vote, names in voters.items():
+        majority = 2 * len(names) > len(epoch.members)
+        enough = names >= set(vote.epoch.carried) if vote.epoch.forced else majority
         if enough:
-            return successor
+            return vote.epoch
     return None

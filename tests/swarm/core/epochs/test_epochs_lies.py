@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarm.core.epochs.actions import SaveEpochs, SendToNeighbours
+from swarm.core.epochs.choice import decided
 from swarm.core.epochs.epochs import MAX_FOUND, Epochs
 from swarm.core.epochs.notes import (
     LOST,
@@ -80,6 +81,15 @@ def test_a_robot_whose_count_of_starts_was_forged_to_the_greatest_number_goes_on
     assert world.progress["r1"] > before
     assert all(process.lockstep.phase == "running" for process in world.processes.values())
     assert world.processes["r1"].lockstep.counters["impossible birth"] >= 1
+
+
+@pytest.mark.parametrize("liar", NAMES)
+def test_a_vote_for_another_epoch_in_the_same_ballot_counts_for_that_epoch_alone(liar: str) -> None:
+    """As of two robots with one name, or of a member that lies: the majority has decided what it has voted for."""
+    ballot = Ballot(1, "r1")
+    agreed, other = (following(BEGIN, "r1", k, NAMES, NAMES, LINE, (), (), forced=False) for k in (3, 7))
+    votes = {name: Vote(ballot, other if name == liar else agreed) for name in NAMES}
+    assert decided(BEGIN, {name: note(name, promised=ballot, accepted=vote) for name, vote in votes.items()}) == agreed
 
 
 @pytest.mark.parametrize("birth", [MAX_COUNT + 1, (1 << 64) - 1, -1])
