@@ -129,6 +129,7 @@ class VirtualBalancer:
             self.begins_to_move(self.robot)
         self.powered = False
         self._stands_at = math.inf
+        self._claim.clear()
 
     def switch_on(self, *, stands: bool) -> None:
         """Switch the robot on. Where it `stands`, it stands up when it knows its gyro's zero."""
@@ -139,8 +140,13 @@ class VirtualBalancer:
         self._changed()
 
     def _stand_up(self) -> None:
-        if self._time.now >= self._stands_at:
-            self.command("stand", self._time.now)
+        """Stand up, and leave the LEDs to an app that has taken them since the start."""
+        now = self._time.now
+        if now >= self._stands_at:
+            self._stands_at = math.inf
+            self.body.command("stand", now)
+            self._changed()
+            self.begins_to_move(self.robot)
 
     # -- the process -------------------------------------------------------------------------------------------
 

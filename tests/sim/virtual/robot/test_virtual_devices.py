@@ -128,6 +128,19 @@ def test_a_robot_that_is_switched_on_stands_up_unless_a_stop_holds(rig):
     assert [at for at, message in rig.messages(BalancerState) if message.mode == "standing_up" and at > 6.0] == []
 
 
+def test_a_robot_that_was_switched_off_has_lost_the_leds_of_before_and_keeps_those_of_after(rig):
+    balancer = rig.world.robots["r0"].balancer
+    rig.run(0.5)
+    balancer.claim_leds((True, False, True), 60.0, rig.time.now)
+    rig.world.switch_off("r0", 1.0)
+    rig.run(1.5)
+    assert balancer.shown != (True, False, True)
+    balancer.claim_leds((True, True, True), 60.0, rig.time.now)
+    rig.run(4.0)
+    assert rig.body.mode == "balancing"
+    assert balancer.shown == (True, True, True)
+
+
 def test_a_robot_that_begins_lying_lies_also_after_it_was_switched_on():
     rig = Rig("--robots", "2", lying="back")
     rig.world.switch_off("r0", 1.0)
