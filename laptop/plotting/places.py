@@ -23,7 +23,7 @@ PLACED = ("swarm/*/dwm/pose", "swarm/*/sim/truth", "swarm/*/app/*/measurement")
 """Topics with the places of robots, the best one first."""
 
 MOVING = ("formation", "goto")
-"""Apps whose picture shows how near robots come to each other."""
+"""Built-in apps whose picture shows how near robots come to each other."""
 
 SIGMAS = 2.0
 """Half-axes of the ellipses in standard deviations. They contain 86 % of a plane's normal distribution."""
@@ -47,7 +47,7 @@ def draw_map(figure: Any, run: Run, references: Mapping[str, Sequence[Place]] | 
     way, estimates = _target(run, swarm), _estimates(run)
     robots = list(run.robots)
     truths = paths(run, ("swarm/*/sim/truth",))
-    moves = truths if run.app in MOVING and len(truths) > 1 else {}
+    moves = truths if run.built_in in MOVING and len(truths) > 1 else {}
     panels = 2 if (way and estimates) or moves else 1
     figure.set_size_inches(5.2 * panels, 4.8)
     axes = figure.add_subplot(1, panels, 1)
@@ -221,7 +221,7 @@ def distances(axes: Any, run: Run, tracks: Mapping[str, list[tuple[Place, dict[s
     pairs = [np.hypot(*(places[i] - places[j])) for i in range(len(places)) for j in range(i)]
     axes.plot(grid, np.min(pairs, axis=0), color=style.COLOURS[0], label="nearest two")
     axes.axhline(TOUCH_M, color=style.GREY, linewidth=0.8, linestyle="--", label="robots touch")
-    if run.app == "formation":
+    if run.built_in == "formation":
         told = [sample.message["parameters"] for sample in run.samples("swarm/*/app/formation/parameters")]
         shape, size = (told[0][name]["value"] if told else None for name in ("shape", "size"))
         robots = list(tracks)

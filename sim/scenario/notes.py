@@ -121,7 +121,7 @@ def _step_size(config: Config, app: loader.LoadedApp, recordings: Mapping[str, T
 
 def _buttons(app: loader.LoadedApp, options: Options) -> tuple[str, ...]:
     """Return a note if the app waits for a button."""
-    if app.name not in BEGUN_BY_BUTTON or options.presses:
+    if not app.is_built_in or app.name not in BEGUN_BY_BUTTON or options.presses:
         return ()
     return (f"{app.name} waits for a button: swarm hand press r0 A, from another terminal, or --press r0.A@2s",)
 

@@ -49,9 +49,11 @@ def _delays_do(options: Options, scenario: Scenario) -> bool:
     if app is None or scenario.beside or scenario.disturbances or links_differ or made_by_meshes or options.view:
         return False
     synchronous = all(issubclass(kind, SyncApp) for kind in app.algorithms.values())
-    return synchronous and not any(map(_NEEDS_MESH.search, _texts(app)))
+    texts = _texts(app)
+    return synchronous and all(texts) and not any(map(_NEEDS_MESH.search, texts))
 
 
 def _texts(app: LoadedApp) -> list[bytes]:
+    """Return the texts of an app's files; an empty one of a class whose text nobody has kept."""
     path = Path(app.source)
     return list(sources.of_app(path).values()) if path.is_file() else [app.text]

@@ -69,6 +69,13 @@ class Run:
         """Names of the apps whose states are there."""
         return tuple(sorted({topic.split("/")[3] for topic in self.topics if is_state(topic)}))
 
+    @property
+    def built_in(self) -> str:
+        """The name of the app that is looked at, where it is a built-in one. Empty where it is an author's, which may
+        have the same name: its source stands beside the recordings."""
+        place = self.path if self.path.is_dir() else self.path.parent
+        return "" if (place / f"{self.app}.py").exists() else self.app
+
     def notes(self, name: str) -> list[dict[str, str]]:
         """Return the metadata records of a name."""
         return [entries for known, entries in self._metadata if known == name]

@@ -33,7 +33,7 @@ OF_APP = {
     "flooding_demo": "floods",
     "unicast_demo": "unicasts",
 }
-"""The default kind of picture of an app; of apps that are not listed it is the states."""
+"""The default kind of picture of a built-in app; of all others it is the states."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -141,7 +141,7 @@ def _label(text: str) -> tuple[str, str]:
 
 
 def _of(recorded: Run) -> str:
-    kind = OF_APP.get(recorded.app, "states")
+    kind = OF_APP.get(recorded.built_in, "states")
     # A run that was imported from the thesis' files has states alone.
     needed = {"leds": "/leds", "standup": "/balancer/state", "floods": "/asked", "unicasts": "/asked"}.get(kind, "")
     return kind if any(topic.endswith(needed) for topic in recorded.topics) else "states"

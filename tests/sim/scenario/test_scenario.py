@@ -132,6 +132,13 @@ def test_a_step_size_beyond_the_limit_of_the_scene_is_refused(tmp_path):
         build(tmp_path, *thesis, "8e-6")
 
 
+def test_only_a_built_in_app_is_said_to_wait_for_a_button(tmp_path):
+    own = tmp_path / "stand_up.py"
+    own.write_text("from swarm import SyncApp\nclass Own(SyncApp):\n    value: float\n    def step(self, n): pass\n")
+    assert "waits for a button" in build(tmp_path, "stand_up").notes[0]
+    assert build(tmp_path, str(own)).notes == ()
+
+
 def test_measurements_are_made_for_a_run_that_ends_by_its_time(tmp_path):
     recorded = build(tmp_path, "localization", "--noise", "none", "--for", "2").recordings
     assert {len(each.rows) for each in recorded.values()} == {2000}

@@ -103,6 +103,18 @@ def test_the_map_of_an_authors_app_has_the_target_that_it_ranges_to_and_its_esti
         assert label in text
 
 
+@pytest.mark.parametrize("name", ["formation", "led_sync", "stand_up"])
+def test_an_authors_app_with_the_name_of_a_built_in_one_is_drawn_as_its_own(tmp_path, name, capsys):
+    app = tmp_path / f"{name}.py"
+    app.write_text("from swarm import SyncApp\nclass Own(SyncApp):\n    value: float\n    def step(self, n): pass\n")
+    report, _ = run_virtually(str(app), "--robots", "2", "--iterations", "3", "--record", str(tmp_path / "run"))
+    assert report["problems"] == []
+    path = tmp_path / "picture.svg"
+    assert plot(tmp_path / "run", "-o", path) == 0
+    assert "iteration" in path.read_text()
+    assert plot(tmp_path / "run", "--kind", "map", "-o", path) == 0
+
+
 def test_an_axis_says_what_it_was_told(runs, tmp_path, capsys):
     path = tmp_path / "x.svg"
     assert plot(runs / "localization", "--column", "result.x", "--label", "result.x=target x / m", "-o", path) == 0

@@ -2,6 +2,7 @@
 
 import pytest
 
+from services.apps.loader import of_class
 from sim.scenario.options import DELAY, FROM_START, SETTLED, parse
 from sim.scenario.scenario import build
 from sim.virtual.mesh_choice import mesh_of
@@ -100,3 +101,13 @@ def test_a_large_swarm_has_a_short_table(capsys):
     assert "and 10 robots more" in text
     assert len(report["result"]) == 60
     assert text.count("value=") == MOST_ROWS
+
+
+def test_an_app_whose_text_nobody_has_kept_may_need_a_mesh():
+    """As a class that was typed at a prompt."""
+    typed: dict[str, type] = {}
+    method = "def step(self, n): self.robot.flood(b'')"
+    exec(f"from swarm import SyncApp\nclass Typed(SyncApp):\n    value: float\n    {method}\n", typed)
+    app = of_class(typed["Typed"])
+    options = parse(["--virtual", "--topology", "loop", "typed", "--robots", "201"])
+    assert mesh_of(options, build(options, PLACE, app)) == SETTLED
