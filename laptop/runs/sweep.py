@@ -1,7 +1,7 @@
 """`swarm.sweep`: many runs in virtual time from a program or a notebook, as a table."""
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -99,32 +99,13 @@ def sweep(
         raise ConfigError("jobs: a class cannot go to other processes; put it into a file, and give its path")
     if not within >= 0.0:
         raise ConfigError(f"within: expected a distance of 0 or more, got {within}")
-    if not isinstance(over, Mapping):
-        raise ConfigError(f'over: expected lists by name, such as {{"topology": ["line", "loop"]}}, got {over!r}')
-    given = {"robots": robots, "topology": topology, "latency": None if latency == LATENCY else latency, **options}
-    fixed = {name for name, value in (values or {}).items() if not isinstance(value, Mapping)}
     kinds = found.algorithms.values()
     own = {name for kind in kinds for name in (*kind.spec.parameters, *kind.spec.schema.names)}
+    given = {"robots": robots, "topology": topology, "latency": None if latency == LATENCY else latency, **options}
+    fixed = {name for name, value in (values or {}).items() if not isinstance(value, Mapping)}
     fixed |= {name for name, value in given.items() if value is not None} - own
-    for name, choices in over.items():
-        if name == "seed" and name not in own:
-            raise ConfigError("over: a sweep has its seeds by seeds=..., a number of them or a list")
-        if name in {*flags_of_options(), *OF_ALL_RUNS} - own - {*OPTIONS}:
-            raise ConfigError(
-                f"over: {name} is an argument of all runs of a sweep: call sweep once for each value, with {name}=...; "
-                f"lists may be of {', '.join(OPTIONS)}, and of parameters and first values of the app"
-            )
-        if isinstance(choices, str) or not hasattr(choices, "__iter__"):
-            raise ConfigError(f"over: {name}: expected a list of values, got {choices!r}")
-        if name in fixed:
-            raise ConfigError(f"over: {name} has one value for all runs, too: leave that out, or the list")
-    points = points_of([], [(name, [_text(value) for value in choices]) for name, choices in over.items()])
-    if not points:
-        empty = ", ".join(name for name, choices in over.items() if not choices)
-        raise ConfigError(f"over: {empty}: a list is empty, expected values")
-    numbers = range(1, seeds + 1) if isinstance(seeds, int) else seeds
-    if isinstance(numbers, str) or not isinstance(numbers, Sequence) or not numbers or min(numbers) < 0:
-        raise ConfigError(f"seeds: {seeds!r}: expected a number of seeds above zero, or a list of seeds of 0 or more")
+    points = _points(over, own, fixed)
+    numbers = _seeds(seeds)
     planned: list[Job] = []
     for index, point in enumerate(points):
         chosen = dict(point.choices)
@@ -156,6 +137,38 @@ def sweep(
             look(count / len(planned))
 
         return SweepTable(found.name, points, run(planned, done))
+
+
+def _points(over: Mapping[str, Sequence[Any]], own: Collection[str], fixed: Collection[str]) -> list[SweepPoint]:
+    """Return the combinations of the lists in `over`. `own` are the app's parameters and first values, `fixed` what has
+    one value for all runs. Raises `ConfigError`."""
+    if not isinstance(over, Mapping):
+        raise ConfigError(f'over: expected lists by name, such as {{"topology": ["line", "loop"]}}, got {over!r}')
+    for name, choices in over.items():
+        if name == "seed" and name not in own:
+            raise ConfigError("over: a sweep has its seeds by seeds=..., a number of them or a list")
+        if name in {*flags_of_options(), *OF_ALL_RUNS}.difference(own, OPTIONS):
+            raise ConfigError(
+                f"over: {name} is an argument of all runs of a sweep: call sweep once for each value, with {name}=...; "
+                f"lists may be of {', '.join(OPTIONS)}, and of parameters and first values of the app"
+            )
+        if isinstance(choices, str) or not hasattr(choices, "__iter__"):
+            raise ConfigError(f"over: {name}: expected a list of values, got {choices!r}")
+        if name in fixed:
+            raise ConfigError(f"over: {name} has one value for all runs, too: leave that out, or the list")
+    points = points_of([], [(name, [_text(value) for value in choices]) for name, choices in over.items()])
+    if not points:
+        empty = ", ".join(name for name, choices in over.items() if not choices)
+        raise ConfigError(f"over: {empty}: a list is empty, expected values")
+    return points
+
+
+def _seeds(seeds: int | Sequence[int]) -> Sequence[int]:
+    """Return the seeds of a sweep. Raises `ConfigError`."""
+    numbers = range(1, seeds + 1) if isinstance(seeds, int) else seeds
+    if isinstance(numbers, str) or not isinstance(numbers, Sequence) or not numbers or min(numbers) < 0:
+        raise ConfigError(f"seeds: {seeds!r}: expected a number of seeds above zero, or a list of seeds of 0 or more")
+    return numbers
 
 
 def _text(value: Any) -> str:

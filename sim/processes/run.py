@@ -29,7 +29,7 @@ from sim.disturbances import (
 )
 from sim.processes import findings, footprint
 from sim.processes.monitor import START_LIMIT_S, Monitor, Seen, StartTimeout, unrecorded
-from sim.processes.processes import APP_FAULT, Processes
+from sim.processes.processes import APP_FAULT, Child, Processes
 from sim.processes.progress import ProgressDisplay
 from sim.processes.radio import LATENESS
 from sim.report import RunOutcome
@@ -137,18 +137,7 @@ class ProcessRun:
                 del self._late[name]
                 self._start_robot(name)
             for child in self._processes.supervise(now):
-                # An app has named its fault on the bus; else the end of the log is all there is.
-                reason = "" if child.exit_code == APP_FAULT else f": {child.last_words()}"
-                words = f"{child.robot} {child.service} {child.given_up}{reason}"
-                # Another app is one beside, or one that somebody has started.
-                if child.service not in (*self._services, RADIO):
-                    for each in words.splitlines():
-                        self._progress.say(each)
-                    if child.service in self._beside:
-                        self._problems.append(f"{child.robot} {child.service} {child.given_up}: {child.last_words()}")
-                    continue
-                self._problems.append(words)
-                self._stop = True
+                self._note_end(child)
             if self._world.problem:
                 self._problems.append(self._world.problem)
                 self._stop = True
@@ -180,6 +169,21 @@ class ProcessRun:
                     break
             time.sleep(TICK_S)
         return self._outcome(started)
+
+    def _note_end(self, child: Child) -> None:
+        """Note a process that is given up. The run ends with it, unless it is that of another app: of one beside, or of
+        one that somebody has started."""
+        # An app has named its fault on the bus; else the end of the log is all there is.
+        reason = "" if child.exit_code == APP_FAULT else f": {child.last_words()}"
+        words = f"{child.robot} {child.service} {child.given_up}{reason}"
+        if child.service in (*self._services, RADIO):
+            self._problems.append(words)
+            self._stop = True
+            return
+        for each in words.splitlines():
+            self._progress.say(each)
+        if child.service in self._beside:
+            self._problems.append(f"{child.robot} {child.service} {child.given_up}: {child.last_words()}")
 
     def _start_robot(self, name: str) -> None:
         directory = self._run_dir / name
