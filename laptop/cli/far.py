@@ -9,18 +9,19 @@ from collections.abc import Sequence
 from laptop.fleet.core.answers import misunderstood
 from laptop.fleet.ssh import everyone, robot_command
 from laptop.fleet.ssh.ssh import Done, Host, Ssh, hosts, last_words
+from services.balancer import measure_i2c
 from swarm.config import load
 from swarm.errors import PayloadError
 from swarm.messages.json_input import read_json
-from swarm.process.arguments import add_json, add_robots, add_run_dir, show
+from swarm.process.arguments import CommandParser, add_json, add_robots, add_run_dir, show
 
 TIMEOUT_S = 600.0
 """Seconds to wait for each robot: a measurement may take minutes."""
 
 FROM_ONE = ("mesh topology", "mesh epoch", "measure rtt", "measure throughput", "measure rssi")
 """Commands that one robot carries out for all: the robot that is named first, else the first of the configuration."""
-OF_EACH = ("measure i2c",)
-"""Commands whose arguments name the robots, each of which carries them out."""
+OF_EACH = {"measure i2c": measure_i2c}
+"""Commands whose arguments `names` are the robots, each of which carries them out; with their modules."""
 
 _HERE = {"-h", "--help", "--port", "--ranges"}
 """Options with which a command concerns this computer, not the robots."""
@@ -47,10 +48,12 @@ def run(name: str, words: Sequence[str]) -> int | None:
     if not robot_command.is_meant(args):
         return None
     config = load(args.config, addressed=False)
-    named = [word for word in rest if word in config.names]
     if name in OF_EACH:
-        args.robots, rest = args.robots or named, [word for word in rest if word not in named]
+        args.which = _named(name, rest)
+        rest = [word for word in rest if word not in args.which]
+        everyone.named(args)
     if name in FROM_ONE:
+        named = [word for word in rest if word in config.names]
         args.robots = (args.robots or named or list(config.names))[:1]
     ssh, command = Ssh(args.ssh_config), [*name.split(), *rest, *(["--json"] if args.json else [])]
 
@@ -59,6 +62,13 @@ def run(name: str, words: Sequence[str]) -> int | None:
         return await ssh.run(host, robot_command.words(host, command))
 
     return _show(args, *everyone.gather(hosts(config, args.robots), ask, TIMEOUT_S))
+
+
+def _named(name: str, words: Sequence[str]) -> list[str]:
+    """Return the robots that the words of a command of `OF_EACH` name. A word that it does not understand ends it."""
+    parser = CommandParser(prog=f"swarm {name}")
+    OF_EACH[name].add_arguments(parser)
+    return list(parser.parse_args(words).names)
 
 
 def _show(args: argparse.Namespace, outcomes: Sequence[everyone.RobotOutcome], said: dict[str, Done]) -> int:

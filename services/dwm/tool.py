@@ -1,7 +1,8 @@
 """`swarm dwm info|configure|anchors|check`: a robot's UWB module, or one at a serial port of this machine.
 
 Robots are asked over their buses (of a simulation, or the robot this runs on); their dwm service has the port. Exit
-codes: 0 all is well, 1 something is wrong or a module did not answer, 2 the command or swarm.toml is wrong.
+codes: 0 all is well or there are notes alone, 1 something is wrong or a module did not answer, 2 the command or
+swarm.toml is wrong.
 """
 
 import argparse
@@ -64,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 where all is well, 1 where something is wrong or a module did not answer."""
+    """Return 0 where nothing is wrong, notes aside, and 1 where something is wrong or a module did not answer."""
     config = _config(args)
     try:
         with contextlib.ExitStack() as stack:

@@ -8,12 +8,15 @@ the higher of two ids is the newer key; it is no secret, the mesh says it in the
 member of the swarm: the file must be its owner's alone.
 """
 
+import contextlib
 import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 from swarm.errors import LocalError
 from swarm.files import atomic_write
+from swarm.process.locks import folder_lock
 
 KEY_SIZE = 32
 """Bytes of a key."""
@@ -88,26 +91,44 @@ def new_key_file(path: Path, now: float) -> int:
 
 def rotate(path: Path, now: float) -> int:
     """Put a new key in front of the one in the file; returns its id. Both are accepted from then on."""
-    keys = read_keys(path)
-    if len(keys) >= MAX_KEYS:
-        raise LocalError(
-            f"{path}: holds two keys: when all robots have this file, end that rotation by `swarm key retire {path}`"
-        )
-    key_id = max(int(now) & 0xFFFFFFFF, max(keys) + 1)
-    if key_id > 0xFFFFFFFF:
-        raise LocalError(f"{path}: id {max(keys):08x} leaves no room for a higher one: make a new file")
-    _replace(path, {key_id: os.urandom(KEY_SIZE), **keys})
+    with _changed(path) as keys:
+        if len(keys) >= MAX_KEYS:
+            raise LocalError(
+                f"{path}: holds two keys: when all robots have this file, end that rotation by `swarm key retire "
+                f"{path}`"
+            )
+        key_id = max(int(now) & 0xFFFFFFFF, max(keys) + 1)
+        if key_id > 0xFFFFFFFF:
+            raise LocalError(f"{path}: id {max(keys):08x} leaves no room for a higher one: make a new file")
+        _replace(path, {key_id: os.urandom(KEY_SIZE), **keys})
     return key_id
 
 
 def retire(path: Path) -> int:
     """Forget the older of two keys; returns its id."""
-    keys = read_keys(path)
-    if len(keys) < MAX_KEYS:
-        raise LocalError(f"{path}: holds one key only: `swarm key rotate {path}` adds a new one first")
-    newest, oldest = keys
-    _replace(path, {newest: keys[newest]})
+    with _changed(path) as keys:
+        if len(keys) < MAX_KEYS:
+            raise LocalError(f"{path}: holds one key only: `swarm key rotate {path}` adds a new one first")
+        newest, oldest = keys
+        _replace(path, {newest: keys[newest]})
     return oldest
+
+
+@contextlib.contextmanager
+def _changed(path: Path) -> Iterator[dict[int, bytes]]:
+    """Yield the keys of a file that no other process changes meanwhile: of two rotations at the same time one key
+    would be lost, and a robot that already has it would be alone."""
+    with contextlib.ExitStack() as held:
+        try:
+            held.enter_context(folder_lock(Path(os.path.realpath(path)).parent, wait=False))
+        except BlockingIOError:
+            raise LocalError(
+                f"{path}: another swarm command changes files in this folder: when it has ended, look which keys the "
+                f"file has by `swarm key show-id {path}`"
+            ) from None
+        except OSError as error:
+            raise LocalError(f"{path}: cannot be replaced: {error.strerror}") from None
+        yield read_keys(path)
 
 
 def _text(keys: dict[int, bytes]) -> bytes:

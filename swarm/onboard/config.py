@@ -18,7 +18,7 @@ HELP = "check a swarm.toml, or print a commented example"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare `--example`, or `check [FILE] [--json]`."""
     parser.add_argument("--example", action="store_true", help="print a commented file to start from")
-    verbs = parser.add_subparsers(dest="verb", metavar="check")
+    verbs = parser.add_subparsers(dest="verb", metavar="check [FILE]")
     check = add_verb(verbs, "check", "show what a swarm.toml contains, or its errors")
     check.add_argument("file", nargs="?", type=Path, metavar="FILE", help=f"configuration file (default: {LOOKED_IN})")
     add_json(check)

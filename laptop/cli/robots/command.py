@@ -4,6 +4,7 @@ import argparse
 
 from laptop.fleet.ssh import everyone
 from laptop.fleet.ssh.ssh import CommandError, Host, HostError
+from swarm.errors import LocalError
 
 HELP = "run a shell command on every robot, over ssh"
 
@@ -17,8 +18,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the output as it is made, each line with its robot's name. Return 0 where the command succeeded on all."""
-    _, robots, ssh = everyone.recipients(args)
     command = " ".join(args.command)
+    if not command.strip():
+        raise LocalError(
+            "there is no command in the quotes: name one for the robots' shell, as in swarm command 'ls -l'"
+        )
+    _, robots, ssh = everyone.recipients(args)
 
     async def job(host: Host, tell: everyone.ReportProgress) -> str:
         try:

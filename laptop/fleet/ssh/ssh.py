@@ -212,7 +212,8 @@ async def _end(process: asyncio.subprocess.Process) -> None:
         await asyncio.gather(reading, return_exceptions=True)
     if process.stdin.transport.get_write_buffer_size():
         process.stdin.transport.abort()
-    process._transport.close()  # type: ignore[attr-defined]  # closes the pipes that are read, which have no name
+    # asyncio gives a `Process` no public way to close the pipes that are read: only its transport can.
+    process._transport.close()  # type: ignore[attr-defined]
     await _closed(process.stdin)
     await asyncio.sleep(0)  # the loop closes pipes in its next round
 

@@ -42,6 +42,11 @@ def test_example_can_be_checked(tmp_path, capsys):
     assert "links: 9, diameter 2, authenticated by the key in /etc/swarm/key" in lines
 
 
+def test_a_file_without_the_verb_is_refused_with_the_usage(example, capsys):
+    assert run("config", str(example)) == 2
+    assert "check [FILE]" in capsys.readouterr().err
+
+
 def test_config_check_prints_what_a_file_contains_as_json(example, capsys):
     assert run("config", "check", "--json", str(example)) == 0
     summary = json.loads(capsys.readouterr().out)

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -82,6 +83,25 @@ def test_a_command_for_real_robots_is_run_by_those_that_are_meant(
     assert run(*words.split()) == 0
     found = {path.parent.name: path.read_text() for path in robots.folder.glob("*/asked")}
     assert found == {name: f"{THERE.format(name)}{command}\n" for name, command in asked.items()}
+
+
+@needs_ssh
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("measure i2c r9", "r9 is no robot of .*; there are r0, r1"),
+        ("measure i2c r0 r9 --sizes 4", "r9 is no robot of .*; there are r0, r1"),
+        ("measure i2c r0 --robots r1", "name the robots by --robots or as arguments, not by both"),
+        ("measure i2c --sizes 99", "a whole number from 1 to 28"),
+    ],
+)
+def test_a_measurement_of_robots_that_cannot_be_meant_asks_none(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], words: str, said: str
+) -> None:
+    for name in ("r0", "r1"):
+        robots.add(name, up=False)
+    assert run(*words.split()) == 2
+    assert re.search(said, capsys.readouterr().err)
 
 
 @needs_ssh

@@ -117,6 +117,25 @@ def test_a_rotation_adds_a_key_and_keeps_the_old_one(path, now):
     assert [each.name for each in path.parent.iterdir()] == ["key"]
 
 
+@pytest.mark.parametrize("other", [lambda path: rotate(path, NOW + 2), retire])
+def test_of_two_that_change_a_key_file_at_the_same_time_one_is_refused(path, monkeypatch, other):
+    """The first one has read the file, and has not replaced it yet: its key would be lost, or come back."""
+    old = new_key_file(path, NOW)
+    draw = os.urandom
+
+    def other_meanwhile(size):
+        link = path.with_name("link")
+        link.symlink_to(path)
+        with pytest.raises(LocalError, match=r"another swarm command changes files .*swarm key show-id"):
+            other(link)
+        return draw(size)
+
+    monkeypatch.setattr(os, "urandom", other_meanwhile)
+    new = rotate(path, NOW + 1)
+    assert list(read_keys(path)) == [new, old]
+    assert retire(path) == old  # the lock is free again
+
+
 def test_a_left_over_of_a_killed_rotation_does_no_harm(path):
     new_key_file(path, NOW)
     path.with_name("key.new").write_text("half")

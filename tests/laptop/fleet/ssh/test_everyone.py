@@ -26,6 +26,12 @@ def test_a_command_runs_on_every_robot(robots: FakeRobots, run: Run, capsys: pyt
     assert found["r1"]["text"] == "exit code 3: broken"
 
 
+def test_a_command_without_words_is_refused(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    robots.add("r0", up=False)
+    assert run("command", " ") == 2
+    assert "there is no command in the quotes" in capsys.readouterr().err
+
+
 def test_only_the_robots_that_are_named(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("r0", "r1", "r2"):
         robots.add(name)
