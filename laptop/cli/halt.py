@@ -8,6 +8,7 @@ ATmega switches them off 0.2 s later in any case.
 import argparse
 import asyncio
 import os
+import re
 import sys
 import threading
 from collections.abc import Mapping
@@ -19,8 +20,10 @@ from laptop.fleet.ssh import everyone, robot_command
 from laptop.fleet.ssh.ssh import OWN_NAME, Host, HostError, Ssh, hosts, last_words
 from swarm import clock
 from swarm.config import find, load
+from swarm.config.load import HOST
 from swarm.errors import LocalError, PayloadError
 from swarm.messages.json_input import read_json
+from swarm.messages.keys import is_name
 from swarm.onboard import halt
 from swarm.process.arguments import show
 from swarm.process.paths import DEFAULT_RUNTIME
@@ -40,6 +43,13 @@ _USAGE = 2
 """Exit code of a command line that is not understood."""
 _BREAKS_S = 8.0
 """Seconds within which a connection that breaks, or is refused, is made once more for a stop."""
+
+_INTERRUPTED = "swarm: INTERRUPTED, NOT ALL ROBOTS MAY HAVE BEEN TOLD: give the command again\n"
+_TABLE = re.compile(r"^[ \t]*\[", re.MULTILINE)
+"""The beginning of a table in swarm.toml."""
+_ROBOTS = re.compile(r"\[?[ \t]*robots\b")
+"""The rest of the name of a robot's table."""
+_ENTRY = re.compile(r"""^[ \t]*(name|host)[ \t]*=[ \t]*["']([^"'\n]*)["']""", re.MULTILINE)
 
 
 @dataclass
@@ -72,15 +82,21 @@ def run(args: argparse.Namespace) -> int:
     if args.no_ssh or alone or os.environ.get("SWARM_RUNTIME") or DEFAULT_RUNTIME.is_dir():
         return halt.run(args)
     found = _simulated(args.run_dir)
-    try:
-        config = load(args.config, addressed=False)
-    except LocalError as error:
-        return _without_config(args, error)
-    unknown = halt.take_unknown(args, {**dict.fromkeys(config.names), **found})
-    real = [name for name in args.robots or config.names if name in config.names]
-    found = {name: place for name, place in found.items() if not args.robots or name in args.robots}
-    far = hosts(config, real) if real else (), Ssh(args.ssh_config, alone=True, named=False)
     stop: bool = args.act == "stop"
+    problem = ""
+    try:
+        real = {host.robot: host for host in hosts(load(args.config, addressed=False))}
+    except LocalError as error:
+        problem = str(error)
+        if not (real := legible(args.config or find.find()) if stop else {}):
+            return _without_config(args, error)
+    try:
+        unknown = halt.take_unknown(args, {**dict.fromkeys(real), **found})
+    except LocalError as error:
+        raise halt.nobody(error) from None
+    found = {name: place for name, place in found.items() if not args.robots or name in args.robots}
+    meant = tuple(real[name] for name in args.robots or real if name in real)
+    far = meant, Ssh(args.ssh_config, alone=True, named=False)
     answers, began = _Answers(), clock.now()
 
     def by_ssh() -> None:
@@ -94,17 +110,41 @@ def run(args: argparse.Namespace) -> int:
     except LocalError as error:  # the simulation may be just starting or ending
         rows = []
         sys.stderr.write(f"note: {error}\n")
+    except KeyboardInterrupt:
+        sys.stderr.write(_INTERRUPTED)
+        raise
     finally:
         thread.join()
     how = {host.robot: _how(host.robot, answers) for host in far[0]}
-    done = halt.all_confirmed([*(row.confirmed for row in halt.reached(rows)), *map(bool, how.values())])
+    done = not problem and halt.all_confirmed(
+        [*(row.confirmed for row in halt.reached(rows)), *map(bool, how.values())]
+    )
     told = {name: {"confirmed": outcome.ok, "text": outcome.text} for name, outcome in answers.outcomes.items()}
     simulated, real_ones = halt.table(rows, stop=stop), table(how, answers, stop=stop)
     lines = simulated if not how else real_ones
     if rows and how:
         lines = ["simulated robots", "", *simulated, "", "real robots", "", *real_ones]
     show(args, {**halt.report(args, rows, unknown, done=done), "ssh": told}, lines)
+    if problem:
+        sys.stdout.flush()
+        sys.stderr.write(f"swarm: {problem}; NOBODY KNOWS WHETHER MORE ROBOTS THAN THESE ARE MEANT: mend the file\n")
     return halt.ended(unknown, done=done)
+
+
+def legible(path: Path | None) -> dict[str, Host]:
+    """Return the robots that can be read in a configuration with an error, wherever that is: a stop reaches them."""
+    try:
+        text = "" if path is None else path.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        text = ""
+    found = {}
+    for table in filter(_ROBOTS.match, _TABLE.split(text)):
+        entries: dict[str, str] = dict(_ENTRY.findall(table))
+        name = entries.get("name", "")
+        address = entries.get("host", name)
+        if is_name(name) and HOST.fullmatch(address):
+            found[name] = Host(name, address)
+    return found
 
 
 def stop_all(reason: str, args: argparse.Namespace, *, as_json: bool = False) -> None:
@@ -128,7 +168,7 @@ def _without_config(args: argparse.Namespace, error: LocalError) -> int:
     if args.config is None and find.find() is None:
         return halt.run(args)
     if args.config is not None or not _simulated(None):
-        raise error
+        raise halt.nobody(error)
     code = halt.run(args)
     sys.stderr.write(f"swarm: {error}; no real robot was told\n")
     return code or 1

@@ -25,8 +25,16 @@ def places() -> tuple[Path, ...]:
     """
     if named := os.environ.get("SWARM_CONFIG"):
         return (Path(named),)
-    folders = (Path.cwd(), user_folder(), SYSTEM)
+    folders = (_working_folder(), user_folder(), SYSTEM)
     return tuple(folder / NAME for folder in folders if folder is not None)
+
+
+def _working_folder() -> Path | None:
+    """Return the working directory; None where it was deleted: a stop finds its robots in the other places."""
+    try:
+        return Path.cwd()
+    except FileNotFoundError:
+        return None
 
 
 def find() -> Path | None:

@@ -51,6 +51,9 @@ LOOP_S = 3.0
 
 DEFAULT_REASON = "swarm estop"
 
+NOBODY = "NO ROBOT WAS STOPPED OR ARMED"
+"""Part of each error by which nothing was done: whoever has mistyped in an emergency must see it at once."""
+
 NEXT = "nothing moves by that; to make robots stand: swarm balance stand"
 """Said after `swarm arm`."""
 
@@ -100,9 +103,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> list[argparse.ArgumentPars
 
 
 def _refuse(parser: argparse.ArgumentParser, message: str) -> NoReturn:
-    """End with a message that says what did not happen: whoever mistypes in an emergency must see it at once."""
+    """End with a message that says what did not happen."""
     parser.print_usage(sys.stderr)
-    parser.exit(2, f"swarm: {message}; NO ROBOT WAS STOPPED OR ARMED: swarm estop, without more, stops all\n")
+    parser.exit(2, f"swarm: {message}; {NOBODY}: swarm estop, without more, stops all\n")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -120,11 +123,16 @@ def run(args: argparse.Namespace) -> int:
         )
     except SwarmError as error:  # no bus, or no configuration that says who this is
         if args.act != "stop" or not _is_robots_own(args):
-            raise
+            raise nobody(error) from None
         raise LocalError(f"{error}; {_end_balancer()}") from None
     done = all_confirmed([row.confirmed for row in reached(rows)])
     show(args, report(args, rows, unknown, done=done), table(rows, stop=args.act == "stop"))
     return ended(unknown, done=done)
+
+
+def nobody(error: SwarmError) -> LocalError:
+    """Return an error that says that nothing was done."""
+    return LocalError(f"{error}; {NOBODY}")
 
 
 def take_unknown(args: argparse.Namespace, there: Collection[str]) -> list[str]:
@@ -132,8 +140,7 @@ def take_unknown(args: argparse.Namespace, there: Collection[str]) -> list[str]:
     the same. Raises `LocalError` where no robot is left, and for any such name of `swarm arm`."""
     unknown = [name for name in args.robots or () if name not in there]
     if unknown and (args.act != "stop" or len(unknown) == len(args.robots)):
-        text = f"there is no robot {', '.join(unknown)}, but {', '.join(there)}"
-        raise LocalError(f"{text}; NO ROBOT WAS STOPPED OR ARMED")
+        raise LocalError(f"there is no robot {', '.join(unknown)}, but {', '.join(there)}")
     args.robots = [name for name in args.robots or () if name in there] or None
     return unknown
 

@@ -3,9 +3,11 @@
 import argparse
 import json
 import os
+import re
 import signal
 import socket
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import pytest
 from fake_robots import FakeRobots, Run
@@ -331,14 +333,63 @@ def test_without_any_path_it_says_so(
 ) -> None:
     robots.add("r0")
     assert run("estop", "--no-ssh") == 2
-    assert "no simulation is running" in capsys.readouterr().err
+    assert re.search("no simulation is running.*; NO ROBOT WAS STOPPED OR ARMED\n", capsys.readouterr().err)
     robots.ready()
     monkeypatch.setenv("PATH", "/nowhere")
     assert run("estop") == 1
     assert "there is no ssh here" in capsys.readouterr().out
     robots.config.write_text("network = 3")
     assert run("estop") == 2
-    assert "swarm.toml" in capsys.readouterr().err
+    assert re.search("swarm.toml.*; NO ROBOT WAS STOPPED OR ARMED\n", capsys.readouterr().err)
+
+
+@pytest.mark.parametrize("wrong", ["[body]\nbogus = 3\n", "[mesh\n", "link = \n", '[[robots]]\nname = "R1"\n'])
+def test_a_stop_reaches_the_robots_that_a_wrong_configuration_names(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], wrong: str
+) -> None:
+    homes = [add(robots, name, answer(name)) for name in ("r0", "r1")]
+    robots.ready()
+    robots.config.write_text(robots.config.read_text().replace("[mesh]", f"{wrong}[mesh]"))
+    assert run("estop", "--json") == 1
+    shown = capsys.readouterr()
+    assert re.search("swarm.toml: .*; NOBODY KNOWS WHETHER MORE ROBOTS THAN THESE ARE MEANT", shown.err)
+    found = json.loads(shown.out)
+    assert (found["confirmed"], sorted(found["ssh"])) == (False, ["r0", "r1"])
+    for home in homes:
+        (home / "asked").unlink()
+    assert run("arm") == 2
+    assert "NO ROBOT WAS STOPPED OR ARMED" in capsys.readouterr().err
+    assert not any((home / "asked").exists() for home in homes)
+
+
+def test_an_interrupted_stop_says_so(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    add(robots, "r0", answer("r0"))
+    monkeypatch.setattr(halt_ssh, "_simulated", lambda _: {"s0": Path("/nowhere")})
+    monkeypatch.setattr(halt_ssh.halt, "stop_or_arm", MagicMock(side_effect=KeyboardInterrupt))
+    assert run("estop") == 130
+    assert "INTERRUPTED, NOT ALL ROBOTS MAY HAVE BEEN TOLD" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ('[[robots]]\nname = "r0"\nhost="pi@10.0.0.7" # here\n', {"r0": "pi@10.0.0.7"}),
+        ("[[ robots ]] # the first\n  name = 'r0'\n[topology]\nname = \"r9\"", {"r0": "r0"}),
+        ('[[robots]\nname = "r0"\n[[robots]]\nname = "r1"', {"r0": "r0", "r1": "r1"}),
+        ('[[robots]]\nname = "r0"\nhost = "-oProxyCommand=id"\n[[robots]]\nname = ""\n', {}),
+        ('# [[robots]]\n# name = "r0"\n[robot]\nname = "r1"', {}),
+    ],
+)
+def test_robots_that_can_be_read_in_a_wrong_configuration(tmp_path: Path, text: str, found: dict[str, str]) -> None:
+    path = tmp_path / "swarm.toml"
+    path.write_text(text)
+    assert {name: host.address for name, host in halt_ssh.legible(path).items()} == found
+
+
+def test_no_robot_can_be_read_where_there_is_no_file(tmp_path: Path) -> None:
+    assert halt_ssh.legible(tmp_path) == halt_ssh.legible(tmp_path / "none") == halt_ssh.legible(None) == {}
 
 
 @pytest.mark.parametrize("words", [["--timeut", "2"], ["fell", "--off", "2"], ["--timeout", "soon"]])

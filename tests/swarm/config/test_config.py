@@ -216,6 +216,18 @@ def test_load_of_what_is_no_text(tmp_path):
         load(Path("a\0b"))
 
 
+def test_a_working_directory_that_was_deleted_keeps_no_file_from_being_found(monkeypatch, tmp_path):
+    (tmp_path / "etc").mkdir()
+    (tmp_path / "etc/swarm.toml").write_text("")
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    monkeypatch.delenv("SWARM_CONFIG", raising=False)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    monkeypatch.setattr(find, "SYSTEM", tmp_path / "etc")
+    assert find.find() == tmp_path / "etc/swarm.toml"
+
+
 def test_a_robot_finds_its_own_name(monkeypatch):
     config = parse(THREE, FILE)
     monkeypatch.setenv("SWARM_ROBOT", "r1")
