@@ -11,7 +11,7 @@ import os
 import re
 import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -44,7 +44,9 @@ _USAGE = 2
 _BREAKS_S = 8.0
 """Seconds within which a connection that breaks, or is refused, is made once more for a stop."""
 
-_INTERRUPTED = "swarm: INTERRUPTED, NOT ALL ROBOTS MAY HAVE BEEN TOLD: give the command again\n"
+_NOTE_S = 4.0
+"""Seconds after which the robots that have confirmed are named, while others have not answered yet."""
+
 _TABLE = re.compile(r"^[ \t]*\[", re.MULTILINE)
 """The beginning of a table in swarm.toml."""
 _ROBOTS = re.compile(r"\[?[ \t]*robots\b")
@@ -101,20 +103,25 @@ def run(args: argparse.Namespace) -> int:
 
     def by_ssh() -> None:
         nonlocal answers
-        answers = command(*far, stop=stop, reason=args.reason, began=began)
+        answers = command(*far, stop=stop, reason=args.reason, began=began, confirmed=so_far.append)
 
+    so_far: list[str] = []
+    rows: list[halt.Row] = []
     thread = threading.Thread(target=by_ssh, name="ssh")
     thread.start()
     try:
-        rows = halt.stop_or_arm(found, stop=stop, reason=args.reason, timeout=args.timeout) if found else []
-    except LocalError as error:  # the simulation may be just starting or ending
-        rows = []
-        sys.stderr.write(f"note: {error}\n")
+        if found:
+            try:
+                rows = halt.stop_or_arm(found, stop=stop, reason=args.reason, timeout=args.timeout)
+            except LocalError as error:  # the simulation may be just starting or ending
+                sys.stderr.write(f"note: {error}\n")
+        thread.join(_NOTE_S)
+        if thread.is_alive():
+            sys.stderr.write(f"swarm: {_so_far(meant, so_far)}; waiting for the others\n")
+            thread.join()
     except KeyboardInterrupt:
-        sys.stderr.write(_INTERRUPTED)
+        sys.stderr.write(f"swarm: INTERRUPTED; {_so_far(meant, so_far)}; OTHERS MAY NOT HAVE BEEN TOLD\n")
         raise
-    finally:
-        thread.join()
     how = {host.robot: _how(host.robot, answers) for host in far[0]}
     done = not problem and halt.all_confirmed(
         [*(row.confirmed for row in halt.reached(rows)), *map(bool, how.values())]
@@ -174,6 +181,12 @@ def _without_config(args: argparse.Namespace, error: LocalError) -> int:
     return code or 1
 
 
+def _so_far(robots: Sequence[Host], confirmed: Sequence[str]) -> str:
+    """Return which real robots have confirmed while the command goes on."""
+    which = f" ({' '.join(sorted(confirmed))})" if confirmed else ""
+    return f"{len(confirmed)} of {len(robots)} real robots have confirmed until now{which}"
+
+
 def _how(name: str, answers: _Answers) -> str:
     """Return the paths by which a real robot is confirmed; empty where it is not."""
     paths = ["ssh"] if name in answers.outcomes and answers.outcomes[name].ok else []
@@ -193,9 +206,17 @@ def table(how: Mapping[str, str], answers: _Answers, *, stop: bool) -> list[str]
     return [*columns(lines), "", summary, *([] if stop else [halt.NEXT])]
 
 
-def command(robots: tuple[Host, ...], ssh: Ssh, *, stop: bool, reason: str, began: float) -> _Answers:
+def command(
+    robots: tuple[Host, ...],
+    ssh: Ssh,
+    *,
+    stop: bool,
+    reason: str,
+    began: float,
+    confirmed: Callable[[str], None] = lambda _: None,
+) -> _Answers:
     """Tell all robots at once; returns when each has answered or is given up. `began`: the time at which the command
-    was given, s."""
+    was given, s. `confirmed` gets the name of each robot as soon as it has confirmed."""
     answers = _Answers()
     words = [*(["estop", reason] if stop else ["arm"]), "--json", "--timeout", str(THERE_S)]
 
@@ -224,6 +245,12 @@ def command(robots: tuple[Host, ...], ssh: Ssh, *, stop: bool, reason: str, bega
         return done.out, last_words(done.err)
 
     async def job(host: Host, _: everyone.ReportProgress) -> str:
+        text = await confirmation(host)
+        confirmed(host.robot)
+        return text
+
+    async def confirmation(host: Host) -> str:
+        """Return how a robot has confirmed; raises `HostError` where it has not."""
         out, error = await ask(host)
         rows = _rows(out)
         for name, row in rows.items():

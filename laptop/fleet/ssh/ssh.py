@@ -93,9 +93,9 @@ class Ssh:
     """Runs commands on robots."""
 
     def __init__(self, config_file: Path | None = None, *, alone: bool = False, named: bool = True) -> None:
-        """`config_file` is read in place of the user's ~/.ssh/config. `alone`: each command has its own connection.
-        One that ssh shares may be dead, and nobody has noticed. `named`: a robot that was installed under another name
-        carries out no command, since its address in swarm.toml is that of another robot."""
+        """`config_file` is read in place of the user's ~/.ssh/config. `alone`: each command has its own connection,
+        and Ctrl-C does not end it. One that ssh shares may be dead, and nobody has noticed. `named`: a robot that was
+        installed under another name carries out no command, since its address in swarm.toml is that of another one."""
         self._config_file = config_file
         self._alone = alone
         self._named = named
@@ -127,7 +127,7 @@ class Ssh:
         Raises `HostError` where the robot could not be reached or the connection broke. Cancelling ends the command's
         connection at once.
         """
-        process = await _spawn(self.arguments(host, command))
+        process = await _spawn(self.arguments(host, command), apart=self._alone)
         assert process.stdin is not None
         assert process.stdout is not None
         assert process.stderr is not None
@@ -182,9 +182,12 @@ def _if_named(host: Host) -> str:
     return f"case $({OWN_NAME}) in ''|{host.robot}) ;; *) {says};; esac; "
 
 
-async def _spawn(arguments: Sequence[str]) -> asyncio.subprocess.Process:
+async def _spawn(arguments: Sequence[str], *, apart: bool) -> asyncio.subprocess.Process:
+    """Start a command. `apart`: in a session of its own, so that Ctrl-C at the terminal does not reach it."""
     pipe = asyncio.subprocess.PIPE
-    spawning = asyncio.ensure_future(asyncio.create_subprocess_exec(*arguments, stdin=pipe, stdout=pipe, stderr=pipe))
+    spawning = asyncio.ensure_future(
+        asyncio.create_subprocess_exec(*arguments, stdin=pipe, stdout=pipe, stderr=pipe, start_new_session=apart)
+    )
     try:
         # Cancelled in between, asyncio would wait for ever for the end of pipes that it has not opened yet.
         return await asyncio.shield(spawning)

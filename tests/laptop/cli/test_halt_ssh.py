@@ -6,18 +6,24 @@ import os
 import re
 import signal
 import socket
+import sys
+import threading
+from collections.abc import Sequence
 from pathlib import Path
 from unittest.mock import MagicMock
 
 import pytest
+from conftest import wait_until
 from fake_robots import FakeRobots, Run
 from needs import needs_ssh
 
 from laptop import cli
 from laptop.cli import halt as halt_ssh
+from laptop.fleet.ssh.ssh import Host
 from swarm import clock
 from swarm.config import load
 from swarm.errors import ConfigError, LocalError
+from swarm.onboard import command_line
 from swarm.onboard.buses import buses
 from swarm.onboard.halt import Row
 
@@ -368,8 +374,33 @@ def test_an_interrupted_stop_says_so(
     add(robots, "r0", answer("r0"))
     monkeypatch.setattr(halt_ssh, "_simulated", lambda _: {"s0": Path("/nowhere")})
     monkeypatch.setattr(halt_ssh.halt, "stop_or_arm", MagicMock(side_effect=KeyboardInterrupt))
+    monkeypatch.setattr(command_line, "leave", sys.exit)  # not at once, as with a connection that is still there
     assert run("estop") == 130
-    assert "INTERRUPTED, NOT ALL ROBOTS MAY HAVE BEEN TOLD" in capsys.readouterr().err
+    for thread in threading.enumerate():
+        if thread.name == "ssh":
+            thread.join()
+    assert "INTERRUPTED; 0 of 1 real robots have confirmed until now; OTHERS MAY NOT" in capsys.readouterr().err
+
+
+def test_while_a_robot_does_not_answer_those_that_have_confirmed_are_named(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The slow robot answers when the note is written."""
+    monkeypatch.setattr(halt_ssh, "_NOTE_S", 0.0)
+    add(robots, "r0", answer("r0"))
+    add(robots, "r1", answer("r1"))
+    robots.script("r1", "sudo", f"cat go; echo '{answer('r1')}'")
+    os.mkfifo(robots.folder / "r1/go")
+    tell = halt_ssh._so_far
+
+    def told(real: Sequence[Host], confirmed: Sequence[str]) -> str:
+        wait_until(lambda: "r0" in confirmed, what="r0 confirms")
+        (robots.folder / "r1/go").write_text("")
+        return tell(real, confirmed)
+
+    monkeypatch.setattr(halt_ssh, "_so_far", told)
+    assert run("estop") == 0
+    assert "swarm: 1 of 2 real robots have confirmed until now (r0); waiting" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import errno
 import gc
 import os
 import signal
+from pathlib import Path
 
 import pytest
 from fake_robots import FakeRobots, Run, outcomes
@@ -27,6 +28,18 @@ def test_a_computer_that_cannot_start_one_more_program_says_so(number: int, monk
     with pytest.raises(HostError, match=f"ssh cannot be started: {os.strerror(number)}"):
         asyncio.run(Ssh().check(Host("r0", "r0"), "true"))
     assert issubclass(HostError, everyone.FAILURES)
+
+
+@pytest.mark.parametrize("alone", [False, True])
+def test_ctrl_c_at_the_terminal_ends_no_connection_of_a_stop(
+    alone: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The terminal interrupts all processes of its session's foreground, which are those of this process' group."""
+    (tmp_path / "ssh").write_text("#!/bin/sh\nexec cut -d' ' -f5,6 /proc/self/stat\n")
+    (tmp_path / "ssh").chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    said = asyncio.run(Ssh(alone=alone).check(Host("r0", "r0"), "true"))
+    assert (said.split() == [str(os.getpgrp()), str(os.getsid(0))]) is not alone
 
 
 DENIED = "me@r0: Permission denied (publickey).\n"
@@ -124,8 +137,8 @@ def test_a_command_whose_pipes_another_process_holds_is_cancelled_without_a_word
     monkeypatch.setattr(Ssh, "arguments", lambda *_: ["sh", "-c", f"sleep 600 & echo $!; {'' if ended else 'wait'}"])
     spawn, started, holder = ssh._spawn, [], []
 
-    async def noted(arguments: list[str]) -> asyncio.subprocess.Process:
-        started.append(await spawn(arguments))
+    async def noted(arguments: list[str], **how: bool) -> asyncio.subprocess.Process:
+        started.append(await spawn(arguments, **how))
         return started[-1]
 
     monkeypatch.setattr(ssh, "_spawn", noted)
