@@ -72,7 +72,10 @@ def _complete(config: Config, addresses: dict[str, str], quiet: bool) -> Config:
         new = config
     if any(new.robot(name).bluetooth != address for name, address in missing.items()):
         raise LocalError(f"{config.path}: cannot be edited safely; write into it yourself:{rows}")
-    atomic_write(config.path, text.encode())
+    try:
+        atomic_write(config.path, text.encode())
+    except OSError as error:
+        raise LocalError(f"{config.path}: cannot be written: {error.strerror}; write into it yourself:{rows}") from None
     if not quiet:
         sys.stdout.write(f"{config.path}: written:{rows}\n")
     return new

@@ -113,10 +113,11 @@ def _wifi(args: argparse.Namespace) -> tuple[str, str] | None:
         password = (
             getpass.getpass(f"password of {args.wifi}: ")
             if args.wifi_password is None
-            else args.wifi_password.read_text().rstrip("\n")
+            else args.wifi_password.read_text(encoding="utf-8").rstrip("\n")
         )
-    except (OSError, EOFError) as error:
-        raise LocalError(f"the password of {args.wifi} cannot be read: {error}") from None
+    except (OSError, EOFError, UnicodeDecodeError) as error:
+        why = "it is not UTF-8" if isinstance(error, UnicodeDecodeError) else error  # which would show the password
+        raise LocalError(f"the password of {args.wifi} cannot be read: {why}") from None
     odd = any(ord(letter) < 32 for letter in args.wifi + password)
     if odd or not 1 <= len(args.wifi.encode()) <= 32 or not 8 <= len(password) <= 63:
         raise LocalError(

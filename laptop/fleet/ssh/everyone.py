@@ -5,7 +5,7 @@ import asyncio
 import sys
 import time
 from collections.abc import Awaitable, Callable, Collection, Coroutine, Iterable, Sequence
-from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -27,8 +27,6 @@ class RobotOutcome:
     ok: bool
     text: str
     seconds: float
-    lines: tuple[str, ...] = ()
-    """The lines that were reported while the job ran."""
 
 
 T = TypeVar("T")
@@ -112,19 +110,13 @@ async def each(
     """Run the job on all robots at once, `timeout_s` for each. A robot that fails does not disturb the others."""
 
     async def one(host: Host) -> RobotOutcome:
-        began, lines = time.monotonic(), []
-
-        def say(text: str) -> None:
-            lines.append(text)
-            tell(host, text)
-
-        text, problem = "", ""
+        began, text, problem = time.monotonic(), "", ""
         try:
             async with asyncio.timeout(timeout_s):
-                text = await job(host, say)
+                text = await job(host, partial(tell, host))
         except FAILURES as error:
             problem = failure(error, timeout_s)
-        return RobotOutcome(host.robot, not problem, problem or text, round(time.monotonic() - began, 3), tuple(lines))
+        return RobotOutcome(host.robot, not problem, problem or text, round(time.monotonic() - began, 3))
 
     return await together(one(host) for host in robots)
 
@@ -155,15 +147,21 @@ def gather(
 
 def run(args: argparse.Namespace, robots: Sequence[Host], job: Job) -> int:
     """Run the job on all robots, print the outcomes, and return 0 if all succeeded."""
+    lines: dict[str, list[str]] = {host.robot: [] for host in robots}
 
     def tell(host: Host, text: str) -> None:
-        if not args.json:
+        if args.json:
+            lines[host.robot].append(text)
+        else:  # none is kept: a log that is followed has no end
             write_lines([f"{host.robot}: {text}"])
             sys.stdout.flush()
 
     began = time.monotonic()
     outcomes = asyncio.run(each(robots, job, args.timeout, tell))
-    rows = {outcome.robot: {k: v for k, v in asdict(outcome).items() if k != "robot"} for outcome in outcomes}
+    rows = {
+        each.robot: {"ok": each.ok, "text": each.text, "seconds": each.seconds, "lines": lines[each.robot]}
+        for each in outcomes
+    }
     show(args, {"robots": rows, "seconds": round(time.monotonic() - began, 3)}, table(outcomes))
     return 0 if all(outcome.ok for outcome in outcomes) else 1
 

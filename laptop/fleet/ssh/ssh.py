@@ -260,9 +260,11 @@ async def _read(
         if on_line is None or keep:
             kept += data
         if on_line is not None:
-            *lines, rest = (rest + data).split(b"\n")
-            for line in lines:
-                on_line(line.decode(errors="replace"))
+            first, *others = data.split(b"\n")
+            rest += first
+            for other in others:
+                on_line(rest.decode(errors="replace"))
+                rest = bytearray(other)
         if max(len(rest), len(kept)) > _LONGEST:
             raise HostError(f"it says {'more' if on_line is None else 'a line of more'} than {_LONGEST >> 20} MiB")
     if rest and on_line is not None:
@@ -315,7 +317,7 @@ def explain(host: Host, err: str) -> str:
     own = _FORGET.search(err)
     forget = printable(own[1].strip()) if own else f"ssh-keygen -R {host.address.rpartition('@')[2]}"
     reasons = ((sign, reason.format(address=host.address, forget=forget)) for sign, reason in _REASONS)
-    return explained(err, reasons) or "ssh ended without a word"
+    return explained(err, reasons) or f"ssh, or the command, ended with code {CLIENT_FAILED} without a word"
 
 
 def explained(err: str, reasons: Iterable[tuple[str, str]]) -> str:

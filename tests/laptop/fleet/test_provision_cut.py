@@ -8,12 +8,14 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import pytest
 from power_cut import Disk, Link, State
 
 from laptop.cli.robots import pair
 from swarm.config import parse
+from swarm.errors import LocalError
 from swarm.onboard.bootstrap import changes, pairing
 from swarm.onboard.bootstrap.bluez import BluezError
 
@@ -180,6 +182,18 @@ def test_a_look_does_not_wait_for_the_disk(tmp_path: Path, monkeypatch: pytest.M
 # -- swarm pair, on the laptop
 
 CONFIG = 'network = "test"\n[[robots]]\nname = "r0"\n[[robots]]\nname = "r1"\n[topology]\nshape = "line"\n'
+
+
+def test_the_addresses_for_a_file_that_cannot_be_written_are_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "swarm.toml"
+    path.write_text(CONFIG)
+    monkeypatch.setattr(os, "fsync", MagicMock(side_effect=OSError(28, "No space left on device")))
+    config = parse(CONFIG, path, addressed=False)
+    with pytest.raises(LocalError, match=f"No space left on device; write into it yourself:\n  r1: .*{PEER}"):
+        pair._complete(config, {"r1": PEER}, quiet=True)
+    assert path.read_text() == CONFIG
 
 
 def test_the_addresses_that_pair_finds_are_written_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

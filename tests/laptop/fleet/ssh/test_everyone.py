@@ -32,6 +32,17 @@ def test_a_command_without_words_is_refused(robots: FakeRobots, run: Run, capsys
     assert "there is no command in the quotes" in capsys.readouterr().err
 
 
+def test_a_wireless_password_that_is_no_text_is_refused_and_not_shown(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robots.add("r0", up=False)
+    (robots.folder / "password").write_bytes(b"secret\xff")
+    assert run("provision", "--wifi", "net", "--wifi-password", str(robots.folder / "password")) == 2
+    said = capsys.readouterr().err
+    assert "the password of net cannot be read: it is not UTF-8" in said
+    assert "secret" not in said
+
+
 def test_only_the_robots_that_are_named(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("r0", "r1", "r2"):
         robots.add(name)

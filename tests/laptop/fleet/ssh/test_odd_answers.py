@@ -105,6 +105,14 @@ def test_a_size_of_5000_digits_is_no_list_of_recordings() -> None:
         collect.parse_list("1" * 5000 + " consensus-1/r0.mcap\0")
 
 
+def test_a_line_that_comes_in_parts_is_told_as_one_and_the_last_needs_no_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("laptop.fleet.ssh.ssh._CHUNK", 3)
+    ssh, lines = Ssh(), []
+    monkeypatch.setattr(ssh, "arguments", lambda host, command: ["printf", r"\n\nab\n123456789\r\n\n0123456789"])
+    asyncio.run(ssh.run(Host("r0", "r0"), "", on_line=lines.append))
+    assert lines == ["", "", "ab", "123456789\r", "", "0123456789"]
+
+
 @pytest.mark.parametrize("on_line", [None, lambda line: None])
 def test_an_answer_without_end_is_cut_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, on_line: Any) -> None:
     monkeypatch.setattr("laptop.fleet.ssh.ssh._LONGEST", 1 << 20)
