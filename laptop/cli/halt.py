@@ -25,6 +25,7 @@ from swarm.errors import LocalError, PayloadError
 from swarm.messages.json_input import read_json
 from swarm.messages.keys import is_name
 from swarm.onboard import halt
+from swarm.onboard.command_line import complain
 from swarm.process.arguments import show
 from swarm.process.paths import DEFAULT_RUNTIME
 from swarm.process.simulations import default_run_dir, is_live, robots
@@ -114,13 +115,13 @@ def run(args: argparse.Namespace) -> int:
             try:
                 rows = halt.stop_or_arm(found, stop=stop, reason=args.reason, timeout=args.timeout)
             except LocalError as error:  # the simulation may be just starting or ending
-                sys.stderr.write(f"note: {error}\n")
+                complain("note", str(error))  # on a full disk, too, it does not end the command
         thread.join(_NOTE_S)
         if thread.is_alive():
-            sys.stderr.write(f"swarm: {_so_far(meant, so_far)}; waiting for the others\n")
+            complain("swarm", f"{_so_far(meant, so_far)}; waiting for the others")
             thread.join()
     except KeyboardInterrupt:
-        sys.stderr.write(f"swarm: INTERRUPTED; {_so_far(meant, so_far)}; OTHERS MAY NOT HAVE BEEN TOLD\n")
+        complain("swarm", f"INTERRUPTED; {_so_far(meant, so_far)}; OTHERS MAY NOT HAVE BEEN TOLD")
         raise
     how = {host.robot: _how(host.robot, answers) for host in far[0]}
     done = not problem and halt.all_confirmed(
@@ -134,7 +135,7 @@ def run(args: argparse.Namespace) -> int:
     show(args, {**halt.report(args, rows, unknown, done=done), "ssh": told}, lines)
     if problem:
         sys.stdout.flush()
-        sys.stderr.write(f"swarm: {problem}; NOBODY KNOWS WHETHER MORE ROBOTS THAN THESE ARE MEANT: mend the file\n")
+        complain("swarm", f"{problem}; NOBODY KNOWS WHETHER MORE ROBOTS THAN THESE ARE MEANT: mend the file")
     return halt.ended(unknown, done=done)
 
 
@@ -177,7 +178,7 @@ def _without_config(args: argparse.Namespace, error: LocalError) -> int:
     if args.config is not None or not _simulated(None):
         raise halt.nobody(error)
     code = halt.run(args)
-    sys.stderr.write(f"swarm: {error}; no real robot was told\n")
+    complain("swarm", f"{error}; no real robot was told")
     return code or 1
 
 

@@ -9,6 +9,7 @@ import importlib.util
 import json
 import shlex
 from asyncio import Event
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -48,6 +49,9 @@ _REASONS = (
     ("No space left on device", "its disk is full: remove what is not needed"),
 )  # fmt: skip
 
+
+_KEPT = 20
+"""Last lines without a meaning that are kept for an error: a robot must not fill this computer's memory."""
 
 _WITH_DBUS = ("pairing", "examine")
 """Modules that communicate with bluetoothd."""
@@ -93,7 +97,7 @@ async def call(
     cancelled: the program may end by it. Raises `HostError` where it cannot be run or fails.
     """
     results: list[Any] = []
-    other: list[str] = []
+    other = deque[str](maxlen=_KEPT)
 
     def line(text: str) -> None:
         try:
@@ -102,7 +106,7 @@ async def call(
             other.append(text)
             return
         if isinstance(message, dict) and "result" in message:
-            results.append(message["result"])
+            results[:] = [message["result"]]
         elif isinstance(message, dict) and told is not None:
             told(message)
 

@@ -384,6 +384,18 @@ def test_an_interrupted_stop_says_so(
     assert "INTERRUPTED; 0 of 1 real robots have confirmed until now; OTHERS MAY NOT" in capsys.readouterr().err
 
 
+def test_a_note_that_cannot_be_written_keeps_no_robot_from_its_stop(
+    robots: FakeRobots, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As with `2>log` on a full disk. Without its own command confirming, the robot's balancer is stopped."""
+    monkeypatch.setattr(halt_ssh, "_NOTE_S", 0.0)
+    home = add(robots, "r0", answer(silent=("r0",)), 1)
+    monkeypatch.setattr(sys, "stderr", MagicMock(write=MagicMock(side_effect=OSError(28, "No space left on device"))))
+    monkeypatch.setattr(command_line, "guard", lambda: None)
+    assert run("estop") == 0
+    assert (home / "systemctl.log").read_text() == "stop swarm-balancer.service\n"
+
+
 def test_while_a_robot_does_not_answer_those_that_have_confirmed_are_named(
     robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -14,7 +14,7 @@ from laptop.cli.robots import status
 from laptop.fleet.core import collect, doctor
 from laptop.fleet.core.checkup import ExaminedRobot
 from laptop.fleet.release import versions
-from laptop.fleet.ssh import everyone
+from laptop.fleet.ssh import everyone, remote
 from laptop.fleet.ssh.ssh import Host, HostError, Ssh
 from swarm.config import parse
 from swarm.errors import LocalError, RemoteError
@@ -111,6 +111,16 @@ def test_a_line_that_comes_in_parts_is_told_as_one_and_the_last_needs_no_end(mon
     monkeypatch.setattr(ssh, "arguments", lambda host, command: ["printf", r"\n\nab\n123456789\r\n\n0123456789"])
     asyncio.run(ssh.run(Host("r0", "r0"), "", on_line=lines.append))
     assert lines == ["", "", "ab", "123456789\r", "", "0123456789"]
+
+
+def test_of_a_program_that_prints_without_end_its_last_lines_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept: list[str] = []
+    monkeypatch.setattr(remote, "explained", lambda text, _: kept.append(text) or "it failed")
+    ssh = Ssh()
+    monkeypatch.setattr(ssh, "arguments", lambda host, command: ["sh", "-c", "seq -f 'line %g' 1000; exit 1"])
+    with pytest.raises(HostError, match="it failed"):
+        asyncio.run(remote.call(ssh, Host("r0", "r0"), "examine", {}))
+    assert kept == ["\n".join(f"line {number}" for number in range(981, 1001))]
 
 
 @pytest.mark.parametrize("on_line", [None, lambda line: None])
