@@ -8,9 +8,12 @@ import sys
 import threading
 from collections.abc import Callable
 
-from laptop.fleet.ssh.ssh import CLIENT_FAILED, NO_SSH, Host, Ssh, copy_text
+from laptop.fleet.ssh.ssh import CLIENT_FAILED, NO_SSH, NOT_INSTALLED, Host, Ssh, copy_text
 from swarm.errors import LocalError
 from swarm.onboard.body.keyboard import Keyboard
+
+_NOT_FOUND = 127
+"""Exit code of a shell, of sudo and of env for a program that is not there."""
 
 
 def run(ssh: Ssh, host: Host, command: str, on_line: Callable[[str], None]) -> int:
@@ -41,6 +44,8 @@ def run(ssh: Ssh, host: Host, command: str, on_line: Callable[[str], None]) -> i
         process.stdout.close()
         errors.join()
         process.stderr.close()
+    if code == _NOT_FOUND:
+        raise LocalError(f"{host.robot}: {NOT_INSTALLED}")
     if code == CLIENT_FAILED:
         problem = "the connection is lost; the robot stops by itself" if spoke else "ssh does not get through to it"
         raise LocalError(f"{host.robot}: {problem}")

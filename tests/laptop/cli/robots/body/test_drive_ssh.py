@@ -38,6 +38,15 @@ def test_keys_go_to_the_robots_own_command(
     assert (home / "asked").read_text().endswith("/opt/swarm/current/bin/swarm drive\n")
 
 
+@pytest.mark.parametrize("command", ["drive", "commission"])
+def test_a_robot_without_a_release_says_what_it_needs(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    robots.add("r0")
+    assert run(command, "r0") == 2
+    assert "swarm: r0: Balboa Swarm is not installed on it: swarm deploy\n" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("command", "line"),
     [("drive", "r0: stop"), ("commission", '{"say": "stopped by the person: swarm arm takes the stop back"}')],
