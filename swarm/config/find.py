@@ -40,6 +40,13 @@ def _working_folder() -> Path | None:
 def find() -> Path | None:
     """Return the path of the swarm's file, None where it is in none of its places.
 
-    A file that is there and cannot be read counts: what is wrong with it is better told than passed over.
+    A file that is there and cannot be read counts, and so does one that SWARM_CONFIG names and that is missing: what is
+    wrong with it is better told than passed over.
     """
-    return next((path for path in places() if os.path.lexists(path)), None)
+    found = places()
+    return next((path for path in found if os.path.lexists(path)), found[0] if is_named() else None)
+
+
+def is_named() -> bool:
+    """Return whether the variable SWARM_CONFIG names the file."""
+    return bool(os.environ.get("SWARM_CONFIG"))

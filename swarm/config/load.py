@@ -62,8 +62,9 @@ def load(path: Path | None = None, *, addressed: bool = True) -> Config:
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
+        named = ", which the variable SWARM_CONFIG names" if find.is_named() and path in find.places() else ""
         raise ConfigError(
-            f"{path}: there is no such file; start from a commented one: swarm config --example > {path.name}"
+            f"{path}: there is no such file{named}; start from a commented one: swarm config --example > {path.name}"
         ) from None
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: byte {error.start} is not UTF-8, as TOML demands") from None

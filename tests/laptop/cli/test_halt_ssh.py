@@ -370,6 +370,19 @@ def test_a_stop_reaches_the_robots_that_a_wrong_configuration_names(
     assert not any((home / "asked").exists() for home in homes)
 
 
+def test_a_stop_whose_configuration_is_missing_where_the_variable_says_names_it(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("SWARM_CONFIG", str(tmp_path / "none.toml"))
+    with pytest.raises(SystemExit) as end:
+        cli.main(["estop"])
+    assert end.value.code == 2
+    wanted = (
+        "none.toml: there is no such file, which the variable SWARM_CONFIG names; .*; NO ROBOT WAS STOPPED OR ARMED"
+    )
+    assert re.search(wanted, capsys.readouterr().err)
+
+
 def test_an_interrupted_stop_says_so(
     robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -178,7 +178,7 @@ def test_load_follows_the_environment(tmp_path, monkeypatch):
 
 def test_load_says_where_it_looked_and_what_to_do_without_a_file(tmp_path, monkeypatch):
     monkeypatch.setenv("SWARM_CONFIG", str(tmp_path / "none.toml"))
-    with pytest.raises(ConfigError, match=r"looked in /\S+/none\.toml; .* swarm config --example > swarm\.toml"):
+    with pytest.raises(ConfigError, match=r"none\.toml: there is no such file, which the variable SWARM_CONFIG names;"):
         load()
     monkeypatch.delenv("SWARM_CONFIG")
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "own"))
