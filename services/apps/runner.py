@@ -101,10 +101,11 @@ class AppRunner:
         own = getattr(self.app, field.name)
         value = as_value(own if field.kind == "float32" else field.message_value(field.check(own)))
         if told != value:
-            raise AppError(
-                f"{self._where(where)}: its {field.name!r} is {told!r}, and the shared state of that name is "
-                f"{value!r}; a recording has one value under a name: give the state or the result another one"
+            text = (
+                f"its {field.name!r} is {told!r}, and the shared state of that name is {value!r}; "
+                f"a recording has one value under a name: give the state or the result another one"
             )
+            raise self._fault(where, "result", text)
 
     def _measured(self, name: str, result: Mapping[str, Value]) -> float:
         """Return a metric by the simulation's truth; nan where that is unknown."""
@@ -140,7 +141,7 @@ class AppRunner:
         try:
             return as_value(value)
         except LocalError as error:
-            raise AppError(f"{self._where(where)}: {name}: {error}") from None
+            raise self._fault(where, "result", f"{name}: {error}") from None
 
     def _call(self, where: str, function: Callable[[], T], method: str = "") -> T:
         """Call the author's code; `method`: which one of the app's it is, in the place of a line where none is known,
@@ -355,9 +356,8 @@ class Runner(AppRunner):
         # What others see is what we go on with: float32 rounds, numbers become floats, lists tuples.
         for name, value in zip(self.schema.names, self.schema.unpack(own), strict=True):
             if not (abs(value) <= bound if type(value) is float else _within(value, bound)):
-                raise AppError(
-                    f"{self._where(where)}: {name}: {value!r} is beyond diverges_above = {bound:g}: the app diverges"
-                )
+                text = f"{name}: {value!r} is beyond diverges_above = {bound:g}: the app diverges"
+                raise self._fault(where, method, text)
             object.__setattr__(app, name, _own(value) if name in spec.arrays else value)
         return own, private
 

@@ -35,7 +35,7 @@ def examine_events(task: Task, finding: GraphFinding) -> None:
             try:
                 own = limited(app.source, lambda: EventRunner.call(self, call, k, known))
             except AppError as error:
-                if f"{app.source}, line" not in str(error):
+                if f"{app.source}, " not in str(error):
                     finding.line = tracing.line_of(type(self.app), call.handler)
                 raise
             times.append(watch.computed)

@@ -110,8 +110,11 @@ class _Examination:
             done = limited(source, act)
         except AppError as error:
             finding.fault = str(error)
-            if f"{source}, line" not in finding.fault:
-                finding.line = tracing.bad_line(runner, source, act) or step_line
+            vague = f"{source}, from line {step_line} on: "
+            if vague in finding.fault and (line := tracing.bad_line(runner, source, act)):
+                finding.fault = finding.fault.replace(vague, f"{source}, line {line}: ")
+            elif f"{source}, " not in finding.fault:
+                finding.line = step_line
             raise
         self._times.append(watch.computed)
         if runner.messages.used:  # a message arrives once: a second step cannot see it again

@@ -38,11 +38,14 @@ def judge(histories: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, obj
 
     half, quarter = size((count - 1) // 2), size((count - 1) // 4)
     grows = size(count - 1) > GROWTH * half > GROWTH**2 * quarter and size(count - 1) > WILD * (size(0) + 1e-9)
-    lasts = [_settles(rows, count, i) for i in range(width)]
-    ends = [[row[count - 1][i] for row in rows.values()] for i in range(width)]
+    settled = [[_settles(row, i) for i in range(width)] for row in rows.values()]
+    lasts = list(map(max, zip(*settled, strict=True)))
+    ends = [[row[-1][i] for row in rows.values()] for i in range(width)]
     spreads = [max(values) - min(values) for values in ends]
     # Near its own last value everything is at the very end; what settles does so with time to spare.
-    in_time = not grows and max(lasts) <= 0.9 * (count - 1)
+    in_time = not grows and all(
+        max(own) <= 0.9 * (len(row) - 1) for own, row in zip(settled, rows.values(), strict=True)
+    )
     return {
         "settles": max(lasts) if in_time else None,
         "slowest": names[lasts.index(max(lasts))],
@@ -52,16 +55,11 @@ def judge(histories: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, obj
     }
 
 
-def _settles(rows: Mapping[str, Sequence[Sequence[float]]], count: int, i: int) -> int:
-    """Return the iteration from which number i of all robots stays near its last value."""
-    last = 0
-    for row in rows.values():
-        end = row[count - 1][i]
-        way = max(abs(values[i] - end) for values in row[:count])
-        near = SETTLED * way + ROUNDING * abs(end)
-        moving = [k for k in range(count) if abs(row[k][i] - end) > near]
-        last = max(last, max(moving, default=-1) + 1)
-    return last
+def _settles(row: Sequence[Sequence[float]], i: int) -> int:
+    """Return the iteration from which number i of a robot stays near its last value."""
+    end = row[-1][i]
+    near = SETTLED * max(abs(values[i] - end) for values in row) + ROUNDING * abs(end)
+    return max((k + 1 for k, values in enumerate(row) if abs(values[i] - end) > near), default=0)
 
 
 def numbers(values: Iterable[object]) -> list[float]:

@@ -6,6 +6,7 @@ import typing
 from collections.abc import Sequence
 from typing import Annotated, Any
 
+from swarm.core.arrays import is_array, shape_of
 from swarm.errors import AppError
 from swarm.frozen import frozen
 from swarm.messages.codec import Value
@@ -43,6 +44,8 @@ class Parameter:
 
     def check(self, value: object) -> Value:
         """`value` as the app gets it; `AppError` with what was expected."""
+        if is_array(value) and not shape_of(value):
+            value = value.item()  # type: ignore[attr-defined]  # such as numpy's pi / 4 in a default
         if self.kind is float and type(value) is int:
             value = float(value)
         fits = type(value) is self.kind and (not self.choices or value in self.choices)

@@ -103,6 +103,11 @@ def is_array(value: object) -> bool:
     return type(value).__module__ == "numpy" and hasattr(value, "dtype")
 
 
+def is_truth(value: object) -> bool:
+    """Return whether it is numpy's True or False, which comparisons of an array's entries give."""
+    return is_array(value) and value.dtype.kind == "b" and value.shape == ()  # type: ignore[attr-defined]
+
+
 def shape_of(value: object) -> tuple[int, ...]:
     """Return the shape of an array; empty for a single number and for any other value."""
     return tuple(getattr(value, "shape", ())) if is_array(value) else ()

@@ -126,6 +126,8 @@ class Field:
         if self.kind == "bool":
             if isinstance(value, bool):
                 return value
+            if arrays.is_truth(value):
+                return bool(value)
             raise AppError(f"expected True or False, got {shown(value)}")
         if self.kind == "int":
             if isinstance(value, numbers.Integral) and not isinstance(value, bool):

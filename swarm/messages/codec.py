@@ -142,11 +142,13 @@ def as_value(value: object) -> Value:
     if isinstance(value, float) and math.isfinite(value):
         return float(value)
     if isinstance(value, tuple | list):
-        rows = all(isinstance(row, tuple | list) for row in value) and len({*map(len, value)}) == 1
-        entries = [x for row in value for x in row] if rows else value
-        if all(map(_is_number, entries)):
-            return tuple([float(x) for x in entries])
-    if type(value).__module__ == "numpy" and hasattr(value, "tolist"):
+        if not all(map(_is_number, value)):
+            value = _plain_items(value)
+            if all(isinstance(row, tuple | list) for row in value) and len({*map(len, value)}) == 1:
+                value = _plain_items([x for row in value for x in row])
+        if all(map(_is_number, value)):
+            return tuple([float(x) for x in value])
+    elif type(value).__module__ == "numpy" and hasattr(value, "tolist"):
         return as_value(value.ravel().tolist() if value.shape else value.item())  # type: ignore[attr-defined]
     raise LocalError(f"expected a finite number, bool, text or vector, got {shown(value)}")
 
@@ -220,6 +222,11 @@ def wrong(value: object, path: str, wanted: str) -> PayloadError:
     # A map or list is only named: it may be nested deeper than repr can follow.
     got = "a map" if isinstance(value, dict) else "a list" if isinstance(value, list) else shown(value)
     return PayloadError(f"{path or 'payload'}: expected {wanted}, got {got}")
+
+
+def _plain_items(values: Iterable[Any]) -> list[Any]:
+    """Return the items of a list, those of numpy as Python's own numbers and lists."""
+    return [x.tolist() if type(x).__module__ == "numpy" else x for x in values]
 
 
 def _is_number(value: object) -> bool:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from services.apps.loader import of_class
 from services.apps.runner import Runner
 from sim.rehearsal import examine
-from swarm import Array, EventApp, Matrix, PeriodicApp, SyncApp, Vector, float32, rehearse, simulate
+from swarm import Array, EventApp, Matrix, PeriodicApp, SyncApp, Vector, float32, parameter, rehearse, simulate
 from swarm.app.robot import Robot
 from swarm.core.graph import Graph
 from swarm.errors import AppError
@@ -53,6 +53,25 @@ def test_arithmetic_with_the_neighbours_arrays_is_written_as_it_is_meant() -> No
     assert swarm.result("r0")["norm"] == pytest.approx(np.hypot(2.0, 3.0))
     assert swarm.result("r0")["many"] is True
     assert len(swarm.result("r0")["wide"]) == 4  # type: ignore[arg-type]
+
+
+def test_comparisons_and_rows_of_arrays_are_states_and_results_as_they_stand() -> None:
+    class Compares(SyncApp):
+        x: Array[2] = np.array([1.0, 2.0])
+        large: bool
+        limit: float = parameter(np.sqrt(2.25), low=0)
+
+        def step(self, neighbours: list[Any]) -> None:
+            self.large = self.x[1] > self.limit
+
+        def result(self) -> dict[str, Any]:
+            return {"rows": [self.x, 2 * self.x], "mixed": [[1, np.int64(2)], [np.float32(3), 4]], "one": [self.x[0]]}
+
+    run = simulate(Compares, robots=2, iterations=1, values={"limit": np.float64(1.75)})
+    assert run["large"].tolist() == [[False, False], [True, True]]
+    assert run["rows"][1, 0].tolist() == [[1.0, 2.0], [2.0, 4.0]]
+    assert run["mixed"][1, 0].tolist() == [[1.0, 2.0], [3.0, 4.0]]
+    assert run["one"].shape == (2, 2, 1)
 
 
 def test_a_run_has_the_shapes_that_the_class_declares() -> None:

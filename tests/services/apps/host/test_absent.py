@@ -189,7 +189,8 @@ def test_an_app_that_diverges_is_named(make_rig: MakeRig) -> None:
     )
     rig.start_all(str(app))
     rig.until_phase("fault")
-    reason = "Wild on r1, iteration 12: x: -1594323.0 is beyond diverges_above = 1e+06: the app diverges"
+    text = "x: -1594323.0 is beyond diverges_above = 1e+06: the app diverges"
+    reason = f"Wild on r1, iteration 12: {app}, from line 4 on: {text}"
     assert rig.progress["r1"].reason == reason
 
 
