@@ -56,13 +56,13 @@ def draw_map(figure: Any, run: Run, references: Mapping[str, Sequence[Place]] | 
     elif moves:
         distances(figure.add_subplot(1, 2, 2), run, {name: moves[name] for name in robots if name in moves})
     marks: set[str] = set()
-    seen: list[Place] = []
-    if swarm is not None:
-        for anchor in swarm.anchors:
-            seen.append((anchor.x, anchor.y))
-            axes.plot(anchor.x, anchor.y, "^", color=style.GREY, markersize=8, **_once(marks, "anchor"))
+    still: list[Place] = [] if swarm is None else [(anchor.x, anchor.y) for anchor in swarm.anchors]
+    for place in still:
+        axes.plot(*place, "^", color=style.GREY, markersize=8, **_once(marks, "anchor"))
+    seen = list(still)
     if way:
         seen += [place for _, place in way]
+        still.append(way[-1][1])
         if len(way) > 1:
             axes.plot(
                 *zip(*(place for _, place in way), strict=True),
@@ -110,7 +110,7 @@ def draw_map(figure: Any, run: Run, references: Mapping[str, Sequence[Place]] | 
     axes.set(xlabel="x / m", ylabel="y / m", aspect="equal")
     # Below the label of the axis, however high the picture is: distances in lines of text.
     legend = axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), borderaxespad=4.0, ncols=3)
-    style.name_points(axes, names, [place for name, _, _ in names for place, _ in tracks[name][::3]])
+    style.name_points(axes, names, still, [place for name, _, _ in names for place, _ in tracks[name][::3]])
     for handle in legend.legend_handles:
         handle.set_color("black" if handle.get_label().startswith(("target", "true")) else style.GREY)
 

@@ -79,15 +79,18 @@ def say_below(figure: Any, *notes: str) -> None:
 
 
 def name_points(
-    axes: Any, points: Sequence[tuple[str, tuple[float, float], Any]], crowd: Sequence[tuple[float, float]]
+    axes: Any,
+    points: Sequence[tuple[str, tuple[float, float], Any]],
+    marks: Sequence[tuple[float, float]] = (),
+    crowd: Sequence[tuple[float, float]] = (),
 ) -> None:
     """Write a name at each point (name, place, colour), beside it where there is most room: away from the other points,
-    from names already written, and from the `crowd` of further places that are drawn. Call it when the axes have their
-    limits."""
+    from further `marks`, from names already written, and if possible from the `crowd` of places on lines. Call it when
+    the axes have their limits."""
     axes.figure.draw_without_rendering()  # a layout that is still to come would move what we measure
     to_pixels = axes.transData.transform
     pixel = axes.figure.dpi / 72
-    taken = [tuple(to_pixels(place)) for _, place, _ in points]
+    taken = [tuple(to_pixels(place)) for place in (*(place for _, place, _ in points), *marks)]
     lines = [tuple(to_pixels(place)) for place in crowd]
     for name, place, shade in points:
         x, y = to_pixels(place)

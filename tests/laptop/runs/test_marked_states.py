@@ -211,9 +211,11 @@ def test_names_keep_clear_of_each_other() -> None:
 
     axes = figure.Figure(figsize=(4, 4)).add_subplot()
     axes.set(xlim=(0, 1), ylim=(0, 1))
-    style.name_points(axes, [(f"r{i}", (0.5 + 0.03 * i, 0.5), "black") for i in range(4)], [])
+    style.name_points(axes, [(f"r{i}", (0.5 + 0.03 * i, 0.5), "black") for i in range(4)], marks=[(0.5, 0.54)])
     boxes = [text.get_window_extent() for text in axes.texts]
     assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
+    mark = axes.transData.transform((0.5, 0.54))
+    assert not any(box.contains(*mark) for box in boxes)
 
 
 def test_a_formation_has_its_misfit_and_the_nearest_two_and_true_paths(tmp_path: Path) -> None:
