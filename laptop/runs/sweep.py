@@ -86,11 +86,11 @@ def sweep(
 
     `over`: lists by the name of a parameter or first value (`gain`, or `r2.gain` of one robot), and `robots`,
     `topology`, `algorithm`, `latency`, `jitter`, `loss`. Of a name of the radio that the app has, too, the app's is
-    meant. `seeds`: a number N for the seeds 1 to N, or a list of seeds. A run has settled when all results stay
-    `within` of their last values. `jobs`: number of processes. More than one needs an app by name or file, and a
-    script then calls `sweep` where `__name__` is `"__main__"`. The other arguments are those of `swarm.simulate`. A
-    run with problems counts as failed. Raises `AppError` or `ConfigError` for an app or an argument with which no run
-    is possible."""
+    meant; `robots`, `topology` and `algorithm` are always the options. `seeds`: a number N for the seeds 1 to N, or a
+    list of seeds. A run has settled when all results stay `within` of their last values. `jobs`: number of processes.
+    More than one needs an app by name or file, and a script then calls `sweep` where `__name__` is `"__main__"`. The
+    other arguments are those of `swarm.simulate`. A run with problems counts as failed. Raises `AppError` or
+    `ConfigError` for an app or an argument with which no run is possible."""
     found = app_of(app)
     by_class = not isinstance(app, str | Path)
     if jobs < 1:

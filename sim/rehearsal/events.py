@@ -28,7 +28,7 @@ class EventRehearsal(Rehearsal):
     @prints_heard()
     def run(self, until: float) -> None:
         """Let time pass until `until`, s since the start. Raises `AppError` where the app of a robot has failed, and
-        `LocalError` for a time that is over."""
-        if not until >= self.now:
-            raise LocalError(f"run: expected a time since the start, of {self.now:g} s or more; got {until!r}")
+        `LocalError` for a time that is over, or is now."""
+        if not until > self.now:
+            raise LocalError(f"run: expected a time since the start, of more than {self.now:g} s; got {until!r}")
         self._pass(until)

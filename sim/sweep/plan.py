@@ -5,6 +5,7 @@ import itertools
 import re
 from collections.abc import Sequence
 
+from swarm.errors import ConfigError
 from swarm.frozen import frozen
 
 OPTIONS = ("robots", "topology", "algorithm", "latency", "jitter", "loss")
@@ -78,9 +79,14 @@ def points_of(
     options: Sequence[tuple[str, Sequence[str]]], settings: Sequence[tuple[str, Sequence[str]]] = ()
 ) -> list[SweepPoint]:
     """Return all combinations of lists of `OPTIONS`, and of parameters and first values; the last list changes
-    fastest."""
+    fastest. Raises `ConfigError` for two lists of one name, which would have one column in the results."""
     lists = [*options, *settings]
     names = [name for name, _ in lists]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise ConfigError(
+            f"{twice[0]}: two lists have this name: give one of them. Where an option and a parameter of the app have "
+            "it, rename the parameter"
+        )
     return [
         SweepPoint(tuple(zip(names, chosen, strict=True)), len(options))
         for chosen in itertools.product(*(values for _, values in lists))

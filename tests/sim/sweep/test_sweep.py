@@ -57,6 +57,8 @@ def test_every_combination_with_every_seed():
     assert jobs[0].arguments[:2] == ("app", "--robots=3")
     assert jobs[0].arguments[-4:] == ("--seed", "1", "--jitter", "10ms")
     assert points_of([]) == [SweepPoint(())]
+    with pytest.raises(ConfigError, match=r"loss: two lists have this name.*rename the parameter"):
+        points_of([("loss", ("0.1",))], [("loss", ("1", "2"))])
 
 
 def path_of(*values):
