@@ -11,7 +11,7 @@ from services.apps import loader
 from services.apps.equipment.equipment import equip
 from services.apps.equipment.measurements import Measurements, Replayed, source_of
 from services.apps.equipment.recorded_values import RecordedValues
-from services.apps.equipment.speaker import Sink, let_speak
+from services.apps.equipment.speaker import Sink, Speaker, let_speak
 from services.apps.event_runner import EventRunner
 from services.apps.host import topology
 from services.apps.host.event_host import EventHost
@@ -78,6 +78,8 @@ class VirtualRobot:
     apps: dict[str, LockstepHost | EventHost] = field(default_factory=dict)
     buses: dict[str, VirtualBus] = field(default_factory=dict)
     """The session of each app."""
+    speakers: dict[str, Speaker] = field(default_factory=dict)
+    """What tells the lines of each app."""
     off_until: float = 0.0
     """The end of its last time without power."""
     starts: int = 1
@@ -234,6 +236,7 @@ class VirtualWorld:
         """End an app as by kill -9: nothing is said any more."""
         host = there.apps.pop(app)
         there.buses.pop(app).close()
+        there.speakers.pop(app).end()
         host.close()
 
     def _start_again(self, there: VirtualRobot, begun: list[Launch]) -> None:
@@ -307,7 +310,7 @@ class VirtualWorld:
         overlays = equip(instance.robot, bus, logging.getLogger(robot), partial(getattr, there.time, "now"), tickets)
         keep = self.records.get((robot, app.name))
         instance.robot.recording = RecordedValues(bus, robot, app.name, keep) if self.watched else keep
-        let_speak(instance.robot, bus, None, *self.hearers.get((robot, app.name), ()))
+        speaker = let_speak(instance.robot, bus, None, *self.hearers.get((robot, app.name), ()))
         if metrics_of(type(instance)):
             instance.robot.truth = self.truth(robot, app.name, type(instance))
         host: LockstepHost | EventHost
@@ -328,7 +331,7 @@ class VirtualWorld:
                 *(runtime, app.name, parts, place, there.storage, observer),
                 links_change=run_options.drop,  # else nobody asks which links are in force
             )
-        there.apps[app.name], there.buses[app.name] = host, bus
+        there.apps[app.name], there.buses[app.name], there.speakers[app.name] = host, bus, speaker
         host.start()
 
     def truth(self, robot: str, app: str, kind: type[BaseApp]) -> Callable[[], RobotTruth]:

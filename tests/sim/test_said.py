@@ -80,6 +80,19 @@ def test_every_line_comes_with_its_robot_and_is_recorded(
     ]
 
 
+def test_an_unfinished_line_is_lost_with_its_process(tmp_path: Path) -> None:
+    path = tmp_path / "dots.py"
+    path.write_text(
+        "from swarm import PeriodicApp\nclass Dots(PeriodicApp):\n    n: int\n    period = 1.0\n"
+        "    def step(self, neighbours):\n        self.n += 1\n"
+        "        print(f'.{self.n}', end='\\n' if self.n == 4 else '')\n"
+    )
+    heard: list[str] = []
+    options = parse([str(path), "--robots", "1", "--seconds", "8.5", "--kill", "r0.app@2.5s", "--virtual"])
+    VirtualRun(options, build(options, PLACE), said=lambda _, line: heard.append(line.text)).go()
+    assert heard == [".1.2.3.4", ".5.6"]
+
+
 def test_of_a_run_the_last_lines_of_each_robot_and_of_the_apps_that_are_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

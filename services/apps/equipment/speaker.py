@@ -27,6 +27,9 @@ PRINTED = "print"
 
 Sink = Callable[[AppLog], None]
 
+Said = Callable[[str, str], None]
+"""Tells a text of a level."""
+
 
 class Speaker:
     """Tells what one app on one robot says."""
@@ -38,9 +41,12 @@ class Speaker:
         self._sinks = sinks
         self._key = key(robot.name, f"app/{robot.app}", "log")
         self._second, self._count = -1, 0
+        self._ended = False
 
     def __call__(self, level: str, text: str) -> None:
         """Tell a text: `debug`, `info`, `warning`, `error` or `print`."""
+        if self._ended:
+            return
         now = self._robot.now
         if int(now) != self._second:
             self._second, self._count = int(now), 0
@@ -52,20 +58,27 @@ class Speaker:
                 text = f"more than {MOST_LINES_S} lines within a second: the others of this second are left out"
                 self._tell(AppLog(now, "warning", text))
 
+    def end(self) -> None:
+        """Tell nothing any more, since the app's process was killed: what it had printed without an end of the line is
+        lost with it."""
+        self._ended = True
+
     def _tell(self, line: AppLog) -> None:
         self._bus.publish(self._key, line)
         for sink in self._sinks:
             sink(line)
 
 
-def let_speak(robot: Robot, bus: BusLike, parent: logging.Logger | None, *sinks: Sink) -> None:
-    """Let an app be heard. `parent`: the log of the process that runs it, which gets all lines, too."""
+def let_speak(robot: Robot, bus: BusLike, parent: logging.Logger | None, *sinks: Sink) -> Speaker:
+    """Let an app be heard, and return what tells its lines. `parent`: the log of the process that runs it, which gets
+    all lines, too."""
     speaker = Speaker(robot, bus, *sinks)
     # Not one of `getLogger`: under virtual time each robot has one, in one process and in run after run.
     log = logging.Logger(robot.app, min(logging.INFO, logging.getLogger().level))  # noqa: LOG001
     log.parent = parent
     log.addHandler(_Handler(speaker))
     robot.log, robot.said = log, speaker
+    return speaker
 
 
 @contextlib.contextmanager
@@ -100,29 +113,27 @@ class _Printed(io.TextIOBase):
     def __init__(self, before: TextIO, log: logging.Logger | None) -> None:
         self._before = before
         self._log = log
-        self._begun: dict[tuple[str, str], tuple[Robot, str]] = {}
-        """Lines that are not at their end, by robot and app."""
+        self._begun: dict[Said, str] = {}
+        """Lines that are not at their end, by what tells them: one for each process of an app."""
 
     def write(self, text: str) -> int:
         robot = _speaking(sys._getframe(1))
         if robot is None or robot.said is None:
             return self._before.write(text)
-        which = robot.name, robot.app
-        *lines, rest = (self._begun.pop(which, (robot, ""))[1] + text).split("\n")
+        *lines, rest = (self._begun.pop(robot.said, "") + text).split("\n")
         if rest:
-            self._begun[which] = robot, rest[-MAX_LINE:]
+            self._begun[robot.said] = rest[-MAX_LINE:]
         for line in lines:
-            self._tell(robot, line)
+            self._tell(robot.said, line)
         return len(text)
 
     def end(self) -> None:
         """Tell the lines that are not at their end: nothing comes any more."""
-        for robot, line in self._begun.values():
-            self._tell(robot, line)
+        for said, line in self._begun.items():
+            self._tell(said, line)
 
-    def _tell(self, robot: Robot, line: str) -> None:
-        if robot.said is not None:
-            robot.said(PRINTED, line)
+    def _tell(self, said: Said, line: str) -> None:
+        said(PRINTED, line)
         if self._log is not None:
             self._log.info("%s", line)
 
