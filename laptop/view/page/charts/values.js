@@ -1,7 +1,7 @@
 // Panels with charts of series: the app's own values, and how wrong robots are about their place.
 
 import { column, largest, median, scaled, short, SIGMAS, write } from "../numbers.js";
-import { held, isDistance, plain, withGaps } from "../series.js";
+import { dig, held, isDistance, plain, withGaps } from "../series.js";
 import { sizeOf, theme } from "../theme.js";
 import { Plot } from "./plot.js";
 
@@ -182,7 +182,13 @@ export class Values {
   // All that can be shown, the app's first one first.
   all() {
     const own = this.focus.values();
-    return [...own, ...this.asked.filter((each) => !own.some((other) => other.name === each.name))];
+    return [...own, ...this.asked.filter((each) => !own.some((other) => other.name === each.name)).map(this.asTold, this)];
+  }
+
+  // A series that is drawn in steps where it is of a truth value.
+  asTold(value) {
+    const [{ topic, fields: [path] }] = value.sources;
+    return { ...value, stepped: this.store.names.some((name) => typeof dig(this.store.get(name, topic), path) === "boolean") };
   }
 
   // The one that stands for the app: what converging is about.
@@ -205,7 +211,7 @@ export class Values {
       this.choice.hidden = all.length < 2;
     }
     if (shown && this.choice.value !== shown.name) this.choice.value = shown.name;
-    for (const { chart, value } of this.extra) chart.draw(value, selected, "", (newest) => ({ value: worst(newest)[1], text: () => `largest, ${worst(newest)[0]}` }));
+    for (const { chart, value } of this.extra) chart.draw(this.asTold(value), selected, "", (newest) => ({ value: worst(newest)[1], text: () => `largest, ${worst(newest)[0]}` }));
     const why = this.focus.app ? "No values yet: the app tells none. self.robot.record(name, value) in a step, or numbers in result()" : "No app has told anything yet: swarm app start NAME";
     this.chart.draw(shown, selected, why, (newest) => {
       const [name, value] = worst(newest), values = [...newest.values()];

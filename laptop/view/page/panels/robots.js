@@ -2,7 +2,7 @@
 
 import { column, largest, scaled } from "../numbers.js";
 import { part } from "../part.js";
-import { held } from "../series.js";
+import { held, withGaps } from "../series.js";
 
 const SPARK_MS = 400;
 const LOW_S = 45 * 60;
@@ -89,7 +89,7 @@ export class Robots {
     }));
     if (own && now > this.sparked + SPARK_MS && names.length <= 30) {
       this.sparked = now;
-      for (const [name, row] of this.rows) this.spark(row, this.series.points(own, name), this.store.colour(name), at, value.held);
+      for (const [name, row] of this.rows) this.spark(row, this.series.points(own, name), this.store.colour(name), at, value);
     }
   }
 
@@ -126,18 +126,23 @@ export class Robots {
 
   // Its own value over the last time, without numbers. A path of the page: each canvas would cost something in every frame
   // in which the map moves.
-  spark(row, points, colour, at, stepped) {
-    const shown = points.filter(([t]) => t <= at);
-    if (!shown.length || (shown.length < 2 && !stepped)) return;
-    const ys = shown.map(([, y]) => y), low = Math.min(...ys), high = Math.max(...ys), end = this.store.zoom[1];
-    const [first, last] = [points[0][0], stepped ? Math.max(points.at(-1)[0], end) : points.at(-1)[0]];
-    const step = Math.max(1, Math.floor(shown.length / 80)), places = [];
+  spark(row, points, colour, at, { held: holds, stepped }) {
+    const shown = (holds ? points : withGaps(points)).filter(([t]) => t <= at);
+    if (!shown.length || (shown.length < 2 && !holds)) return;
+    const ys = shown.map(([, y]) => y).filter((y) => y !== null), low = Math.min(...ys), high = Math.max(...ys);
+    const [first, last] = [points[0][0], holds ? Math.max(points.at(-1)[0], this.store.zoom[1]) : points.at(-1)[0]];
+    const step = Math.max(1, Math.floor(shown.length / 80));
     const x = (t) => (((t - first) / (last - first || 1)) * WIDE).toFixed(1);
-    for (let index = 0; index < shown.length; index += step) {
-      const [t, y] = shown[index], up = (HIGH - 1 - ((y - low) / (high - low || 1)) * (HIGH - 2)).toFixed(1);
-      places.push(stepped && index ? `H${x(t)}V${up}` : `${x(t)} ${up}`);
-    }
-    const line = stepped ? `M${places.join("")}H${x(Math.min(at, last))}` : `M${places.join("L")}`;
+    let line = "", pen = "M"; // M: move there, L: draw a line there
+    shown.forEach(([t, y], index) => {
+      if (y === null) pen = "M";
+      else if (pen === "M" || index % step === 0) {
+        const up = (HIGH - 1 - ((y - low) / (high - low || 1)) * (HIGH - 2)).toFixed(1);
+        line += pen === "L" && (holds || stepped) ? `H${x(t)}V${up}` : `${pen}${x(t)} ${up}`;
+        pen = "L";
+      }
+    });
+    if (holds) line += `H${x(Math.min(at, last))}`;
     if (line === row.line && colour === row.colour) return;
     [row.line, row.colour] = [line, colour];
     row.path.setAttribute("d", line);

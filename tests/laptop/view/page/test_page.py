@@ -247,6 +247,20 @@ def test_the_line_of_a_robot_that_was_off_has_a_gap(browser: Any, tmp_path: Path
     with shown(browser, tmp_path) as page:
         seek(page, 9)
         until(page, f"JSON.stringify({gaps}) === '[0,1,0]'")
+        # The small lines of the apps' values have the gaps of the chart: the others wait for r1 twice.
+        lines = "[...document.querySelectorAll('#robots .spark path')].map((each) => each.getAttribute('d'))"
+        until(page, f"JSON.stringify({lines}.map((line) => line?.split('M').length - 2)) === '[2,1,2]'")
+        assert page.evaluate(gaps.replace("errors", "values")) == [2, 1, 2]
+
+
+def test_a_truth_value_that_somebody_asks_for_is_drawn_in_steps(browser: Any, tmp_path: Path) -> None:
+    recorded(tmp_path, "stand_up", "--robots", "2", "--seconds", "4", "--press", "r0.A@1s")
+    with shown(browser, tmp_path) as page:
+        seek(page, 3)
+        for topic, field, steps in (("balancer/buttons", "a", "true"), ("balancer/state", "tilt", "false")):
+            page.evaluate(f"swarmView.values.open('{topic}', ['{field}'])")
+            shown_now = "swarmView.values.shown"
+            until(page, f"{shown_now}.name === '{topic} {field}' && {shown_now}.stepped === {steps}")
 
 
 def test_an_app_that_has_failed_is_told_with_its_robot(browser: Any, tmp_path: Path) -> None:
