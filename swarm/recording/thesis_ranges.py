@@ -51,8 +51,8 @@ SHORT_M = 0.05
 COST_SHARE = 1e-3
 """Share of the squared lengths by which the cost of a line may differ from theirs: cells rounded to 1 mm keep it."""
 
-_MARK = "\ufffd\ufffd\ufffd"
-"""What a byte-order mark is, read as ASCII."""
+_MARK = "\ufffd\ufffd"
+"""The beginning of a byte-order mark, of UTF-8 or UTF-16, read as ASCII."""
 
 
 class ThesisRow(NamedTuple):

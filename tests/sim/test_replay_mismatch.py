@@ -223,6 +223,9 @@ def test_what_is_wrong_with_a_file_is_named(tmp_path: Path, recorded: dict[str, 
         written(tmp_path, recorded | {"1.csv": text})
         with pytest.raises(RecordingError, match=message):
             read_folder(tmp_path)
+    (tmp_path / "1.csv").write_text(recorded["1.csv"], "utf-16")
+    with pytest.raises(RecordingError, match=r"1\.csv:1: it begins with a byte-order mark"):
+        read_folder(tmp_path)
     (tmp_path / "1.csv").unlink()
     with pytest.raises(RecordingError, match=r"1\.csv: missing, though 2\.csv is there"):
         read_folder(tmp_path)
