@@ -62,8 +62,9 @@ def _virtual(options: Options, words: Sequence[str], out: TextIO) -> int:
 
     if options.record is not None:
         folder.make_empty(options.record)
-        keep_command(options.record, words)
     plan = scenario.build(options, virtual.PLACE)
+    if options.record is not None:  # a command that is refused leaves the folder free
+        keep_command(options.record, words)
     for note in plan.notes:
         sys.stderr.write(note + "\n")
     run = virtual.VirtualRun(options, plan, said=partial(say, sys.stderr))

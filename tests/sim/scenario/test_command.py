@@ -10,6 +10,7 @@ from laptop.cli.runs import sim
 from sim.scenario.command import COMMAND_FILE, command_of
 from sim.scenario.options import parse
 from swarm import SyncApp, simulate
+from swarm.errors import AppError
 
 APP = """
 from swarm import SyncApp
@@ -62,6 +63,14 @@ def test_with_json_the_output_is_one_object_whatever_the_app_prints(
     assert json.loads(said.out)["iterations"] == 3
     assert "imported" in said.err
     assert "a step" in said.err
+
+
+def test_a_command_that_is_refused_leaves_the_folder_of_its_recording_free(tmp_path: Path) -> None:
+    words = ["consensus", "--virtual", "--set", "valeu=3", "--record", str(tmp_path / "run")]
+    with pytest.raises(AppError, match="unknown parameter 'valeu'"):
+        sim.run_simulation(parse(words), words)
+    words[3] = "value=3"
+    assert sim.run_simulation(parse(words), words) == 0
 
 
 def test_a_run_of_simulate_is_repeated_from_where_it_was_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
