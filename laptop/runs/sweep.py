@@ -17,6 +17,7 @@ from sim.sweep.engines import here, local
 from sim.sweep.measure import Summary, SweptRun, check, summarize
 from sim.sweep.plan import OPTIONS, Job, SweepPoint, points_of
 from swarm.app.parameters import number_or_text
+from swarm.core.arrays import is_array
 from swarm.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -175,8 +176,10 @@ def _text(value: Any) -> str:
     """Return a value as `--set` takes it."""
     if isinstance(value, bool):
         return str(value).lower()
+    if is_array(value):
+        return _text(value.tolist())
     if isinstance(value, list | tuple):
-        return f"[{','.join(map(str, value))}]"
+        return f"[{','.join(map(_text, value))}]"
     return str(value)
 
 

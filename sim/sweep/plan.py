@@ -5,14 +5,12 @@ import itertools
 import re
 from collections.abc import Sequence
 
+from swarm.app.parameters import split_at_commas
 from swarm.errors import ConfigError
 from swarm.frozen import frozen
 
 OPTIONS = ("robots", "topology", "algorithm", "latency", "jitter", "loss")
 """Options of `swarm sim` of which a sweep takes lists."""
-
-_BETWEEN = re.compile(r",(?![^\[]*\])")
-"""Pattern of a comma that is not within the brackets of a vector."""
 
 
 @frozen
@@ -50,7 +48,7 @@ class Job:
 
 def values_of(text: str) -> tuple[str, ...]:
     """Return the values of a list such as `6,12` or `[0,1],[1,0]`."""
-    values = tuple(part.strip() for part in _BETWEEN.split(text))
+    values = tuple(split_at_commas(text))
     if not all(values):
         raise argparse.ArgumentTypeError(f"{text!r} is not a list of values such as 6,12")
     return values

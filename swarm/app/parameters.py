@@ -74,15 +74,38 @@ class Parameter:
 
 
 def value_of(text: str) -> Value:
-    """Parse a value of a command line: 1, 0.5, true, [1,2] or a text. Raises `AppError` for an incomplete list."""
+    """Parse a value of a command line: 1, 0.5, true, [1,2], [[1,0],[0,1]] or a text. Numbers of nested lists follow
+    each other, row by row. Raises `AppError` for an incomplete list."""
     if text in ("true", "false"):
         return text == "true"
     if text.startswith("[") and text.endswith("]"):
         try:
-            return tuple(float(item) for item in text[1:-1].split(",") if item.strip())
+            return tuple(_numbers_in(text))
         except ValueError:
-            raise AppError(f"{text!r} is not a list of numbers such as [0.5,1]") from None
+            raise AppError(f"{text!r} is not a list of numbers such as [0.5,1] or [[1,0],[0,1]]") from None
     return number_or_text(text)
+
+
+def split_at_commas(text: str) -> list[str]:
+    """Return the parts of a text between commas that are not within brackets, without spaces around them."""
+    parts, depth = [""], 0
+    for letter in text:
+        depth += (letter == "[") - (letter == "]")
+        if letter == "," and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += letter
+    return [part.strip() for part in parts]
+
+
+def _numbers_in(text: str) -> list[float]:
+    """Return the numbers of a list, row by row. Raises `ValueError` where rows are of different lengths."""
+    if not (text.startswith("[") and text.endswith("]")):
+        return [float(text)]
+    rows = [_numbers_in(part) for part in split_at_commas(text[1:-1]) if part]
+    if len({*map(len, rows)}) > 1:
+        raise ValueError(text)
+    return [number for row in rows for number in row]
 
 
 def number_or_text(text: str) -> int | float | str:

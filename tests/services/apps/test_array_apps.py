@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from services.apps.loader import of_class
 from services.apps.runner import Runner
 from sim.rehearsal import examine
-from swarm import Array, EventApp, Matrix, PeriodicApp, SyncApp, Vector, float32, parameter, rehearse, simulate
+from swarm import Array, EventApp, Matrix, PeriodicApp, SyncApp, Vector, float32, parameter, rehearse, simulate, sweep
 from swarm.app.robot import Robot
 from swarm.core.graph import Graph
 from swarm.errors import AppError
@@ -72,6 +72,12 @@ def test_comparisons_and_rows_of_arrays_are_states_and_results_as_they_stand() -
     assert run["rows"][1, 0].tolist() == [[1.0, 2.0], [2.0, 4.0]]
     assert run["mixed"][1, 0].tolist() == [[1.0, 2.0], [3.0, 4.0]]
     assert run["one"].shape == (2, 2, 1)
+
+
+def test_a_sweep_takes_arrays_and_nested_lists() -> None:
+    table = sweep(Filter, {"P": [np.eye(2), [[2.0, 0.0], [0.0, 2.0]]]}, robots=2, iterations=1, progress=False)
+    assert [row["P"] for row in table.rows] == ["[[1.0,0.0],[0.0,1.0]]", "[[2.0,0.0],[0.0,2.0]]"]
+    assert not any(row["failed"] for row in table.rows)
 
 
 def test_a_run_has_the_shapes_that_the_class_declares() -> None:

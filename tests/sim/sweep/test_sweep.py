@@ -25,6 +25,7 @@ from swarm.recording.trajectory import Trajectory
 def test_a_sweep_reads_lists_of_values_and_seeds():
     assert values_of("6,12") == ("6", "12")
     assert values_of("[0,1],[1, 0]") == ("[0,1]", "[1, 0]")
+    assert values_of("[[1,0],[0,1]],[[2,0],[0,2]]") == ("[[1,0],[0,1]]", "[[2,0],[0,2]]")
     assert setting_of("r2.value=3,4") == ("r2.value", ("3", "4"))
     assert seeds_of("3") == (1, 2, 3)
     assert seeds_of("5-7") == (5, 6, 7)

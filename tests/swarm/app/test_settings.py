@@ -17,6 +17,8 @@ NAMES = ("r0", "r1", "r2")
         ("text=a.b=c", Setting(None, "text", "a.b=c")),
         ("r1.on=true", Setting("r1", "on", True)),
         ("x=[1,2]", Setting(None, "x", (1.0, 2.0))),
+        ("P=[[1, 2],[3,4]]", Setting(None, "P", (1.0, 2.0, 3.0, 4.0))),
+        ("T=[[[1],[2]],[[3],[4]]]", Setting(None, "T", (1.0, 2.0, 3.0, 4.0))),
     ],
 )
 def test_a_setting_is_read(text: str, setting: Setting) -> None:
@@ -24,7 +26,7 @@ def test_a_setting_is_read(text: str, setting: Setting) -> None:
     assert parse(setting.text) == setting
 
 
-@pytest.mark.parametrize("text", ["value", "=3", "r2.=3", ".value=3", "a b=3", "x=[a]"])
+@pytest.mark.parametrize("text", ["value", "=3", "r2.=3", ".value=3", "a b=3", "x=[a]", "x=[[1,2],[3]]", "x=[[1,2]"])
 def test_what_is_none_is_named(text: str) -> None:
     with pytest.raises(AppError, match="is not a"):
         parse(text)
