@@ -317,9 +317,20 @@ def _parameter(table: Table, key: str) -> Value:
     if isinstance(value, int) and -(2**63) <= value < 2**63:
         return value
     if isinstance(value, list):
-        numbers = vector(value)
-        if numbers is not None:
+        if (numbers := _numbers_in(value)) is not None:
             return numbers
     elif isinstance(value, float) and finite(value) is not None:
         return value
     raise table.wrong(key, _PARAMETER)
+
+
+def _numbers_in(values: list[Any]) -> tuple[float, ...] | None:
+    """Return the numbers of a list, of nested lists row by row; None where there is anything else, or rows are of
+    different lengths."""
+    if (numbers := vector(values)) is not None:
+        return numbers
+    rows = [_numbers_in(row) if isinstance(row, list) else None for row in values]
+    known = [row for row in rows if row is not None]
+    if len(known) < len(rows) or len({*map(len, known)}) > 1:
+        return None
+    return tuple([number for row in known for number in row])

@@ -158,6 +158,14 @@ def test_whole_numbers_stay_whole_in_apps_and_become_floats_elsewhere():
     assert type(config.body.trim) is float
 
 
+def test_a_matrix_of_an_app_is_read_row_by_row():
+    values = parse(ONE + "[apps.a]\nP = [[1, 2], [3, 4]]\nT = [[[1], [2]], [[3], [4]]]", FILE).app("a").of("r0")
+    assert values == {"P": (1.0, 2.0, 3.0, 4.0), "T": (1.0, 2.0, 3.0, 4.0)}
+    for wrong in ("[[1, 2], [3]]", "[[1], 2]", "[['a']]"):
+        with pytest.raises(ConfigError, match=r"\[apps.a\] P: expected a finite number"):
+            parse(ONE + f"[apps.a]\nP = {wrong}", FILE)
+
+
 def test_packages_of_robots_are_read_written_and_refused_where_pip_would_take_them_for_options():
     text = THREE + '[robot]\npackages = ["numpy", "scipy==1.16.0", "numpy"]\n'
     config = parse(text, FILE)
