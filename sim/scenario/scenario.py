@@ -234,7 +234,7 @@ def _disturbances(config: Config, options: Options) -> tuple[Disturbance, ...]:
     found = tuple(each for kind in kinds for each in drawn(kind, config.names, options.seed, links))
     for each in found:
         if isinstance(each, Kill) and options.virtual and each.service not in VIRTUAL_SERVICES:
-            raise ConfigError(f"{each}: under virtual time {' and '.join(VIRTUAL_SERVICES)} are processes of their own")
+            raise ConfigError(f"{each}: under virtual time {' and '.join(VIRTUAL_SERVICES)} alone can be ended")
     return found
 
 

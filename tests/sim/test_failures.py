@@ -173,7 +173,7 @@ def test_the_seed_draws_times_and_robots() -> None:
 
 
 def test_the_services_of_virtual_time_are_named() -> None:
-    with pytest.raises(ConfigError, match="mesh and app are processes of their own"):
+    with pytest.raises(ConfigError, match="under virtual time mesh and app alone can be ended"):
         run_virtually("consensus", "--robots", "3", "--kill", "r0.dwm@1s")
 
 
