@@ -11,6 +11,7 @@ import os
 import re
 import sys
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -100,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
     found = {name: place for name, place in found.items() if not args.robots or name in args.robots}
     meant = tuple(real[name] for name in args.robots or real if name in real)
     far = meant, Ssh(args.ssh_config, alone=True, named=False)
-    answers, began = _Answers(), clock.now()
+    answers, began = _Answers(), elapsed()
 
     def by_ssh() -> None:
         nonlocal answers
@@ -207,6 +208,11 @@ def table(how: Mapping[str, str], answers: _Answers, *, stop: bool) -> list[str]
     return [*columns(lines), "", summary, *([] if stop else [halt.NEXT])]
 
 
+def elapsed() -> float:
+    """Return seconds of a clock that goes on while the laptop sleeps, which its monotonic clock does not on Linux."""
+    return time.clock_gettime(getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC))
+
+
 def command(
     robots: tuple[Host, ...],
     ssh: Ssh,
@@ -216,8 +222,8 @@ def command(
     began: float,
     confirmed: Callable[[str], None] = lambda _: None,
 ) -> _Answers:
-    """Tell all robots at once; returns when each has answered or is given up. `began`: the time at which the command
-    was given, s. `confirmed` gets the name of each robot as soon as it has confirmed."""
+    """Tell all robots at once; returns when each has answered or is given up. `began`: what `elapsed` gave when the
+    command was given. `confirmed` gets the name of each robot as soon as it has confirmed."""
     answers = _Answers()
     words = [*(["estop", reason] if stop else ["arm"]), "--json", "--timeout", str(THERE_S)]
 
@@ -225,7 +231,7 @@ def command(
         """Return the words that say when, by the robot's clock, `swarm arm` was given, or earlier: it takes back no
         stop that came later, however long ssh takes. A robot never sleeps, so its uptime is its monotonic clock."""
         there = float((await ssh.check(host, "cat /proc/uptime")).split()[0])
-        return ["--since", f"{there - (clock.now() - began):.2f}"]
+        return ["--since", f"{there - (elapsed() - began):.2f}"]
 
     async def ask(host: Host) -> tuple[str, str]:
         """Return what the robot's own command prints, and the last words of its errors."""

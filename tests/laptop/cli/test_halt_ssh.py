@@ -258,6 +258,27 @@ def test_a_rearm_says_when_it_was_given_so_that_it_takes_back_no_later_stop(
     assert given - 0.1 <= float(words[words.index("--since") + 1]) - there <= clock.now()
 
 
+def test_a_rearm_of_a_laptop_that_slept_meanwhile_takes_back_no_stop_of_that_time(
+    robots: FakeRobots, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It sleeps for 600 s once the command is given."""
+    home = add(robots, "r0", answer("r0"))
+    elapsed = halt_ssh.elapsed
+    monkeypatch.setattr(halt_ssh, "elapsed", lambda: elapsed() + (600.0 if (home / "slept").exists() else 0.0))
+    robots.script("r0", "cat", "touch slept; exec /bin/cat $*")
+    assert run("arm") == 0
+    words = (home / "asked").read_text().split()
+    with Path("/proc/uptime").open() as file:
+        now = float(file.read().split()[0])
+    assert float(words[words.index("--since") + 1]) <= now - 600.0
+
+
+def test_the_clock_of_a_rearm_is_one_that_every_system_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(halt_ssh.time, "CLOCK_BOOTTIME")
+    before = clock.now()
+    assert before <= halt_ssh.elapsed() <= clock.now()
+
+
 def test_a_robot_with_an_earlier_release_is_not_armed_and_the_mend_is_named(
     robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
 ) -> None:
