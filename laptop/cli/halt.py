@@ -261,14 +261,15 @@ def command(
         out, error = await ask(host)
         rows = _rows(out)
         for name, row in rows.items():
-            if row.get("confirmed") and name != host.robot:
+            if row.get("confirmed") is True and name != host.robot:
                 answers.seen[name] = host.robot
         own = rows.get(host.robot, {})
-        if own.get("confirmed") and not stop:
+        obeyed = own.get("confirmed") is True
+        if obeyed and not stop:
             return "its own bus says so"
-        if own.get("confirmed") and own.get("mode") is not None:
+        if obeyed and own.get("mode") is not None:
             return "its own bus and balancer say so"
-        silent = "its balancer tells no state" if own.get("confirmed") else "its bus does not confirm it"
+        silent = "its balancer tells no state" if obeyed else "its bus does not confirm it"
         problem = error.removeprefix("swarm: ") or silent
         if not stop:
             raise HostError(problem)

@@ -82,6 +82,17 @@ def test_a_robot_that_does_not_confirm_has_its_balancer_stopped(
     assert (quiet / "systemctl.log").read_text().count("\n") == 1
 
 
+def test_an_answer_that_is_neither_yes_nor_no_confirms_no_stop(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = [{"robot": name, "confirmed": "no", "mode": "balancing"} for name in ("r0", "r1")]
+    home = add(robots, "r0", json.dumps({"robots": rows}))
+    robots.add("r1", up=False)
+    assert run("estop") == 1
+    assert capsys.readouterr().out.splitlines()[-1] == "stopped: 1 of 2 robots; NOT CONFIRMED: r1"
+    assert (home / "systemctl.log").read_text() == "stop swarm-balancer.service\n"
+
+
 def test_another_robot_at_its_address_confirms_no_stop(
     robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
 ) -> None:
