@@ -131,14 +131,14 @@ class Laboratory:
             time.sleep(LOOK_EVERY_S)
 
     def _swarm(self, command: str, path: Path, *words: str) -> str:
-        """Carry out a command of `swarm` and return its output. Raises `LocalError` where it fails; `status` also
-        fails where a service does not run, which is not asked here."""
+        """Carry out a command of `swarm` and return its output. Raises `LocalError` where it fails; the exit code 1 of
+        `status` only says that a service does not run, which is not asked here."""
         command_line = [*command.split(), *words, "--config", str(path), *self._way]
         told = f"swarm {' '.join(command_line)}"
         if command != "status":
             sys.stderr.write(f"$ {told}\n")
         process = [sys.executable, "-P", "-m", "laptop.cli", *command_line]
         done = subprocess.run(process, check=False, stdout=subprocess.PIPE, text=True)
-        if done.returncode != 0 and command != "status":
+        if done.returncode != 0 and (command != "status" or done.returncode != 1):
             raise LocalError(f"{told} has failed:\n{done.stdout}")
         return done.stdout

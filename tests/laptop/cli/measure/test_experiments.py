@@ -84,6 +84,8 @@ class Commands:
             said = json.dumps(
                 {"robots": {"r0": {"apps": apps}, "r1": {"problem": "x"} if phase == "" else {"apps": apps}}}
             )
+            if phase == "error":
+                return subprocess.CompletedProcess(process, 2, "")
         return subprocess.CompletedProcess(process, int(words[0] == "status"), said)
 
 
@@ -122,6 +124,8 @@ def test_a_run_that_fails_is_named_and_robots_get_their_configuration_back(
     with pytest.raises(LocalError, match=r"not ended on all robots: r0 fault, r1 fault; swarm logs consensus --config"):
         laboratory(tmp_path, monkeypatch, commands).go()
     assert commands.lines[-1] == f"deploy --config {tmp_path / 'swarm.toml'}"
+    with pytest.raises(LocalError, match=r"swarm status --json .*has failed"):
+        laboratory(tmp_path, monkeypatch, Commands("running", "error")).go()
     monkeypatch.setattr(experiments, "PATIENCE_S", 0.0)
     with pytest.raises(LocalError, match="not ended on all robots: r0 running, r1 running"):
         laboratory(tmp_path, monkeypatch, Commands("running")).go()
