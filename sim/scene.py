@@ -1,6 +1,6 @@
 """The figures of the world for a run's report: those of each app, and how near robots came."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from services.apps.core import formation
 from services.balancer.core.control.body import body_model
@@ -10,9 +10,6 @@ from sim.scenario.scenario import Scenario
 from swarm.config import Config
 
 Json = dict[str, object]
-
-WATCHED = ("led_sync", "stand_up", "formation")
-"""Apps of which there is more to see than how near robots came."""
 
 NEARNESS = ("closest_m", "closest_pair", "closest_after_s", "contacts", "touched", "fell_by_contact")
 """Figures of how near robots came."""
@@ -32,15 +29,8 @@ def contacts_of(config: Config) -> Contacts:
 def seen(scenario: Scenario, scene_record: SceneRecord | None, contacts: Contacts, began: float) -> Json:
     """Return figures by name: times in s since `began`, lengths in m. `scene_record` is None where the app is not
     `WATCHED`; without a contact, `contacts` is 0 and the names of contacts and falls are left out."""
-    found: Json = {}
-    if scene_record is not None:
-        match scenario.built_in:
-            case "led_sync":
-                found = _phases(scenario, scene_record, began)
-            case "stand_up":
-                found = _wave(scenario, scene_record, began)
-            case "formation":
-                found = _formation(scenario, scene_record, began)
+    figures = WATCHED.get(scenario.built_in or "")
+    found = figures(scenario, scene_record, began) if figures is not None and scene_record is not None else {}
     return found | _near(contacts, began)
 
 
@@ -104,6 +94,14 @@ def _formation(scenario: Scenario, scene_record: SceneRecord, began: float) -> J
         "misfit_m": round(misfits[-1][1], 4) if misfits else None,
         "formed_after_s": None if formed is None else round(formed - began, 1),
     }
+
+
+WATCHED: Mapping[str, Callable[[Scenario, SceneRecord, float], Json]] = {
+    "led_sync": _phases,
+    "stand_up": _wave,
+    "formation": _formation,
+}
+"""Built-in apps of which there is more to see than how near robots came, and their figures."""
 
 
 def _near(contacts: Contacts, began: float) -> Json:

@@ -15,14 +15,13 @@ from services.apps import loader
 from services.apps.builtin.localization.guard import check_step_size, limit_step_size
 from services.mesh.core.routing.physical_links import links_of, physical
 from sim.scenario import imports
-from sim.scenario.options import LED_APP, Options
+from sim.scenario.builtin_apps import defaults_of
+from sim.scenario.options import Options
 from swarm.app.event_app import EventApp, channels_of
 from swarm.config.types import MAX_RFCOMM_LINKS, Config
 from swarm.core.graph import Edge, Graph
 from swarm.errors import AppError
 from swarm.recording.thesis_ranges import ThesisRecording
-
-BEGUN_BY_BUTTON = ("flooding_demo", "stand_up", "unicast_demo")
 
 STANDS_M = 0.25
 """Largest distance of a recorded place from the robot's place, m: the thesis' own are up to 9 cm off."""
@@ -121,7 +120,7 @@ def _step_size(config: Config, app: loader.LoadedApp, recordings: Mapping[str, T
 
 def _buttons(app: loader.LoadedApp, options: Options) -> tuple[str, ...]:
     """Return a note if the app waits for a button."""
-    if not app.is_built_in or app.name not in BEGUN_BY_BUTTON or options.presses:
+    if not defaults_of(app).waits_for_button or options.presses:
         return ()
     return (f"{app.name} waits for a button: swarm hand press r0 A, from another terminal, or --press r0.A@2s",)
 
@@ -140,7 +139,7 @@ def forgetting(config: Config, app: loader.LoadedApp, options: Options) -> tuple
 
 
 def _clocks(app: loader.LoadedApp, options: Options) -> tuple[str, ...]:
-    if app.name != LED_APP or options.app != LED_APP or not options.clock_skew:
+    if not defaults_of(app).clock_skew or options.app != app.name or not options.clock_skew:
         return ()
     return (
         f"each robot has a clock of its own, up to {options.clock_skew * 1e6:g} ppm off; --clock-skew changes that",

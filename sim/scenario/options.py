@@ -20,6 +20,7 @@ from sim.disturbances import (
     parsed_push,
 )
 from sim.scenario import commission_report
+from sim.scenario.builtin_apps import BY_NAME, USUAL
 from sim.scenario.quantities import (
     AppSetting,
     duration,
@@ -52,10 +53,6 @@ EVENTS = ("cut", "kill", "off", "press", "push")
 
 LATENCY = 0.03
 """Latency of links of which nothing else is known, one way, s."""
-
-LED_APP, LED_APP_SKEW = "led_sync", 20e-6
-"""App for which clocks differ by default under virtual time, and their largest rate error, which is that of
-crystals."""
 
 MOST_ROBOTS, MOST_VIRTUAL = 100, 100_000
 """Robots of a simulation at most: with real processes, of which each robot has five, and under virtual time."""
@@ -333,9 +330,8 @@ def parse(arguments: list[str], *, ends: bool = True) -> Options:
         measured = None if read.like is None else read.like.latency
         read.latency = LATENCY if measured is None else measured
     if read.clock_skew is None:
-        # Of clocks that are one, LEDs tell nothing.
-        differ = read.virtual and read.app == LED_APP and read.target_velocity is None
-        read.clock_skew = LED_APP_SKEW if differ else 0.0
+        usual = BY_NAME.get(read.app, USUAL).clock_skew
+        read.clock_skew = usual if read.virtual and read.target_velocity is None else 0.0
     options = Options(run_options=run_options.of(read), **vars(read))
     if options.config is not None and (options.robots is not None or options.topology is not None):
         raise ConfigError("--config names robots and topology itself: leave out --robots and --topology")

@@ -18,6 +18,7 @@ from sim.core import noise
 from sim.core.module_line import SOURCE, module_address
 from sim.disturbances import Disturbance, Kill, Off, drawn
 from sim.scenario import commission_report
+from sim.scenario.builtin_apps import defaults_of
 from sim.scenario.notes import algorithm_of, exchanged, notes
 from sim.scenario.options import Options
 from swarm import config as configuration
@@ -52,14 +53,8 @@ WINDOW = 30
 START_VALUES = {3: (0.5, 3.0, 5.0), 6: (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)}
 """The thesis' starting values of consensus (figure 4.4)."""
 
-STANDING_UP_FROM = "front"
-"""The side on which robots lie at the start of an app that is about standing up."""
-
-DEFAULT_ITERATIONS = 100
 MOST_ITERATIONS = 10_000
 """The most iterations of a run until it has converged, where nothing else ends it."""
-ITERATIONS = {"formation": 600, "goto": 3000, "stand_up": 5}
-"""Iterations of apps that need another number. Those of `goto` are its most: it ends when all have arrived."""
 
 VIRTUAL_SERVICES = ("mesh", "app")
 """Services that can be killed under virtual time."""
@@ -194,8 +189,7 @@ def build(options: Options, run_dir: Path, app: loader.LoadedApp | None = None) 
     iterations = options.iterations
     rule = options.run_options.rule
     if app is not None and iterations is None and options.seconds is None and (rule is None or rule.seconds is None):
-        usual = ITERATIONS.get(app.name if app.is_built_in else "", DEFAULT_ITERATIONS)
-        iterations = usual if rule is None else MOST_ITERATIONS
+        iterations = defaults_of(app).iterations if rule is None else MOST_ITERATIONS
     if recordings:
         rows = min(len(recording.rows) for recording in recordings)
         iterations = rows if options.iterations is None else min(rows, options.iterations)
@@ -203,7 +197,7 @@ def build(options: Options, run_dir: Path, app: loader.LoadedApp | None = None) 
     if options.noise is not None:
         recorded = _study(config, options, iterations, run_dir)
         config = replace(config, dwm=replace(config.dwm, source=f"replay:{run_dir / NOISE}"))
-    from_the_side = any(each.name == "stand_up" and each.is_built_in for each in apps)
+    sides = (side for each in apps if (side := defaults_of(each).lying) is not None)
     return Scenario(
         config=config,
         app=app.name if app is not None else None,
@@ -219,7 +213,7 @@ def build(options: Options, run_dir: Path, app: loader.LoadedApp | None = None) 
         beside=tuple(Beside(each.name, _program(each), each) for each in apps[1:]),
         steps=app is not None and not _reacts_only(app.kind_on(config, config.names[0])),
         disturbances=disturbances,
-        lying=options.lying or (STANDING_UP_FROM if from_the_side else None),
+        lying=options.lying or next(sides, None),
         notes=tuple(notes(config, base, apps, options, {} if options.noise else recorded)),
     )
 
