@@ -23,12 +23,12 @@ from sim.scenario import commission_report
 from sim.scenario.builtin_apps import BY_NAME, USUAL
 from sim.scenario.quantities import (
     AppSetting,
+    add_app_settings,
     duration,
     loss,
     negative_joined,
     rate,
     run_length,
-    setting,
     skew,
     slots,
     speed,
@@ -41,7 +41,7 @@ from swarm.app.run_options import RunOptions
 from swarm.config.types import LINKS
 from swarm.errors import ConfigError
 from swarm.frozen import frozen
-from swarm.process.arguments import HintingParser, number, picture_name, whole
+from swarm.process.arguments import HintingParser, picture_name, whole
 
 FROM_START, SETTLED, DELAY = "start", "settled", "delay"
 MESHES = (FROM_START, SETTLED, DELAY)
@@ -165,19 +165,7 @@ def parser(kind: type[argparse.ArgumentParser] = HintingParser) -> argparse.Argu
         help="use the I2C clock, latency, trim, battery and noise that swarm commission has measured",
     )
     app = p.add_argument_group("the app")
-    app.add_argument("--algorithm", metavar="NAME", help="algorithm of the app")
-    app.add_argument(
-        "--set",
-        dest="settings",
-        action="append",
-        type=setting,
-        default=[],
-        metavar="[APP/][ROBOT.]NAME=VALUE",
-        help="a parameter of the first app or of the one named, for all robots or for one",
-    )
-    app.add_argument(
-        "--step-size", type=number(0.0, above=True), metavar="G", help="gradient step in the thesis' unit, 1/cm^2"
-    )
+    add_app_settings(app)
     app.add_argument(
         "--replay", type=Path, metavar="DIR", help="feed the measurements recorded in DIR (k.csv for robot k)"
     )

@@ -14,6 +14,7 @@ from sim.slots.parameters import SlotParameters
 from swarm.app import settings
 from swarm.errors import AppError, ConfigError
 from swarm.messages.keys import is_name
+from swarm.process.arguments import number
 
 _DURATION = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "": 1.0}
 _SIZE = {"B": 1.0, "kB": 1e3, "MB": 1e6, "": 1.0}
@@ -78,6 +79,23 @@ class AppSetting(NamedTuple):
     app: str
     """The app's name; empty: the first app."""
     setting: settings.Setting
+
+
+def add_app_settings(parser: argparse._ActionsContainer) -> None:
+    """Declare the options that give the apps of a run their parameters, on robots and in a simulation."""
+    parser.add_argument("--algorithm", metavar="NAME", help="algorithm of the first app")
+    parser.add_argument(
+        "--set",
+        dest="settings",
+        action="append",
+        type=setting,
+        default=[],
+        metavar="[APP/][ROBOT.]NAME=VALUE",
+        help="a parameter of the first app or of the one named, for all robots or for one: --set r2.value=3",
+    )
+    parser.add_argument(
+        "--step-size", type=number(0, above=True), metavar="G", help="gradient step in the thesis' unit, 1/cm^2"
+    )
 
 
 def setting(text: str) -> AppSetting:

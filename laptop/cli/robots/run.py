@@ -9,12 +9,12 @@ from laptop.fleet import apps
 from laptop.fleet.ssh import everyone
 from laptop.fleet.ssh.ssh import Host
 from services.apps import sources
-from sim.scenario.quantities import setting
+from sim.scenario.quantities import add_app_settings
 from swarm.app import run_options
 from swarm.config import Config
 from swarm.errors import LocalError
 from swarm.onboard.command_line import complain
-from swarm.process.arguments import number, whole
+from swarm.process.arguments import whole
 
 HELP = "start apps on all robots, over ssh (swarm services stop APP ends one)"
 
@@ -22,21 +22,9 @@ HELP = "start apps on all robots, over ssh (swarm services stop APP ends one)"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the apps, and how they run, in the words of `swarm sim APP`."""
     parser.add_argument("app", nargs="+", metavar="APP", help="names of built-in apps, or Python files of yours")
-    parser.add_argument("--algorithm", metavar="NAME", help="algorithm of the first app")
+    add_app_settings(parser)
     parser.add_argument("--iterations", type=whole(1), metavar="K", help="end after K iterations (default: no end)")
     run_options.add_arguments(parser)
-    parser.add_argument(
-        "--set",
-        dest="settings",
-        action="append",
-        type=setting,
-        default=[],
-        metavar="[APP/][ROBOT.]NAME=VALUE",
-        help="a parameter of the first app or of the one named, for all robots or for one: --set r2.value=3",
-    )
-    parser.add_argument(
-        "--step-size", type=number(0, above=True), metavar="G", help="gradient step in the thesis' unit, 1/cm^2"
-    )
     parser.add_argument("--no-record", action="store_true", help="write no recording")
     parser.add_argument("--force", action="store_true", help="start even if release, config or firmware differ")
     everyone.add_arguments(parser, timeout_s=60)
