@@ -184,7 +184,7 @@ def encode_leds(red: bool, yellow: bool, green: bool) -> bytes:
 
 
 def decode_motion(data: bytes) -> MotionBlock:
-    """Return the bytes from ENCODERS to STATUS. Raises `RemoteError` on a short block."""
+    """Decode the bytes from ENCODERS to STATUS. Raises `RemoteError` on a short block."""
     left, right, buttons, status = _unpack(_MOTION, data, "encoders")
     return MotionBlock(left, right, buttons & 7, bool(status & STOPPED_BY_WATCHDOG), status >> 4)
 
@@ -195,7 +195,7 @@ def encoder_step(old: int, new: int) -> int:
 
 
 def decode_housekeeping(data: bytes) -> Housekeeping:
-    """Return the bytes from BUTTONS to BUS_RESETS. Raises `RemoteError` on a short block."""
+    """Decode the bytes from BUTTONS to BUS_RESETS. Raises `RemoteError` on a short block."""
     buttons, status, millivolts, cause, revision, stack, left, right, refused, resets = _unpack(
         _HOUSEKEEPING, data, "housekeeping"
     )
@@ -213,7 +213,7 @@ def decode_housekeeping(data: bytes) -> Housekeeping:
 
 
 def decode_progress(data: bytes) -> UwbProgress:
-    """Return the bytes from UWB_STATE on. Raises `RemoteError` on a short block."""
+    """Decode the bytes from UWB_STATE on. Raises `RemoteError` on a short block."""
     return UwbProgress(*_unpack(_PROGRESS, data, "progress"))
 
 

@@ -76,7 +76,7 @@ class ModuleFinding:
 
 
 def of_trouble(trouble: Trouble) -> ModuleFinding:
-    """Return the module gives no proper answer."""
+    """Return the finding about a module that gives no proper answer."""
     codes = {"silent": "no-module", "garbled": "garbled", "shell": "shell-mode", "layout": "layout"}
     return ModuleFinding(codes.get(trouble.kind, trouble.kind), trouble.reason, _ADVICE[trouble.kind])
 

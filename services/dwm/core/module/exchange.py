@@ -55,7 +55,7 @@ class ModuleExchange(Generic[T_co]):
         self._error: FrameError | None = None
 
     def receive(self, data: bytes) -> Answer[T_co] | Trouble | None:
-        """Return the bytes from the line, in pieces of any size; None as long as the answer is not there."""
+        """Take bytes from the line, in pieces of any size; return None as long as the answer is not there."""
         self._heard += data[: _HEARD - len(self._heard)]
         self._decoder.receive(data)
         while True:

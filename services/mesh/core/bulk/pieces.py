@@ -115,7 +115,7 @@ def encode_offer(total: int, key: str) -> bytes:
 
 
 def decode_offer(body: bytes) -> tuple[int, str]:
-    """Return the bytes and key of the message that is offered."""
+    """Return the number of bytes and the key of the message that is offered."""
     reader = PacketReader(body)
     (total,) = reader.unpack(_OFFER)
     key = reader.key()

@@ -113,7 +113,7 @@ class Transfers:
         return parcel.payload if ours and parcel is not None else None
 
     def progress(self, token: object) -> tuple[int, int] | None:
-        """Return the bytes that arrived of an own message, and all its bytes; None where it is not under way."""
+        """Return how many bytes of an own message have arrived, and how many it has; None where it is not under way."""
         found = [parcel for parcel in self._own.all() if parcel.token == token]
         return (found[0].done, len(found[0].payload)) if found else None
 

@@ -107,7 +107,7 @@ def encode_claim(claim: ClockClaim) -> bytes:
 
 
 def decode_claim(body: bytes) -> ClockClaim:
-    """Return the body of a CLOCK frame. Raises `FrameError`."""
+    """Decode the body of a CLOCK frame. Raises `FrameError`."""
     if len(body) <= _CLAIM.size:
         raise FrameError(f"CLOCK of {len(body)} bytes: it has more than {_CLAIM.size}")
     incarnation, epoch, hop, flags, at, offset, rate, error = _CLAIM.unpack_from(body)

@@ -73,7 +73,7 @@ def encode_fragment(fragment: Fragment) -> bytes:
 
 
 def decode_fragment(body: bytes) -> Fragment:
-    """Return the body of a FRAGMENT frame. Raises `FrameError`."""
+    """Decode the body of a FRAGMENT frame. Raises `FrameError`."""
     if len(body) < _HEAD.size:
         raise FrameError(f"FRAGMENT of {len(body)} bytes: no channel and index")
     channel, number = _HEAD.unpack_from(body)
@@ -282,7 +282,7 @@ class SendWindow:
         return self.sent - self.acknowledged
 
     def free(self, size: int, now: float) -> float:
-        """Return the bytes that may still leave when `size` are about to be written. Bulk needs a positive number, and
+        """Return how many bytes may still leave when `size` are about to be written. Bulk needs a positive number, and
         there is none before `next_bulk`; sync and control may make it as low as -`SYNC_EXTRA`."""
         free = self.limit - (self.sent - self.acknowledged) - size
         return free if now >= self.next_bulk else min(free, 0.0)

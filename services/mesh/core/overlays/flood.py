@@ -153,8 +153,8 @@ class FloodOverlay:
         return True
 
     def progress(self, token: object) -> tuple[int, int] | None:
-        """Return the bytes of an own large flood that every neighbour who fetches it has, and all its bytes; None where
-        that flood is not under way."""
+        """Return how many bytes of an own large flood every neighbour that fetches it has, and how many the flood has;
+        None where it is not under way."""
         for attempt in self._attempts.values():
             if attempt.token == token:
                 id = pieces.MessageId(self._me, self.incarnation, attempt.first, flood=True)

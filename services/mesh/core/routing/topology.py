@@ -280,7 +280,7 @@ def encode_advertisement(packet: Advertisement) -> bytes:
 
 
 def decode_advertisement(data: bytes) -> Advertisement:
-    """Return the payload of a flooded LSA. Most only repeat what is known: small ones are not taken apart again."""
+    """Decode the payload of a flooded LSA. Most only repeat what is known: small ones are not taken apart again."""
     return _decode_small_advertisement(data) if len(data) <= _SMALL else _decode_advertisement(data)
 
 

@@ -247,7 +247,7 @@ def encode_bind(bind: Bind) -> bytes:
 
 
 def decode_bind(body: bytes) -> Bind:
-    """Return the body of a BIND frame. The key's characters are checked by whoever knows what may come in."""
+    """Decode the body of a BIND frame. The key's characters are checked by whoever knows what may come in."""
     if not _BIND.size < len(body) <= _BIND.size + MAX_KEY_LENGTH:
         raise FrameError(f"BIND of {len(body)} bytes: a key has 1 to {MAX_KEY_LENGTH}")
     channel, overlay = _BIND.unpack_from(body)
@@ -264,7 +264,7 @@ def encode_heartbeat(stamps: Heartbeat) -> bytes:
 
 
 def decode_heartbeat(body: bytes) -> Heartbeat:
-    """Return the body of a HEARTBEAT frame."""
+    """Decode the body of a HEARTBEAT frame."""
     if len(body) != _HEARTBEAT.size:
         raise FrameError(f"HEARTBEAT of {len(body)} bytes: it has {_HEARTBEAT.size}")
     return Heartbeat(*_HEARTBEAT.unpack(body))
@@ -313,7 +313,7 @@ def encode_hello(hello: Hello) -> bytes:
 
 
 def decode_hello(body: bytes) -> Hello:
-    """Return the body of a HELLO frame.
+    """Decode the body of a HELLO frame.
 
     Magic and version range come first and keep their place in every version, so that `VersionError` can be
     told from noise whatever follows them.
