@@ -24,7 +24,7 @@ from sim.core import noise
 from sim.rehearsal.scene import TARGET, rehearsal_config
 from sim.rehearsal.sync import SyncRehearsal
 from sim.scenario.options import DELAY
-from sim.scenario.scenario import PLACES
+from sim.scenario.scenario import PLACES, START_VALUES
 from sim.virtual.run import run_virtually
 from swarm.messages import Measurement
 from swarm.recording.thesis_ranges import read_folder
@@ -44,7 +44,6 @@ TABLE_4_1 = {
     "(c)": (6, "loop", 20.0, 3.26, 15.5 / 6, 12, 60.0),
     "(d)": (6, "thesis-d", 46.6, 3.55, 2.5625, 6, 70.0),
 }
-STARTS = {3: (0.5, 3.0, 5.0), 6: (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)}
 LINKS = ("--latency", "30ms", "--jitter", "10ms")
 
 SHAPES = ("line", "loop", "thesis-d", "full")
@@ -254,7 +253,7 @@ def exact(name: str, k: int) -> Measurement:
 
 def consensus(algorithm: str, robots: int, shape: str, iterations: int) -> SyncRehearsal:
     """From the thesis' starting values."""
-    values = {f"r{i}": {"value": x} for i, x in enumerate(STARTS[robots])}
+    values = {f"r{i}": {"value": x} for i, x in enumerate(START_VALUES[robots])}
     return _rehearsed("consensus", robots, shape, iterations, {"algorithm": algorithm}, values)
 
 

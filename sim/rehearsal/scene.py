@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from services.apps.loader import LoadedApp
 from sim.core.module_line import module_address
-from sim.scenario.scenario import first_place, on_table
+from sim.scenario.scenario import START_VALUES, first_place, on_table
 from swarm.app.sync_app import BaseApp as AnyApp
 from swarm.config import AppConfig, Config, RobotConfig, SimulationConfig
 from swarm.core.graph import Graph
@@ -17,8 +17,8 @@ from swarm.messages.codec import Value
 TARGET = (0.5, 1.0)
 """Place of the target in the thesis' figure 4.8, m."""
 
-STARTS = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
-"""The thesis' starting values of consensus (figure 4.4), for shared floats whose class gives none."""
+STARTS = START_VALUES[6]
+"""First values of shared floats whose class gives none."""
 
 
 def rehearsal_config(
