@@ -241,10 +241,16 @@ def a_release_that_does_not_run_is_taken_back() -> dict[str, float]:
     sh("cp", "-r", str(release()), str(bad))
     (bad / "ID").write_text("0.0.0-bad\n")
     unit = bad / "systemd/swarm-mesh.service"
-    unit.write_text(unit.read_text().replace("services.mesh", "services.no_such_mesh"))
+    # Meanwhile somebody stops the balancer, as `swarm estop` does where a bus does not answer. It stays stopped.
+    stop = "ExecStartPre=+systemctl stop --no-block swarm-balancer.service"
+    text = unit.read_text().replace("services.mesh", "services.no_such_mesh")
+    unit.write_text(text.replace("[Service]", f"[Service]\n{stop}"))
     said = sh(str(bad / "install"), code=1)
     expect("did not come up; back to" in said, said)
+    expect("swarm-balancer was stopped meanwhile" in said, said)
     expect(Path("/opt/swarm/current").resolve() == good, "the bad one is still current")
+    expect(show("swarm-balancer", "ActiveState")["ActiveState"] == "inactive", "the balancer was started again")
+    sh("systemctl", "start", "swarm-balancer")
     for service in SERVICES:
         wait(lambda service=service: ready(service), f"{service} runs again")
     return {}

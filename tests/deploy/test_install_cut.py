@@ -34,6 +34,7 @@ SHIM = """#!/bin/sh
 # Does what the program of this name does, or its double, and writes the tree down.
 name=${0##*/} PATH=@PATH@
 code=0
+[ ! -e "@ROOT@/../stop-at-$name" ] || : >@ROOT@/stopped-swarm-balancer
 case $name in
 sync | pip | systemd-* | udevadm | sleep) ;;
 id) echo 0; exit ;;
@@ -50,11 +51,20 @@ systemctl)
     is-active) # of several names, whether one is
         code=3
         for unit; do
-            case $unit in is-active | --quiet) ;; *) [ -e "@ROOT@/dead-$unit" ] || code=0 ;; esac
+            case $unit in
+            is-active | --quiet) ;;
+            *) [ -e "@ROOT@/dead-$unit" ] || [ -e "@ROOT@/stopped-$unit" ] || code=0 ;;
+            esac
         done
         ! grep -q broken @ROOT@/opt/swarm/current/bin/python || code=3
         (exit $code) ;;
-    show) echo 0 ;;
+    show)
+        for unit; do :; done
+        case $* in
+        *ActiveState*) [ -e "@ROOT@/stopped-$unit" ] && echo inactive || echo active ;;
+        *) echo 0 ;;
+        esac ;;
+    start | restart) echo "$*" >>@ROOT@/../started ;;
     esac ;;
 *) $name "$@" ;;
 esac || code=$?
@@ -285,6 +295,23 @@ def test_a_release_of_which_one_service_is_dead_does_not_run_already(robot: Robo
     (robot.root / "dead-swarm-mesh").touch()
     names = [name for name, _ in robot.run(release / "install", *files(robot, "1"), code=1)]
     assert "systemd-sysusers" in names
+
+
+@pytest.mark.parametrize(
+    ("moment", "runs", "starts"),
+    [("mkdir", True, [False]), ("sleep", True, [True]), ("sleep", False, [True, False])],
+)
+def test_a_balancer_that_is_stopped_during_an_install_is_not_started_again(
+    robot: Robot, moment: str, starts: list[bool], *, runs: bool
+) -> None:
+    """As `swarm estop` does where a robot's bus gives no answer; `mkdir` unpacks, and `sleep` looks whether all run."""
+    robot.do(robot.release("1") / "install", *files(robot, "1"))
+    (robot.place / "started").unlink()
+    release = robot.release("2", runs=runs)
+    (robot.place / f"stop-at-{moment}").touch()
+    robot.do(release / "install", *files(robot, "2"), code=0 if runs else 1)
+    restarted = [each for each in (robot.place / "started").read_text().splitlines() if "swarm-mesh" in each]
+    assert ["swarm-balancer" in each for each in restarted] == starts
 
 
 def test_only_root_can_lock_out_installations(robot: Robot) -> None:
