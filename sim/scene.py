@@ -26,12 +26,15 @@ def contacts_of(config: Config) -> Contacts:
     return Contacts({name: model.mass + model.wheel_mass for name, model in models.items()})
 
 
-def seen(scenario: Scenario, scene_record: SceneRecord | None, contacts: Contacts, began: float) -> Json:
-    """Return figures by name: times in s since `began`, lengths in m. `scene_record` is None where the app is not
-    `WATCHED`; without a contact, `contacts` is 0 and the names of contacts and falls are left out."""
+def seen(
+    scenario: Scenario, scene_record: SceneRecord | None, contacts: Contacts, began: float, started: float | None
+) -> Json:
+    """Return figures by name: times in s, lengths in m. Those of an app count from `began`, the command, and those of
+    robots that are near each other from `started`, the first iteration of all robots. `scene_record` is None where the
+    app is not `WATCHED`; without a contact, `contacts` is 0 and the names of contacts and falls are left out."""
     figures = WATCHED.get(scenario.built_in or "")
     found = figures(scenario, scene_record, began) if figures is not None and scene_record is not None else {}
-    return found | _near(contacts, began)
+    return found | _near(contacts, began if started is None else started)
 
 
 def sentences(figures: Mapping[str, object]) -> list[str]:
@@ -104,22 +107,25 @@ WATCHED: Mapping[str, Callable[[Scenario, SceneRecord, float], Json]] = {
 """Built-in apps of which there is more to see than how near robots came, and their figures."""
 
 
-def _near(contacts: Contacts, began: float) -> Json:
+def _near(contacts: Contacts, started: float) -> Json:
+    def after(t: float) -> float:
+        return max(0.0, round(t - started, 1))
+
     closest = contacts.closest
     if closest is None:
         return {}  # one robot alone
     found: Json = {
         "closest_m": round(closest.distance, 4),
         "closest_pair": f"{closest.a}-{closest.b}",
-        "closest_after_s": round(closest.t - began, 1),
+        "closest_after_s": after(closest.t),
         "contacts": contacts.count,
     }
     if contacts.count:
         found["touched"] = [
-            f"{each.a}-{each.b} after {each.t - began:.1f} s at {each.speed:.2f} m/s" for each in contacts.contacts
+            f"{each.a}-{each.b} after {after(each.t):.1f} s at {each.speed:.2f} m/s" for each in contacts.contacts
         ]
     if contacts.fallen:
-        found["fell_by_contact"] = [f"{robot} after {t - began:.1f} s" for t, robot in contacts.fallen]
+        found["fell_by_contact"] = [f"{robot} after {after(t):.1f} s" for t, robot in contacts.fallen]
     return found
 
 

@@ -333,7 +333,7 @@ class VirtualRun:
         return (*self._impossible, *never(left, ended_at - started))
 
     def _seen(self) -> Json:
-        return scene.seen(self._scenario, self._scene_record, self.world.contacts, 0.0)
+        return scene.seen(self._scenario, self._scene_record, self.world.contacts, 0.0, self._started)
 
     def _outcome(self, ended_at: float) -> RunOutcome:
         names = self._scenario.config.names

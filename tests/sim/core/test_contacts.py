@@ -1,16 +1,19 @@
 """Robots that touch: seen, counted, pushed apart and thrown over, in virtual time as by the core alone."""
 
 import math
+import re
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from services.apps.loader import of_class
 from services.balancer.core.control.body import body_model
 from sim.core.actions import Knock
 from sim.core.balboa import BalboaBody
 from sim.core.contacts import TOUCH_M, Contacts, Hit
+from sim.virtual.run import run_virtually
 from swarm import PeriodicApp, parameter, simulate
 from swarm.config.types import Body
 
@@ -110,6 +113,18 @@ def test_virtual_robots_push_each_other_and_fall(tmp_path: Path, speed: float, *
     assert ("fault" in modes) == fall
     assert run.contacts
     assert run.closest == pytest.approx(TOUCH_M, abs=0.03)
+
+
+def test_the_times_of_contacts_count_from_the_first_iteration_as_those_of_faults_do(tmp_path: Path) -> None:
+    file = tmp_path / "swarm.toml"
+    file.write_text(SWARM)
+    # With such links the mesh takes seconds to begin, and the robots drive off afterwards.
+    words = ["ahead", "--config", str(file), "--latency", "1s", "--seconds", "3"]
+    report, outcome = run_virtually(*words, app=of_class(Ahead))
+    assert outcome.started_s is not None
+    assert outcome.started_s >= 3.0
+    assert 0.5 < outcome.scene["closest_after_s"] < 2.5  # type: ignore[operator]
+    assert re.match(r"r0-r1 after [12]\.\d s at", report["scene"]["touched"][0])  # type: ignore[index]
 
 
 def test_robots_that_stand_still_are_measured_too() -> None:
