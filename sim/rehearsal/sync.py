@@ -71,9 +71,9 @@ class SyncRehearsal(Rehearsal):
     @prints_heard()
     def run(self, iterations: int = 1) -> None:
         """Do so many more iterations. Raises `AppError` where the app of a robot has failed, or waits for ever, and
-        `LocalError` for a number that is not whole, or below one."""
-        if not isinstance(iterations, Integral) or iterations < 1:
-            raise LocalError(f"run: expected a number of iterations of 1 or more, got {iterations!r}")
+        `LocalError` for a number that is not whole, or below zero."""
+        if not isinstance(iterations, Integral) or iterations < 0:
+            raise LocalError(f"run: expected a number of iterations, got {iterations!r}")
         last = self.k + iterations
         self._run_until(lambda: self._reached >= last)
         self.k = last
