@@ -53,5 +53,5 @@ def _line(row: Row) -> str:
     goal = "" if row.goal is None else f"{row.goal:.3g}"
     verdict = "shown" if row.goal is None else "reached" if row.ok else "**missed**"
     ratio = f"{row.ratio:.3g}" if math.isfinite(row.ratio) else ""
-    value = f"{row.value:.4g}" if math.isfinite(row.value) else "not measured"
+    value = f"{row.value:.4g}" if math.isfinite(row.value) else "never" if row.value > 0 else "not measured"
     return f"| {name} | {value} | {row.unit} | {row.limit:.4g} | {ratio} | {goal} | {verdict} |"

@@ -104,12 +104,12 @@ def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     for clock_khz in sizes.clocks_khz:
         for cpu_ms in sizes.cpu_ms:
             result = TimedRobot(scl=clock_khz * 1e3, cpu=cpu_ms * 1e-3).measure(sizes.balancing)
-            name = f"UWB report every, at {clock_khz:g} kHz and {cpu_ms:g} ms CPU"
             missed = f", {result.missed} ticks missed" if result.missed else ""
             behind = f", behind: {' '.join(sorted(result.behind))}" if result.behind else ""
             carried = clock_khz >= 50.0 or cpu_ms <= 0.5
             every = 1e3 / result.uwb if result.uwb else math.inf
-            yield Row(name + missed + behind, every, "ms", REPORT_MS, 1.0 if carried else None)
+            name = f"UWB report every, at {clock_khz:g} kHz and {cpu_ms:g} ms CPU{missed}{behind}"
+            yield Row(name, every, "ms", REPORT_MS, 1.0 if carried else None)
 
 
 def _tick(balancer: Balancer, tasks: SlackTasks) -> tuple[float, float, float]:

@@ -59,6 +59,7 @@ def test_lines_of_prose_that_are_written_fit_the_page():
 
 def test_a_table_that_is_written_takes_the_place_of_the_old_one_alone(monkeypatch, tmp_path, capsys):
     rows = [Row("a | b", 0.033, "s", 0.030, 1.15), Row("told", math.nan, "s", 0.03, None), Row("late", 2.0, "s", 1, 1)]
+    rows.append(Row("gone", math.inf, "s", 1, None))
     monkeypatch.setattr(program, "measure", lambda area, **_: iter(rows))
     monkeypatch.setattr(page, "PAGE", tmp_path / "page.md")
     other = page.table("stop", rows, command="c", machine="m", date="2026-01-01")
@@ -73,6 +74,7 @@ def test_a_table_that_is_written_takes_the_place_of_the_old_one_alone(monkeypatc
     assert "| a \\| b | 0.033 | s | 0.03 | 1.1 | 1.15 | reached |" in rest
     assert "| told | not measured | s | 0.03 |  |  | shown |" in rest
     assert "| late | 2 | s | 1 | 2 | 1 | **missed** |" in rest
+    assert "| gone | never | s | 1 |  |  | shown |" in rest
     assert len(capsys.readouterr().out.splitlines()) == len(rows)
 
 

@@ -14,7 +14,7 @@ from bench.__main__ import AREAS
 
 OLDER = "The area has other rows or limits today."
 """Stands in a table that was measured before its area became what it is; `./run bench AREA --write` replaces both."""
-ANY = ".+"
+ANY = ".*"
 
 Defined = list[tuple[str, str | None]]
 """A pattern of a row's name, and its limit as the page shows it, where that is known without a run."""
