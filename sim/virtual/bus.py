@@ -25,7 +25,8 @@ class _Subscription(NamedTuple):
     callback: OnSample
 
     def takes(self, key: str) -> bool:
-        """Return whether a key that begins with `stem` is one of those subscribed to."""
+        if not key.startswith(self.stem):
+            return False
         return matches(self.expression, key) if len(self.stem) < len(self.expression) else key == self.stem
 
 
@@ -169,7 +170,7 @@ class VirtualBus:
             found = self.targets[key] = tuple(
                 each.callback
                 for each in self._router.subscriptions
-                if key.startswith(each.stem) and each.session is not self and each.takes(key) and not self._closed
+                if each.session is not self and each.takes(key) and not self._closed
             )
         return found
 

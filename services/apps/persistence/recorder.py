@@ -32,8 +32,6 @@ class Recorder:
         self._prefix = key(robot, f"app/{app}")
         self._app = app
         self._shaped = False
-        self._states: dict[str, tuple[str, str]] = {}
-        """Topic and schema name of the states, by channel."""
 
     def advanced(self, source: Source, line: StepRecord) -> None:
         if not self._shaped and not source.part:  # with the first result its shapes are known
@@ -58,7 +56,7 @@ class Recorder:
         self, k: int, t: float, state: Mapping[str, Value], result: Mapping[str, Value], channel: str = ""
     ) -> None:
         """Record iteration k, reached at t; of one of the app's channels where it is named."""
-        topic, name = self._states.get(channel) or self._states.setdefault(channel, self._topic(channel, "state"))
+        topic, name = self._topic(channel, "state")
         # The fields of an `AppState`: of each iteration, and a mapping is written in half the time.
         self._sink.write(topic, t, {"t": t, "k": k, "state": state, "result": result}, name)
 
