@@ -100,12 +100,12 @@ def run(args: argparse.Namespace) -> int:
         raise halt.nobody(error) from None
     found = {name: place for name, place in found.items() if not args.robots or name in args.robots}
     meant = tuple(real[name] for name in args.robots or real if name in real)
-    far = meant, Ssh(args.ssh_config, alone=True, named=False)
+    ssh = Ssh(args.ssh_config, alone=True, named=False)
     answers, began = _Answers(), elapsed()
 
     def by_ssh() -> None:
         nonlocal answers
-        answers = command(*far, stop=stop, reason=args.reason, began=began, confirmed=so_far.append)
+        answers = command(meant, ssh, stop=stop, reason=args.reason, began=began, confirmed=so_far.append)
 
     so_far: list[str] = []
     rows: list[halt.Row] = []
@@ -124,7 +124,7 @@ def run(args: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         complain("swarm", f"INTERRUPTED; {_so_far(meant, so_far)}; OTHERS MAY NOT HAVE BEEN TOLD")
         raise
-    how = {host.robot: _how(host.robot, answers) for host in far[0]}
+    how = {host.robot: _how(host.robot, answers) for host in meant}
     done = not problem and halt.all_confirmed(
         [*(row.confirmed for row in halt.reached(rows)), *map(bool, how.values())]
     )

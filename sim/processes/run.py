@@ -301,7 +301,7 @@ class ProcessRun:
 
     def _outcome(self, started: float | None) -> RunOutcome:
         names = self._scenario.config.names
-        now, begun = clock.now(), started
+        now = clock.now()
         absent = [each for each in self._scenario.disturbances if each.at is None and each.robot in self._late]
         left = [*absent, *self._disturbances]
         self._refresh(now)
@@ -311,7 +311,7 @@ class ProcessRun:
         self._problems += unrecorded(seen)
         memory = {name: footprint.resident_mib(self._processes.of(name)) for name in names}
         found = self._world.look(
-            lambda record, contacts: scene.seen(self._scenario, record, contacts, self._commanded, begun)
+            lambda record, contacts: scene.seen(self._scenario, record, contacts, self._commanded, started)
         )
         self._processes.stop()  # only then are the recordings complete
         self._progress.pass_on(self._monitor.said(), self._commanded)  # lines without an end come last

@@ -44,7 +44,8 @@ class Run:
         """The run's number by app, as the first file has it."""
         self.damage: list[str] = []
         """What cannot be read in the files, and doubts about their times, in words."""
-        self._begun: dict[bool, dict[str, float]] = {True: {}, False: {}}
+        self._begun: dict[tuple[str, str], float] = {}
+        """Time of the first message by clock and topic, s of that clock."""
         clocks = Clocks()
         for file in self.files:
             self._look(file, clocks)
@@ -135,13 +136,11 @@ class Run:
     def _look(self, file: Path, clocks: Clocks) -> None:
         """First pass: what is in a file, and how its clocks relate."""
         reader = RecordingReader(file)
-        first: dict[tuple[str, str], float] = {}
-        """Time of the first message, by clock and topic."""
         for sample in reader.samples():
             clock = reader.clock
             of = clock, sample.topic
-            if sample.t < first.get(of, math.inf):
-                first[of] = sample.t
+            if sample.t < self._begun.get(of, math.inf):
+                self._begun[of] = sample.t
             if sample.topic.endswith("/mesh/clock"):
                 message = sample.message
                 try:
@@ -149,9 +148,6 @@ class Run:
                     clocks.relate(clock, Relation(t, offset, rate, str(message["root"])))
                 except (KeyError, TypeError, ValueError):
                     self.damage.append(f"{file}: {sample.topic}: it is no sample of the mesh clock")
-        for (clock, topic), t in first.items():
-            begun = self._begun[is_state(topic)]
-            begun[clock] = min(begun.get(clock, t), t)
         for clock, epoch_ns in reader.clocks.items():
             clocks.add(clock, epoch_ns / 1e9)
         for channel in reader.channels.values():
@@ -196,8 +192,8 @@ class Run:
             yield file, heapq.heappop(waiting)[-1]
 
     def _origin(self) -> float:
-        begun = self._begun[True] or self._begun[False]
-        return min((self._axis(clock)(t) for clock, t in begun.items()), default=0.0)
+        begun = {of: t for of, t in self._begun.items() if is_state(of[1])} or self._begun
+        return min((self._axis(clock)(t) for (clock, _), t in begun.items()), default=0.0)
 
 
 def _pattern(key: str) -> re.Pattern[str]:

@@ -113,13 +113,12 @@ class Builder:
         breaks, returns, restarts = map(tuple, (self._breaks, self._returns, self._restarts))
         return Trajectory(self._columns, self._times, self._rows, breaks, returns, self._held, restarts)
 
-    def add(self, message: Mapping[str, Any], path: Path, t: object = None) -> None:
-        """Take the state in a message of the file `path`; `t`: its time, s, where not that in the message counts.
+    def add(self, message: Mapping[str, Any], path: Path, t: object) -> None:
+        """Take the state in a message of the file `path`; `t` is its time, s.
 
         Raises `RecordingError` for what is no state, and for a fork of the run.
         """
-        k, t = message.get("k"), message.get("t") if t is None else t
-        state, result = message.get("state"), message.get("result")
+        k, state, result = message.get("k"), message.get("state"), message.get("result")
         if not (isinstance(k, int) and isinstance(t, float) and isinstance(state, dict) and isinstance(result, dict)):
             raise RecordingError(f"{path}: a state without k, t, state and result")
         columns, row = self._cells(state, result)
@@ -217,7 +216,8 @@ class TrajectoryReader:
                 if not self._shaped:  # the recorder writes those of results before the first state
                     self._shaped = True
                     self._builder.shapes = shapes_of(self._reader.metadata)
-                self._builder.add(sample.message, self._path)
+                message = sample.message
+                self._builder.add(message, self._path, message.get("t"))
             elif sample.topic in beside(self._topic):
                 self._builder.heed(sample.topic, sample.message)
         return self._builder.known()
@@ -252,7 +252,7 @@ def _text(value: object) -> str:
 
 
 def iteration_times(trajectories: Mapping[str, Trajectory]) -> list[float]:
-    """Return the seconds an iteration of every robot, each over a window of `WINDOW`, after the warm-up."""
+    """Return how many seconds iterations of all robots took after the warm-up: means over windows of `WINDOW`."""
     return [
         (trajectory.times[k + WINDOW] - at) / WINDOW
         for trajectory in trajectories.values()
@@ -262,5 +262,5 @@ def iteration_times(trajectories: Mapping[str, Trajectory]) -> list[float]:
 
 
 def median(values: list[float]) -> float | None:
-    """Return the median, None of nothing."""
+    """Return the median; None where there are no values."""
     return statistics.median(values) if values else None

@@ -96,7 +96,7 @@ async def call(
     `told` gets what it tells on the way. With `until` the program's input stays open until that is set, or the call is
     cancelled: the program may end by it. Raises `HostError` where it cannot be run or fails.
     """
-    results: list[Any] = []
+    results = deque[Any](maxlen=1)
     other = deque[str](maxlen=_KEPT)
 
     def line(text: str) -> None:
@@ -106,7 +106,7 @@ async def call(
             other.append(text)
             return
         if isinstance(message, dict) and "result" in message:
-            results[:] = [message["result"]]
+            results.append(message["result"])
         elif isinstance(message, dict) and told is not None:
             told(message)
 

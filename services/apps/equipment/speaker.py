@@ -28,7 +28,7 @@ PRINTED = "print"
 Sink = Callable[[AppLog], None]
 
 Said = Callable[[str, str], None]
-"""Tells a text of a level."""
+"""A function that tells a text of a level."""
 
 
 class Speaker:

@@ -186,7 +186,7 @@ class Register:
             self._waiting = reason
             return
         self._waiting = None
-        self._next_stop_at = max(self._next_stop_at + SPACING, now - (AT_ONCE - 2) * SPACING)
+        self._next_stop_at = max(self._next_stop_at, now - (AT_ONCE - 1) * SPACING) + SPACING
         mark = self._next_mark()
         if mark.incarnation <= MAX_INCARNATION:
             self._merge(Halt({self._me: (mark, short_reason(reason))}, {}), None, now)
