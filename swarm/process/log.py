@@ -53,6 +53,7 @@ def setup(name: str) -> logging.Logger:
     root = logging.getLogger()
     root.handlers[:] = [handler]
     root.setLevel(level if level in logging.getLevelNamesMapping() else "INFO")
+    logging.getLogger("matplotlib").setLevel("WARNING")  # a user's first picture would begin with a line about fonts
     return logging.getLogger(name)
 
 

@@ -251,6 +251,7 @@ def root_logger() -> Iterator[logging.Logger]:
     handlers, level, raising = root.handlers[:], root.level, logging.raiseExceptions
     yield root
     root.handlers[:], logging.raiseExceptions = handlers, raising
+    logging.getLogger("matplotlib").setLevel(logging.NOTSET)
     root.setLevel(level)
 
 
@@ -281,6 +282,7 @@ def test_the_environment_sets_the_level_of_the_log(
     monkeypatch.setenv("SWARM_LOG", wanted)
     log.setup("mesh")
     assert root_logger.level == level
+    assert not logging.getLogger("matplotlib.font_manager").isEnabledFor(logging.INFO)
 
 
 def test_a_lost_stderr_does_not_matter(processes: Processes) -> None:
