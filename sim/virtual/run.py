@@ -24,7 +24,7 @@ from sim.report import Json, RunOutcome, fault, summary
 from sim.scenario.options import PRESS_S, Options
 from sim.scenario.options import parse as arguments_of
 from sim.scenario.scenario import Scenario, build
-from sim.virtual.apps.app_records import AppRecords
+from sim.virtual.apps.app_records import AppRecords, OpenRecording
 from sim.virtual.apps.hang import broken_off
 from sim.virtual.mesh_choice import mesh_of
 from sim.virtual.world import Launch, VirtualWorld
@@ -35,6 +35,7 @@ from swarm.errors import ConfigError, LocalError
 from swarm.messages import AppEpoch, AppLog, AppParameters
 from swarm.recording import folder
 from swarm.recording.recorded_topics import TOPICS
+from swarm.recording.virtual_file import DirectRecording
 
 STALLED = 60.0
 """Seconds of virtual time without any iteration after which a run is given up: it costs no patience to wait so long."""
@@ -74,17 +75,19 @@ class VirtualRun:
         *,
         rows: bool = False,
         topics: Collection[str] = tuple(TOPICS),
+        recording: OpenRecording = DirectRecording,
         look: Callable[[float], None] | None = None,
         said: Callable[[str, AppLog], None] | None = None,
     ) -> None:
         """`rows`: keep the states of all iterations for the outcome, not only the last. `topics`: what a recording
-        holds beside what the app says, of those of `swarm.recording.recorded_topics`. `look(share)` is called at each
-        second of virtual time with the share of the run that is done, 0 to 1; `said(robot, line)` with what
-        apps print and log."""
+        holds beside what the app says, of those of `swarm.recording.recorded_topics`; `recording` begins one.
+        `look(share)` is called at each second of virtual time with the share of the run that is done, 0 to 1;
+        `said(robot, line)` with what apps print and log."""
         self._options = options
         self._scenario = scenario
         self._rows = rows or bool(scenario.recordings)
         self._topics = topics
+        self._recording = recording
         self._look = look
         names = scenario.config.names
         if scenario.iterations is None and not (options.slots or options.latency or options.jitter):
@@ -161,7 +164,7 @@ class VirtualRun:
         self._watch()
 
     def _records_of(self, app: str) -> AppRecords:
-        return AppRecords(self.world, app, keep=self._rows, skewed=bool(self._options.clock_skew))
+        return AppRecords(self.world, app, self._recording, keep=self._rows, skewed=bool(self._options.clock_skew))
 
     def _launch(
         self, app: loader.LoadedApp, which: str, run_options: RunOptions, records: AppRecords, observer: Observer

@@ -4,7 +4,7 @@ import heapq
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from itertools import groupby
 from pathlib import Path
@@ -13,10 +13,9 @@ from swarm.errors import RecordingError
 from swarm.recording import folder
 from swarm.recording.axis import WORLD, Axis, Clocks, Relation
 from swarm.recording.core.mcap import McapSchema
+from swarm.recording.memory_recording import MemoryReader, MemoryRecording
 from swarm.recording.reader import SUFFIX, WORLD_CLOCK, RecordedSample, RecordingReader, shapes_of
 from swarm.recording.trajectory import Builder, Trajectory, beside, is_state
-
-_NO_SCHEMA = McapSchema(0, "", "", b"{}")
 
 DISORDER_S = 5.0
 """Seconds by which a message may stand in a file behind later ones: what came over the bus is written once a second."""
@@ -25,11 +24,13 @@ DISORDER_S = 5.0
 class Run:
     """One run. `samples` streams from the files; nothing but the list of topics is kept."""
 
-    def __init__(self, path: Path, app: str = "") -> None:
+    def __init__(self, path: Path, app: str = "", in_memory: Mapping[Path, MemoryRecording] | None = None) -> None:
         """`path`: the run's folder, or one recording of it. `app`: which one is looked at where robots ran several.
-        Raises `RecordingError` where there is none."""
+        `in_memory`: recordings that are there, by their files. Raises `RecordingError` where there is
+        none."""
         self.path = path
-        self.files = tuple(sorted(path.glob(f"*{SUFFIX}"))) if path.is_dir() else (path,)
+        self._in_memory = in_memory or {}
+        self.files = tuple(sorted(self._in_memory or (path.glob(f"*{SUFFIX}") if path.is_dir() else (path,))))
         if not self.files:
             tables = "; swarm import reads the thesis' CSV files" if any(path.glob("*.csv")) else ""
             raise RecordingError(f"{path}: there is no recording (*{SUFFIX}) in this folder{tables}")
@@ -37,8 +38,8 @@ class Run:
         """App, run, version, seed and digest."""
         self.topics: dict[str, list[Path]] = {}
         """Every topic, and the files that hold it."""
-        self.schemas: dict[str, McapSchema] = {}
-        """The schema of each topic."""
+        self._readers: list[RecordingReader | MemoryReader] = []
+        """The readers of the first pass."""
         self._metadata: list[tuple[str, dict[str, str]]] = []
         self._numbers: dict[str, str] = {}
         """The run's number by app, as the first file has it."""
@@ -80,6 +81,11 @@ class Run:
     def notes(self, name: str) -> list[dict[str, str]]:
         """Return the metadata records of a name."""
         return [entries for known, entries in self._metadata if known == name]
+
+    @cached_property
+    def schemas(self) -> dict[str, McapSchema]:
+        """The schema of each topic."""
+        return {topic: schema for reader in self._readers for topic, schema in reader.topic_schemas().items()}
 
     @cached_property
     def shapes(self) -> dict[str, tuple[int, ...]]:
@@ -135,7 +141,8 @@ class Run:
 
     def _look(self, file: Path, clocks: Clocks) -> None:
         """First pass: what is in a file, and how its clocks relate."""
-        reader = RecordingReader(file)
+        reader = self._reader(file)
+        self._readers.append(reader)
         for sample in reader.samples():
             clock = reader.clock
             of = clock, sample.topic
@@ -150,9 +157,8 @@ class Run:
                     self.damage.append(f"{file}: {sample.topic}: it is no sample of the mesh clock")
         for clock, epoch_ns in reader.clocks.items():
             clocks.add(clock, epoch_ns / 1e9)
-        for channel in reader.channels.values():
-            self.topics.setdefault(channel.topic, []).append(file)
-            self.schemas[channel.topic] = reader.schemas.get(channel.schema, _NO_SCHEMA)
+        for topic in reader.topics:
+            self.topics.setdefault(topic, []).append(file)
         self.damage += reader.damage
         self._metadata += reader.metadata
         for name, entries in reader.metadata:
@@ -168,9 +174,12 @@ class Run:
                     self.damage.append(f"{file}: {WORLD_CLOCK}: expected numbers `offset` and `rate`, got {entries}")
 
     def _read(self, file: Path, wanted: Callable[[str], bool]) -> Iterator[RecordedSample]:
-        reader = RecordingReader(file)
-        for topic, t, data in reader.samples(wanted):
-            yield RecordedSample(topic, self._axis(reader.clock)(t) - self.origin, data)
+        reader = self._reader(file)
+        for topic, t, content in reader.samples(wanted):
+            yield RecordedSample(topic, self._axis(reader.clock)(t) - self.origin, content)
+
+    def _reader(self, file: Path) -> RecordingReader | MemoryReader:
+        return self._in_memory[file].reader() if file in self._in_memory else RecordingReader(file)
 
     def _axis(self, clock: str) -> Axis:
         return self._axes.get(clock, float)
