@@ -3,9 +3,7 @@
 import os
 import random
 import time
-from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 
 from services.mesh import stops_file, topology_file
 from services.mesh.bus_interface import BusInterface
@@ -13,7 +11,7 @@ from services.mesh.core.link.calls import Local
 from services.mesh.core.routing.physical_links import calls_of
 from services.mesh.core.routing.wanted_links import InitialLinks
 from services.mesh.core.wire.frames import NONCE_SIZE
-from services.mesh.links.pipe import describe
+from services.mesh.file_writer import FileWriter
 from services.mesh.mesh import Chance, Mesh, dials_of, ground_of, local_of
 from services.mesh.network import Network
 from services.mesh.sockets import Sockets
@@ -49,14 +47,6 @@ def incarnation() -> int:
     return time.time_ns() // 1000
 
 
-def _save(this: service.Service, what: str, save: Callable[[Path, bytes], None], directory: Path, data: bytes) -> None:
-    """Call `save(directory, data)`; say in the status that `what` is not kept where that fails."""
-    try:
-        save(directory, data)
-    except OSError as error:
-        this.degraded(f"{what} cannot be kept through a restart: {directory}: {describe(error)}")
-
-
 def main() -> None:
     with service.Service("mesh", direct=True) as this:
         local = local_by_file(this.config, this.robot)
@@ -67,6 +57,8 @@ def main() -> None:
         sockets = Sockets(runtime, network.listeners, network.dial)
         start_number = incarnation()
         view_sender = ViewSender(this.robot, len(this.config.names), this.runtime)
+        stops = FileWriter("stops", stops_file.save, this.runtime)
+        topology = FileWriter("the topology", topology_file.save, state_dir())
         mesh = Mesh(
             this.config,
             local,
@@ -75,8 +67,8 @@ def main() -> None:
             start_number,
             runtime,
             sockets,
-            keep=partial(_save, this, "the topology", topology_file.save, state_dir()),
-            keep_stops=partial(_save, this, "stops", stops_file.save, this.runtime),
+            keep=topology.keep,
+            keep_stops=stops.keep,
             stops=stops_file.load(this.runtime, this.robot, start_number),
             heard=view_sender.heard,
             role_of=network.roles.of,
@@ -86,6 +78,10 @@ def main() -> None:
         sockets.start(mesh)
         this.ready()
         while not this.stopping.wait(_LOOK_S):
+            if problem := stops.problem or topology.problem:
+                this.degraded(problem)
+            else:
+                this.ready()
             view_sender.step()
             network.follow(local.dials)
             network.roles.look()
@@ -94,6 +90,8 @@ def main() -> None:
         view_sender.close()
         sockets.stop()
         network.close()
+        for file in (stops, topology):
+            file.close()
 
 
 if __name__ == "__main__":

@@ -292,7 +292,7 @@ class Mesh:
                 elif type(action) is Supervise:
                     transport.supervise(action.session, action.seconds)
                 elif kind is Write:
-                    outside(self._write, self._keep, RobotOverlays.topology_file)  # before the bus hears of it
+                    outside(self._write, self._keep, RobotOverlays.topology_file)
                 elif kind is WriteStops:
                     outside(self._write, self._keep_stops, RobotOverlays.stops_file)
         deadline = min((node.next_deadline(), *self._paced.values()))

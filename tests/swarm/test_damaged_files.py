@@ -10,6 +10,7 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import pytest
+from conftest import wait_until
 
 from laptop.fleet.files.journal import JournalMark
 from services.apps.host import topology
@@ -20,8 +21,7 @@ from services.apps.persistence.snapshot import SnapshotFile
 from services.balancer.core.control.estimation.gyro import Zero
 from services.balancer.zero_file import ZeroFile
 from services.dwm.localizer import load_calibration
-from services.mesh import __main__ as mesh_process
-from services.mesh import stops_file, topology_file
+from services.mesh import file_writer, stops_file, topology_file
 from services.mesh.core.overlays.stop import Halt, Mark, to_file
 from services.mesh.core.routing.topology import Ground
 from swarm.config import load
@@ -232,12 +232,28 @@ def test_a_calibration_that_is_damaged_is_refused_with_its_name(tmp_path: Path) 
             load_calibration(config, "r0")
 
 
-def test_a_mesh_that_cannot_keep_a_stop_for_its_restart_says_so(tmp_path: Path) -> None:
-    said: list[str] = []
-    process: Any = SimpleNamespace(degraded=said.append)
-    mesh_process._save(process, "stops", stops_file.save, tmp_path / "missing", b"data")
-    (text,) = said
-    assert text.startswith(f"stops cannot be kept through a restart: {tmp_path / 'missing'}: ")
+def test_a_mesh_that_cannot_keep_a_stop_for_its_restart_says_so_until_there_is_room(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It did not try again, so a mesh that was restarted later knew of no stop; and it said so for ever."""
+    monkeypatch.setattr(file_writer, "RETRY_S", 0.01)
+    place = tmp_path / "missing"
+    file = file_writer.FileWriter("stops", stops_file.save, place)
+    file.keep(b"older")
+    file.keep(b"data")
+    wait_until(lambda: file.problem.startswith(f"stops cannot be kept through a restart: {place}: no such file"))
+    place.mkdir()
+    wait_until(lambda: not file.problem)
+    assert (place / stops_file.NAME).read_bytes() == b"data"
+    file.close()
+
+
+def test_the_content_given_last_before_the_end_is_in_the_file(tmp_path: Path) -> None:
+    file = file_writer.FileWriter("stops", stops_file.save, tmp_path)
+    for number in range(100):
+        file.keep(b"%d" % number)
+    file.close()
+    assert (tmp_path / stops_file.NAME).read_bytes() == b"99"
 
 
 def test_what_a_run_s_own_files_lack_is_said_in_the_log(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -2,14 +2,16 @@
 
 import json
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
-from conftest import ask, stop, wait_until
+from conftest import Processes, ask, stop, wait_until
 from mesh_rig import Build, Swarm, build
 
 from laptop.cli import main
 from services.mesh.topology_file import NAME
-from swarm.messages import Topology, read
+from swarm.bus.zenoh_bus import Bus
+from swarm.messages import Topology, TopologyRequest, read
 from swarm.process.simulations import LOCK, claim
 
 __all__ = ["build"]
@@ -150,3 +152,29 @@ def test_robots_find_their_neighbours_and_mend_the_swarm(build: Build) -> None:
     await_whole("r0", "r2", "r3")
     swarm["r1"].start()
     await_whole("r0", "r1", "r2", "r3")
+
+
+DISK_HANGS = """
+import threading
+from services.mesh import __main__ as mesh, file_writer, topology_file
+from swarm.process import service
+
+file_writer._END_S = 0.1
+topology_file.save = lambda *_: threading.Event().wait()
+service.run(mesh.main)
+"""
+
+
+@pytest.mark.usefixtures("router")
+def test_a_mesh_whose_disk_hangs_goes_on_and_ends_when_it_is_told_to(processes: Processes, runtime: Path) -> None:
+    """The thread that had the topology changed, here that of the bus, wrote the file and did nothing else meanwhile."""
+    mesh = processes.start_ready("-c", DISK_HANGS)
+    key = "swarm/r0/mesh/topology"
+    with Bus.of(runtime) as bus:
+
+        def is_set() -> bool:
+            bus.publish("swarm/r0/mesh/set/topology", TopologyRequest("1", "", (("r0", "r1"),), None))
+            return read(key, ask(bus, key)).version == 1
+
+        wait_until(is_set, what="the answer of a mesh whose disk hangs")
+        assert stop(mesh) == 0
