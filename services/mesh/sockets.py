@@ -150,7 +150,11 @@ class Sockets:
         if not self._stopping:
             thread = threading.Thread(target=self._call, args=(peer,), name="dial", daemon=True)
             self._dials.add(thread)
-            thread.start()
+            try:
+                thread.start()
+            except RuntimeError as error:  # the unit's TasksMax, or no memory: an absent robot keeps a thread for 10 s
+                self._dials.discard(thread)
+                self._runtime.soon(self._mesh.dial_failed, peer, str(error))
 
     def flush(self, session: Session) -> None:
         """Write what the session has to send, until its socket is full."""
@@ -169,7 +173,8 @@ class Sockets:
     def supervise(self, session: Session, seconds: float) -> None:
         """Tell the radio, on a thread of its own, how long a silent connection is kept."""
         if (pipe := self._pipes.get(session)) is not None and pipe.limit is not None:
-            threading.Thread(target=pipe.limit, args=(seconds,), name="limit", daemon=True).start()
+            with contextlib.suppress(RuntimeError):  # no thread is left: a link works without the limit, too
+                threading.Thread(target=pipe.limit, args=(seconds,), name="limit", daemon=True).start()
 
     def wake(self, deadline: float) -> None:
         """Have the reading thread wait no longer than this."""

@@ -5,6 +5,7 @@ import errno
 import logging
 import os
 import socket
+import threading
 from collections import Counter
 from collections.abc import Iterator
 from typing import cast
@@ -50,10 +51,14 @@ class FullListener:
 
 
 class MeshWithoutRoom:
-    """A mesh that notes its callers and takes none."""
+    """A mesh that notes its callers and takes none, and whom it could not call."""
 
     def __init__(self) -> None:
         self.callers: list[Caller] = []
+        self.failed: list[tuple[str, str]] = []
+
+    def dial_failed(self, peer: str, reason: str) -> None:
+        self.failed.append((peer, reason))
 
     def accepted(self, caller: Caller) -> None:
         self.callers.append(caller)
@@ -94,3 +99,28 @@ def test_mesh_without_descriptors_waits_keeps_time_and_accepts_when_one_is_free(
     tested.stop()
     (warning,) = caplog.records
     assert warning.getMessage() == "robots that call cannot be accepted: too many open files; trying every 0.02 s"
+
+
+def test_a_call_for_which_the_process_gets_no_thread_has_failed_and_the_next_one_is_made(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A unit may have 32 tasks: the mesh of a robot that calls thirty absent ones ended, again and again."""
+    runtime = LockedRuntime(cast(BusLike, None), Counter(), logging.getLogger("mesh"))
+
+    def absent(peer: str) -> Pipe:
+        raise OSError(errno.EHOSTDOWN, "Host is down")
+
+    tested, mesh = Sockets(runtime, [], dial=absent), MeshWithoutRoom()
+    tested.wake(float("inf"))
+    tested.start(cast(Mesh, mesh))
+
+    def none_is_left(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", none_is_left)
+        runtime.entry(tested.dial)("r1")
+    assert mesh.failed == [("r1", "can't start new thread")]
+    runtime.entry(tested.dial)("r2")
+    wait_until(lambda: mesh.failed[1:] == [("r2", "host is down")])
+    tested.stop()
