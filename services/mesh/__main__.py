@@ -16,6 +16,7 @@ from services.mesh.mesh import Chance, Mesh, dials_of, ground_of, local_of
 from services.mesh.network import Network
 from services.mesh.sockets import Sockets
 from services.mesh.view_sender import ViewSender
+from swarm.bus.session_watch import SessionWatch
 from swarm.config import Config
 from swarm.config.keyfile import read_keys
 from swarm.process import service
@@ -23,7 +24,11 @@ from swarm.process.locked_runtime import LockedRuntime
 from swarm.process.paths import state_dir
 
 _LOOK_S = 1.0
-"""Seconds between two checks that the reading thread is alive, and which viewers watch through this robot."""
+"""Seconds between two checks that the reading thread and the bus are alive, and which viewers watch through this
+robot."""
+_UNANSWERED = 20
+"""Questions to the router in a row without an answer after which the mesh ends. A router that hangs itself is replaced
+by systemd sooner, and the mesh's links outlive that."""
 
 CHANCE = Chance(random.random, partial(os.urandom, NONCE_SIZE))
 
@@ -77,7 +82,9 @@ def main() -> None:
         view_sender.begin(this.bus, runtime.entry(mesh.ask))
         sockets.start(mesh)
         this.ready()
+        session = SessionWatch(this.bus, _UNANSWERED)
         while not this.stopping.wait(_LOOK_S):
+            session.look()
             if problem := stops.problem or topology.problem:
                 this.degraded(problem)
             else:

@@ -31,21 +31,19 @@ from services.balancer.core.devices.screen import Composer
 from services.balancer.core.faults import STOPPED
 from services.balancer.core.inbox import Inbox, WaitingCommand
 from swarm import clock
+from swarm.bus import session_watch
+from swarm.bus.session_watch import SessionWatch
 from swarm.bus.throttle import THROTTLED
-from swarm.bus.zenoh_bus import ROUTER
-from swarm.errors import BusError, LocalError, PayloadError
+from swarm.errors import LocalError, PayloadError
 from swarm.messages import AppState, BalancerState, SetDisplay, Stop, read
 from swarm.messages.keys import key, parse
-from swarm.process.edges import defect
 from swarm.process.service import Service, run
 
 SILENCE_S = 1.0
 """A loop that said nothing for so long is stuck."""
-ASK_S = 1.0
-"""Seconds between two questions to the router."""
 UNANSWERED = 5
-"""Questions in a row without an answer after which the bridge is deaf: it would hear no stop either. Counted, not
-timed: a bridge that got no processor time has asked nothing meanwhile."""
+"""Questions to the router in a row without an answer after which the bridge ends, so that the loop starts another. The
+loop balances on meanwhile."""
 MAX_APPS = 16
 """Apps whose states wait for the display, at most."""
 _POLL_S = 0.25
@@ -70,8 +68,7 @@ class _Relay:
         """The time at which commands may be handed to the loop again."""
         self._heard = clock.now()
         self._ask_at = self._heard
-        self._unanswered = 0
-        """Questions to the router since its last answer."""
+        self._session = SessionWatch(service.bus, UNANSWERED)
         self._composer = Composer(service.robot)
         self._app_states: dict[str, bytes] = {}
         """The newest states of apps by key, which the display does not show yet."""
@@ -96,28 +93,11 @@ class _Relay:
             if now - self._heard > SILENCE_S:
                 self._service.degraded("the control loop is silent")
             if now >= self._ask_at:
-                self._ask_at = now + ASK_S
-                self._ask_router()
+                self._ask_at = now + session_watch.ASK_S
+                self._session.look()
             if self._inbox and now >= self._turn_at:
                 self._turn_at = now + _TURN_S
                 self._hand_over_some()
-
-    def _ask_router(self) -> None:
-        """Ask the router for a sign of life. End this process where it has given none for long, so that the loop starts
-        another: Zenoh's thread may hang, or its connection be dead. The loop balances on meanwhile."""
-        bus = self._service.bus
-        if not bus.connected:  # the bus is away: another bridge would hear no more
-            self._unanswered = 0
-            return
-        if self._unanswered >= UNANSWERED:
-            problem = f"{UNANSWERED} questions to the router were not answered: no stop would be heard"
-            defect(BusError(problem), "the bus")
-        self._unanswered += 1
-        bus.ask(ROUTER, self._answered, timeout_s=UNANSWERED * ASK_S)
-
-    def _answered(self, _name: str, _payload: bytes) -> None:
-        """Take the router's answer. Zenoh's thread calls this."""
-        self._unanswered = 0
 
     def _take(self) -> bool:
         """Publish a message of the loop; False where the loop has ended."""

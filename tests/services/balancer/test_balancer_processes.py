@@ -227,8 +227,9 @@ import threading
 from services.balancer.bridge.bus_side import BusSide
 BusSide._stop = lambda *_: threading.Event().wait()
 from services.balancer.bridge import bridge
+from swarm.bus import session_watch
 from swarm.process.edges import run
-bridge.ASK_S = 0.2
+session_watch.ASK_S = 0.2
 run(bridge.main)
 """
 """A bridge that a stop makes deaf: Zenoh's thread hangs in its callback."""

@@ -1,12 +1,13 @@
 """An error that nobody expected ends a service with a reason in its log: no process stays behind without its thread."""
 
 import subprocess
+from pathlib import Path
 
 import pytest
 from conftest import Processes, ask, wait_until
 
 from swarm.bus.zenoh_bus import Bus
-from swarm.messages import Status
+from swarm.messages import Status, Stop
 from swarm.messages.codec import decode
 from swarm.process.edges import DEFECT
 
@@ -34,6 +35,18 @@ def broken(*arguments):
 LockstepRun.{method} = broken
 run(main)
 """
+
+DEAF = """
+import threading
+from services.mesh import __main__ as mesh
+from services.mesh.bus_interface import BusInterface
+from swarm.process import service
+
+BusInterface._stop = lambda *_: threading.Event().wait()
+mesh._LOOK_S = 0.05
+service.run(mesh.main)
+"""
+"""A mesh that a stop makes deaf: Zenoh's thread hangs in its callback."""
 
 HUGE = "resource.setrlimit(resource.RLIMIT_AS, (1 << 30, 1 << 30)); return bytes(1 << 40)"
 
@@ -82,6 +95,22 @@ def test_a_mesh_whose_reading_thread_dies_ends_with_the_reason(
     assert code == DEFECT
     assert f"ended by a defect in the thread 'mesh': {reason}" in text
     assert "in broken" in text, "the traceback is there"
+
+
+@pytest.mark.usefixtures("router")
+def test_a_mesh_whose_bus_thread_hangs_ends(processes: Processes, runtime: Path) -> None:
+    """It stayed, and the watchdog was fed: no stop of this robot reached others, and none of theirs this robot."""
+    mesh = processes.start_ready("-c", DEAF)
+    with Bus.of(runtime) as bus:
+
+        def is_over() -> bool:
+            bus.publish("swarm/stop", Stop(0.0, "test", "hang"))
+            return mesh.poll() is not None
+
+        wait_until(is_over, what="the end of the deaf mesh")
+    code, text = ended(mesh)
+    assert code == DEFECT
+    assert "20 questions to the router were not answered" in text
 
 
 @pytest.mark.usefixtures("router")
