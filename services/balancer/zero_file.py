@@ -19,6 +19,8 @@ MEASURED_S = 3600.0
 table 3)."""
 LARGEST = math.radians(30.0)
 """Largest zero that is accepted, rad/s: the datasheet's typical zero is up to 10 degrees a second."""
+_LONGEST = 200
+"""Characters of a file that are read at most: five numbers."""
 
 _log = logging.getLogger("balancer")
 
@@ -35,7 +37,8 @@ class ZeroFile:
     def read(self, now: float) -> Zero | None:
         """Return the zero of the process before, where it still holds; None otherwise."""
         try:
-            *axes, measured, used = map(float, self._path.read_text().split())
+            with self._path.open() as file:
+                *axes, measured, used = map(float, file.read(_LONGEST).split())
             zero = Zero(*axes)
         except (OSError, ValueError, TypeError):
             return None

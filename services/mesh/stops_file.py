@@ -14,9 +14,6 @@ from swarm.process.paths import VOLATILE
 
 NAME = "mesh.stops"
 
-MAX_SIZE = 1 << 20
-"""Bytes of a file that are read at most: a stop and a re-arm of 1000 robots have less than 0.2 MB."""
-
 _log = logging.getLogger("mesh")
 
 
@@ -24,7 +21,7 @@ def load(directory: Path, robot: str, incarnation: int) -> Halt | None:
     """Return the stops that were kept; None where there are none. Where they cannot be read, return a stop that this
     start of `robot` gives."""
     path = directory / NAME
-    kept = file_reader.read(path, from_file, _log, "the swarm is stopped, since this may have been a stop", MAX_SIZE)
+    kept = file_reader.read(path, from_file, _log, "the swarm is stopped, since this may have been a stop")
     if kept is None and path.exists():
         return Halt({robot: (Mark(incarnation, 1), "the stops that the mesh kept cannot be read")}, {})
     return kept

@@ -4,6 +4,7 @@ recordings in tests/swarm/recording, the installed release in tests/deploy/test_
 
 import logging
 import os
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -167,24 +168,49 @@ UNSEEN = {
 }
 """Damage that cannot be seen in the file itself."""
 
+OF_PEOPLE = ("swarm.toml", folder.RUN_FILE, "r0.mark")
+"""Files that people write, or that only a laptop reads."""
+
 GARBAGE = b"\xffgarbage\x00\xfe = [" * 40
 
 
 @pytest.mark.parametrize("kept", KEPT, ids=[kept.name for kept in KEPT])
-@pytest.mark.parametrize("damage", ["garbage", "cut short", "empty"])
+@pytest.mark.parametrize("damage", ["garbage", "cut short", "empty", "zeros"])
 def test_a_damaged_file_means_what_the_table_says(kept: Kept, damage: str, tmp_path: Path) -> None:
     place = tmp_path / kept.name
     kept.write(place)
     whole = kept.read(place)
     assert whole != kept.means
     data = place.read_bytes()
-    place.write_bytes({"garbage": GARBAGE, "cut short": data[: len(data.rstrip(b"\0\n ")) // 2], "empty": b""}[damage])
+    place.write_bytes(
+        {
+            "garbage": GARBAGE,
+            "cut short": data[: len(data.rstrip(b"\0\n ")) // 2],
+            "empty": b"",
+            "zeros": bytes(len(data)),
+        }[damage]
+    )
     found, error = outcome(kept, place)
     if error or (kept.means == REFUSED and (kept.name, damage) not in UNSEEN):
         assert kept.means == REFUSED
         assert str(place) in error
     elif kept.means != REFUSED:
         assert found == kept.means  # nothing is guessed: a part of the file is not taken for all of it
+
+
+@pytest.mark.parametrize("kept", [kept for kept in KEPT if kept.name not in OF_PEOPLE], ids=lambda kept: kept.name)
+def test_a_file_that_has_grown_beyond_the_memory_keeps_no_service_from_its_start(kept: Kept, tmp_path: Path) -> None:
+    """The kernel ends a service at its limit of memory, 48 MB and more, at each of its starts."""
+    place = tmp_path / kept.name
+    kept.write(place)
+    os.truncate(place, 1 << 30)
+    tracemalloc.start()
+    try:
+        outcome(kept, place)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 8 << 20
 
 
 def outcome(kept: Kept, place: Path) -> tuple[object, str]:
