@@ -277,6 +277,14 @@ def test_a_port_in_use_is_named() -> None:
     listener.close()
 
 
+def test_a_mesh_listens_at_an_address_that_the_robot_does_not_have_yet(caplog: pytest.LogCaptureFixture) -> None:
+    """As on a boot, before the Wi-Fi is there: the mesh ended as for a wrong configuration, and was not started again.
+    The address is one for documentation (RFC 5737)."""
+    listener = tcp.TcpListener(Tcp("192.0.2.7", free_port()))
+    listener.close()
+    assert "nobody can call yet, this robot has no address 192.0.2.7" in caplog.text
+
+
 # -- link addresses ------------------------------------------------------------------------------------------
 
 
