@@ -48,6 +48,8 @@ class Bridge:
         self._stops: socket.socket | None = None
         self._stop_is_there = select.poll()
         """Asked in each tick: that costs a third of a look into an empty socket."""
+        self._last_stop: Stop | None = None
+        """A stop of a process that has ended, which the loop has not taken yet."""
         self._started = now
         self._took = False
         """Whether a message has fitted since it was last looked at."""
@@ -71,6 +73,9 @@ class Bridge:
 
     def stop(self) -> Stop | None:
         """Return the first stop that the bridge sent since the last call; None where it sent none."""
+        if self._last_stop is not None:
+            last, self._last_stop = self._last_stop, None
+            return last
         if self._stops is None or not self._stop_is_there.poll(0):
             return None
         first = self._receive(self._stops)
@@ -104,6 +109,7 @@ class Bridge:
                 self._end_if_it_hangs(now)
                 return
             _log.warning("the bridge ended code=%d", os.waitstatus_to_exitcode(status))
+            self._last_stop = self.stop()
             self._forget()
         if now - self._started >= RESTART_S:
             try:

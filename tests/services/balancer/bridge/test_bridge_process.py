@@ -12,7 +12,7 @@ from loop_rig import VirtualLoop
 
 from services.balancer.bridge import child
 from services.balancer.bridge.child import Bridge
-from swarm.messages import SetMode
+from swarm.messages import SetMode, Stop
 
 
 @pytest.fixture
@@ -47,6 +47,22 @@ def test_the_bridge_is_ended_before_the_loop_where_memory_runs_out_from_its_firs
     finally:
         bridge.close()
     assert (tmp_path / "score").read_text().strip() == child.OOM_SCORE_ADJUST
+
+
+def test_a_stop_that_a_bridge_has_heard_in_its_last_moment_is_obeyed(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The next bridge needs seconds to start before it hears the mesh repeat the stop."""
+    (tmp_path / "ends.py").write_text("import os, sys; os.write(int(sys.argv[2]), b'stop')\n")
+    monkeypatch.setattr(child, "MODULE", "ends")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    bridge = Bridge(0.0)
+    try:
+        os.waitid(os.P_PID, bridge.pid, os.WEXITED | os.WNOWAIT)
+        bridge.keep_up(2.0)
+        assert bridge.stop() == Stop(0.0, "", "")
+    finally:
+        bridge.close()
 
 
 def test_a_bridge_that_begins_to_hang_is_ended_within_eight_seconds_and_another_one_started(
