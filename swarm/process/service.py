@@ -87,11 +87,12 @@ class Service:
         self.stopping.set()
 
     def watchdog(self) -> None:
-        """Tell systemd of real progress, at most each `FEED_S`; call it where work was done, not from a timer."""
+        """Tell systemd of real progress, at most each `FEED_S`; call it where work was done, not from a timer. It waits
+        for nobody: who calls it may hold a lock, or be the thread of the bus."""
         now = clock.now()
         if now >= self._fed_at + FEED_S:
             self._fed_at = now
-            notify("WATCHDOG=1")
+            notify("WATCHDOG=1", timeout_s=0.0)
 
     def status(self) -> Status:
         """Return the state as it is now."""

@@ -142,13 +142,26 @@ def test_systemds_watchdog_is_not_flooded(monkeypatch: pytest.MonkeyPatch) -> No
     told: list[float] = []
     now = 0.0
     monkeypatch.setattr(service.clock, "now", lambda: now)
-    monkeypatch.setattr(service, "notify", lambda _: told.append(now))
+    monkeypatch.setattr(service, "notify", lambda _, timeout_s: told.append(now))
     fed = SimpleNamespace(_fed_at=float("-inf"))
     for step in range(1000):
         now = step * 0.01
         service.Service.watchdog(fed)  # type: ignore[arg-type]
     assert told[0] == 0.0
     assert all(FEED_S <= b - a < 2 * FEED_S for a, b in pairwise(told))
+
+
+def test_a_systemd_that_hangs_holds_up_nobody_who_feeds_the_watchdog(
+    runtime: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """It held up the router's only thread, and whoever waited for the lock of an app, for a second each."""
+    with systemd(runtime) as sock:
+        monkeypatch.setenv("NOTIFY_SOCKET", sock.getsockname())
+        waits: list[float] = []
+        monkeypatch.setattr(socket.socket, "settimeout", lambda _, seconds: waits.append(seconds))
+        service.Service.watchdog(SimpleNamespace(_fed_at=float("-inf")))  # type: ignore[arg-type]
+    assert waits == [0.0]
+    assert not caplog.records
 
 
 def test_systemd_is_notified_over_an_abstract_socket(monkeypatch: pytest.MonkeyPatch) -> None:
