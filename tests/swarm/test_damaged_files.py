@@ -274,7 +274,8 @@ def test_a_mesh_that_cannot_keep_a_stop_for_its_restart_says_so_until_there_is_r
     file.close()
 
 
-def test_the_content_given_last_before_the_end_is_in_the_file(tmp_path: Path) -> None:
+def test_the_content_given_last_before_the_end_is_in_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(file_writer, "_END_S", 60.0)
     file = file_writer.FileWriter("stops", stops_file.save, tmp_path)
     for number in range(100):
         file.keep(b"%d" % number)
