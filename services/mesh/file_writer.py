@@ -11,8 +11,8 @@ from services.mesh.links.pipe import describe
 
 RETRY_S = 1.0
 """Seconds after which a write that has failed is tried again."""
-_END_S = 2.0
-"""Seconds that the last write has when the mesh ends."""
+_END_S = 1.0
+"""Seconds that the last write has when the mesh ends, which systemd gives 5 s."""
 
 
 class FileWriter:

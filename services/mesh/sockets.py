@@ -25,7 +25,7 @@ _CHUNK = 4096
 _NEVER = float("inf")
 
 _JOIN_TIMEOUT = 2.0
-"""Seconds to wait for each thread at the end; one may hang in a dial."""
+"""Seconds to wait at the end for threads that may hang in a dial, for all of them together: systemd waits for 5 s."""
 
 _EXHAUSTED = frozenset((errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM))
 """Errors of accept() after which the caller still stands in the queue, so that the listener stays readable."""
@@ -136,8 +136,9 @@ class Sockets:
         """Say goodbye to the neighbours and end all threads."""
         self._runtime.entry(self._on_stop)()
         self._thread.join()
+        end = clock.now() + _JOIN_TIMEOUT
         for thread in tuple(self._dials):
-            thread.join(_JOIN_TIMEOUT)
+            thread.join(max(0.0, end - clock.now()))
         for pipe in self._ended:
             pipe.close()
         self._watched.close()

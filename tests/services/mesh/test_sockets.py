@@ -8,6 +8,7 @@ import socket
 import threading
 from collections import Counter
 from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import cast
 
 import pytest
@@ -124,3 +125,25 @@ def test_a_call_for_which_the_process_gets_no_thread_has_failed_and_the_next_one
     runtime.entry(tested.dial)("r2")
     wait_until(lambda: mesh.failed[1:] == [("r2", "host is down")])
     tested.stop()
+
+
+class HangingDial(threading.Thread):
+    """A call that does not end, on a clock of its own."""
+
+    now = 0.0
+
+    def join(self, timeout: float | None = None) -> None:
+        assert timeout is not None
+        HangingDial.now += timeout
+
+
+def test_a_mesh_that_calls_many_absent_robots_ends_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It waited 2 s for each call, so that systemd killed it after 5 s."""
+    runtime = LockedRuntime(cast(BusLike, None), Counter(), logging.getLogger("mesh"))
+    tested = Sockets(runtime, [], dial=lambda peer: Pipe(socket.socket()))
+    tested.wake(float("inf"))
+    tested.start(cast(Mesh, MeshWithoutRoom()))
+    tested._dials = {HangingDial() for _ in range(5)}
+    monkeypatch.setattr(sockets, "clock", SimpleNamespace(now=lambda: HangingDial.now))
+    tested.stop()
+    assert HangingDial.now == sockets._JOIN_TIMEOUT
