@@ -159,7 +159,7 @@ class Balancer:
 
     @property
     def battery_time_left(self) -> float | None:
-        """s until it lies down, roughly; None where its voltage is not known."""
+        """s until it lies down, roughly; None where that is not known."""
         return self._guard.time_left(moving=self.mode == BALANCING)
 
     def command(self, mode: str, now: float) -> None:

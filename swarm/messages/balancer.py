@@ -43,7 +43,8 @@ class BalancerState:
     """ok, low (a warning), empty, or unknown: not read for 60 s. With the last two it lies down, and does not stand
     up."""
     battery_left: float | None = None
-    """Seconds until it lies down, a rough estimate; None where the battery's voltage is not known."""
+    """Seconds until it lies down, a rough estimate; None where the battery's voltage is not known, and where the
+    configured limit is above the voltage of the full NiMH battery that the estimate assumes."""
     scl: float = 0.0
     """Hz: the clock of the I2C bus as its transfers show it, the kernel's time for them included; 0 where unknown."""
     behind: str = ""

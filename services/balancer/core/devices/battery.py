@@ -73,8 +73,9 @@ class BatteryGuard:
         return self.level != before
 
     def time_left(self, moving: bool) -> float | None:
-        """s until the limit, roughly: charge linear in the voltage, power as the thesis measured it."""
-        if self.volts is None:
+        """s until the limit, roughly: charge linear in the voltage, power as the thesis measured it. None before the
+        first reading, and where the limit is that of other cells, above a full battery's voltage."""
+        if self.volts is None or self.limit >= FULL:
             return None
         share = min(1.0, max(0.0, (self.volts - self.limit) / (FULL - self.limit)))
         return share * USABLE * CAPACITY_WH / (POWER_MOVING_W if moving else POWER_RESTING_W) * 3600

@@ -97,6 +97,13 @@ def test_a_dip_under_load_is_no_empty_battery() -> None:
     assert rig.balancer.mode == "balancing"
 
 
+@pytest.mark.parametrize("limit", [7.8, 9.0])
+def test_there_is_no_time_left_for_a_battery_whose_limit_is_above_six_full_cells(limit: float) -> None:
+    guard = BatteryGuard(10.0, limit)
+    guard.update(9.5, 0.0)
+    assert guard.time_left(moving=True) is None
+
+
 def test_time_left_as_the_thesis_reckons_it() -> None:
     """Full cells and motors running: 4.5 to 5 hours (thesis 2.4.1)."""
     guard = BatteryGuard(6.6, 6.0)
