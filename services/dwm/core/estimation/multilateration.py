@@ -22,8 +22,8 @@ TOO_LONG = 2.576
 (99 % of those with one are nearer)."""
 
 _STEPS = 50
-_CONVERGED = 1e-6
-"""Length of a step below which the search has converged, m."""
+_CONVERGED = 1e-4
+"""Length of a step below which the search has converged, m: ranges err by some hundred times as much."""
 _FLAT = 0.02
 """The anchors count as lying in a line when their spread across it is a smaller part of that along it."""
 _FAR = 1000.0
@@ -65,6 +65,8 @@ def multilaterate(anchors: Sequence[Point], distances: Sequence[float], height: 
     if len(anchors) < 4 or isinstance(fix, NoFix):
         return fix
     cost = _wonder(fix.residuals, sigma)
+    if cost <= (TOO_LONG * sigma) ** 2:
+        return fix  # a range that is left out costs that much by itself, so no other place can cost less
     for i in range(len(anchors)):
         rest = [anchor for j, anchor in enumerate(anchors) if j != i]
         other = _solve(rest, [d for j, d in enumerate(distances) if j != i], height, sigma)
@@ -122,7 +124,7 @@ def degenerate(anchors: Sequence[Point]) -> str | None:
 def _starts(
     anchors: Sequence[Point], distances: Sequence[float], height: float, sigma: float
 ) -> list[tuple[float, float]]:
-    """Return the anchors' centre, and the two likeliest of the points where two circles of the plane meet: the error
+    """Return the two likeliest of the anchors' centre and the points where two circles of the plane meet: the error
     may have further local minima (near the mirror image of a place outside of the anchors' hull, where a range is
     wrong, where an anchor is high above), and for exact ranges one of the meeting points is the place itself."""
     x, y = (fsum(anchor[axis] for anchor in anchors) / len(anchors) for axis in (0, 1))
@@ -131,8 +133,7 @@ def _starts(
         for anchor, distance in zip(anchors, distances, strict=True)
     ]
     points = [point for i, one in enumerate(circles) for other in circles[:i] for point in _meetings(one, other)]
-    points.sort(key=lambda point: _cost(anchors, distances, height, sigma, point))
-    return [(x, y), *points[:2]]
+    return sorted([(x, y), *points], key=lambda point: _cost(anchors, distances, height, sigma, point))[:2]
 
 
 def _meetings(one: tuple[float, float, float], other: tuple[float, float, float]) -> list[tuple[float, float]]:

@@ -4,6 +4,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from services.dwm.core.estimation import multilateration
 from services.dwm.core.estimation.multilateration import Fix, NoFix, degenerate, multilaterate
 
 TABLE = [(0.0, 0.0, 0.0), (1.94, 0.0, 0.0), (1.0, 1.94, 0.0), (0.5, 1.0, 0.0)]
@@ -50,6 +51,17 @@ def test_of_four_ranges_one_without_line_of_sight_is_given_up(blocked):
     assert math.hypot(fix.x - 1.2, fix.y - 0.6) < 0.01
     assert fix.weights[blocked] == 0.0
     assert fix.residuals[blocked] == pytest.approx(0.8, abs=0.01)
+
+
+@pytest.mark.parametrize(("excess", "searches"), [(0.0, 1), (0.08, 1), (0.8, 5)])
+def test_no_range_is_left_out_in_turn_where_all_agree(monkeypatch, excess, searches):
+    searched = []
+    search = multilateration._solve
+    monkeypatch.setattr(multilateration, "_solve", lambda *problem: searched.append(problem) or search(*problem))
+    measured = ranges(TABLE, 1.2, 0.6)
+    measured[0] += excess
+    assert isinstance(multilaterate(TABLE, measured, 0.0, 0.04), Fix)
+    assert len(searched) == searches
 
 
 def test_the_covariance_is_that_of_the_geometry():
