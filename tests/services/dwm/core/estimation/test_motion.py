@@ -1,11 +1,13 @@
 """The Kalman filter in simulated motion; `./run bench localization` shows all of it."""
 
 import math
+import random
 
 import pytest
 
-from bench.dwm.localization import SCENARIOS, cost, nis, outside
-from bench.dwm.motion import SEEDS, errors, lag, rms, run
+from bench.dwm.localization import CONSISTENT, SCENARIOS, cost, nis, outside
+from bench.dwm.motion import SEEDS, Outcome, errors, lag, rms, run
+from services.dwm.core.estimation.ekf import GATE, Innovation
 
 
 def judged(speed, hidden, limit, seeds):
@@ -38,6 +40,13 @@ def test_the_same_seed_gives_the_same_run():
     first, second = run(0.5, 0.05, 1), run(0.5, 0.05, 1)
     assert first.paths == second.paths
     assert math.isfinite(rms(errors(first, "EKF")))
+
+
+def test_a_consistent_filter_has_the_mean_innovation_that_the_page_tells():
+    generator = random.Random(1)
+    drawn = [generator.gauss(0.0, 1.0) for _ in range(200_000)]
+    innovations = [Innovation(0, error, 1.0, error * error <= GATE) for error in drawn]
+    assert nis([Outcome(innovations=innovations)]) == pytest.approx(CONSISTENT, abs=0.01)
 
 
 def test_what_a_period_costs_can_be_measured():
