@@ -5,7 +5,7 @@ from math import fsum
 from typing import Annotated, Any
 
 from services.apps.builtin.localization import ranges
-from services.apps.builtin.localization.place import UNKNOWN, Localization
+from services.apps.builtin.localization.place import Localization
 from swarm import Vector, parameter
 from swarm.messages.codec import Value
 
@@ -46,5 +46,5 @@ class Info(Localization):
 
     def result(self) -> Mapping[str, Value]:
         """Place of the target, m, its uncertainty, and the other place that fits as well (the same one if none)."""
-        found = ranges.solve(self.q, len(self.robot.swarm)) or UNKNOWN
+        found = self.found(self.q, self._m)
         return self.report((found.x, found.y), found)

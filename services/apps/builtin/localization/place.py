@@ -50,6 +50,11 @@ class Localization(SyncApp):
         """Return the statistics of this step's measurement."""
         return ranges.statistics(*self.seen(), self.sigma())
 
+    def found(self, shared: Statistics, own: Statistics) -> TargetEstimate:
+        """Return the estimate from `shared`, the mean over the swarm as consensus has it; where that is no sum of
+        ranges, the circle that the `own` range says."""
+        return ranges.solve(shared, len(self.robot.swarm)) or ranges.solve(own, 1) or UNKNOWN
+
     def report(self, place: tuple[float, float], found: TargetEstimate) -> Mapping[str, Value]:
         """`place`: the target about the origin, m; `found`: what the ranges of all say about it.
 
@@ -121,4 +126,4 @@ class Judged(Localization):
 
     def judged(self) -> TargetEstimate:
         """Return the estimate from the ranges of all robots, as far as they have come here."""
-        return ranges.solve(self._q, len(self.robot.swarm)) or UNKNOWN
+        return self.found(self._q, self._m)

@@ -34,6 +34,9 @@ SMALLEST_SPREAD = 1e-3
 DECIDED = 9.0
 """A second candidate is ruled out when its sum of squares is larger by this: three standard deviations."""
 
+_ROUNDING = 1e-3
+"""Share of the larger spread of the places by which the smaller one may be negative: what rounding of float32 does."""
+
 _BISECTIONS = 200  # at most; it ends when floats do, after some 60
 
 
@@ -83,7 +86,8 @@ def statistics(distance: float, x: float, y: float, sigma: float) -> Statistics:
 
 
 def solve(s: Statistics, robots: int) -> TargetEstimate | None:
-    """Return the place that fits best. `s` is the mean over `robots` robots; None where no range came in yet."""
+    """Return the place that fits best. `s` is the mean over `robots` robots. None where no range came in yet, and where
+    `s` is no sum of ranges: what consensus tracks can be of negative weight while ranges change quickly."""
     m11, m12, m13, m22, m23, w, v1, v2, v3 = s
     if w <= 0.0:
         return None
@@ -97,6 +101,8 @@ def solve(s: Statistics, robots: int) -> TargetEstimate | None:
     angle = 0.5 * math.atan2(2 * s12, s11 - s22)
     cos, sin = math.cos(angle), math.sin(angle)
     mean, half = (s11 + s22) / 2, math.hypot((s11 - s22) / 2, s12)
+    if half - mean > max(_ROUNDING * abs(mean + half), 4 * w * SMALLEST_SPREAD**2):
+        return None
     big, small = mean + half, max(mean - half, 0.0)
     along, across = cos * r1 + sin * r2, cos * r2 - sin * r1
     if math.sqrt(max(big, 0.0) / (4 * w)) < SMALLEST_SPREAD:

@@ -121,6 +121,13 @@ def test_nothing_measured_gives_nothing() -> None:
     assert ranges.solve(ranges.NOTHING, 3) is None
 
 
+def test_what_is_no_sum_of_ranges_gives_nothing() -> None:
+    far, near = together([(0.0, 0.0), (1.0, 0.2)], [1.0, 0.8]), together([(0.0, 0.0), (0.0, 1.0)], [1.0, 0.8])
+    one = ranges.statistics(0.9, 0.9, 0.9, 0.05)
+    assert ranges.solve(tuple([a - 2 * b for a, b in zip(far, one, strict=True)]), 3) is None  # of negative weight
+    assert ranges.solve(tuple([a - 0.7 * b for a, b in zip(far, near, strict=True)]), 3) is None  # of negative spread
+
+
 def test_sigma_is_the_spread_of_the_estimates() -> None:
     """The reported deviation against 400 draws, and within a tenth of the Cramer-Rao bound."""
     numbers = random.Random(5)
@@ -196,6 +203,23 @@ def test_the_statistics_keep_their_sum_while_ranges_change() -> None:
             assert total == pytest.approx(math.fsum(m[i] for m in own.values()), rel=1e-11, abs=1e-9)
     for result in swarm.final.values():
         assert math.dist((result["x"], result["y"]), TARGET) < 0.1
+
+
+def test_info_falls_back_on_its_own_range_while_the_target_leaves_a_robot() -> None:
+    """From 5 cm beside r0 at 6 cm an iteration: r0 takes back more weight than has come back to it."""
+
+    def leaving(name: str, k: int) -> Measurement:
+        place = PLACES[int(name[1:])]
+        return Measurement(
+            0.0, k, math.dist(place, (PLACES[0][0], PLACES[0][1] - 0.05 - 0.06 * max(k - 20, 0))), *place
+        )
+
+    swarm = MemorySwarm("localization", config_of(6, "line", "localization"), 40, leaving)
+    alone = [result for results in swarm.results.values() for result in results[1:] if result["rank"] == 1]
+    assert alone
+    assert all(result["ambiguous"] and result["sigma"] > 0.04 for result in alone)
+    assert all(result["rank"] for results in swarm.results.values() for result in results)
+    assert all(math.dist((r["x"], r["y"]), TARGET) < 5.0 for results in swarm.results.values() for r in results)
 
 
 def test_info_says_ambiguous_when_two_robots_are_all_there_is() -> None:
