@@ -1,7 +1,8 @@
 """The places of anchors from the distances between them: multidimensional scaling, then alignment. For the laptop.
 
 Classical scaling (Torgerson 1952) turns all distances into places at once; pairs that were not measured are filled in
-by the shortest way over others for that. Least squares on the measured pairs then give each its due. Distances say
+by the shortest way over others for that. Least squares on the measured pairs then give each its due, from there and
+from starts around it: there may be a local minimum where an anchor is on the wrong side of others. Distances say
 nothing of where the whole is, how it is turned, and whether it is its mirror image: alignment decides that.
 """
 
@@ -20,6 +21,12 @@ Array = NDArray[np.float64]
 
 _STEPS = 100
 _CONVERGED = 1e-9
+_STARTS = 20
+"""Further starts of the least squares at most."""
+_FITS = 1e-3
+"""Root mean square of the residuals below which no other layout fits better, m: far below the error of ranges."""
+_SCATTER = 0.7
+"""Standard deviation of these around the first one, as a share of the layout's own."""
 _STIFF = 1e-4
 """Smallest share of the largest singular value with which a layout is rigid."""
 
@@ -53,8 +60,7 @@ def locate(distances: Mapping[Pair, float], heights: Mapping[str, float] | None 
     pairs = _flat(distances, names, heights or {})
     if len(names) < 3:
         raise LocalError(f"{len(names)} anchors: three are needed to lay out a plane")
-    start = scaled(_filled(pairs, len(names)))
-    found = _refined(start, pairs)
+    found = _searched(scaled(_filled(pairs, len(names))), pairs)
     _check_stiffness(found, pairs, names)
     places = _first_on_axes(found)
     named = {name: (float(x), float(y)) for name, (x, y) in zip(names, places, strict=True)}
@@ -117,6 +123,23 @@ def scaled(matrix: Array) -> Array:
     values, vectors = np.linalg.eigh(-0.5 * centre @ matrix**2 @ centre)
     result: Array = vectors[:, -2:] * np.sqrt(np.maximum(values[-2:], 1e-12))
     return result
+
+
+def _searched(start: Array, pairs: Mapping[tuple[int, int], float]) -> Array:
+    """Return the places of least squares. Where there are no more distances than places need, several layouts fit
+    exactly: then the one next to `start`."""
+
+    def error(places: Array) -> float:
+        return float(np.sqrt(np.mean(_linear(places, pairs)[1] ** 2)))
+
+    numbers = np.random.default_rng(0)
+    scatter = _SCATTER * float(start.std())
+    found = _refined(start, pairs)
+    for _ in range(_STARTS if len(pairs) > start.size - 3 else 0):
+        if error(found) < _FITS:
+            break
+        found = min(found, _refined(start + numbers.normal(scale=scatter, size=start.shape), pairs), key=error)
+    return found
 
 
 def _refined(places: Array, pairs: Mapping[tuple[int, int], float]) -> Array:

@@ -63,6 +63,17 @@ def test_a_pair_that_was_not_measured():
         assert locate(distances).places[name] == pytest.approx(place, abs=1e-6)
 
 
+def test_an_anchor_that_begins_on_the_wrong_side_of_others_is_found():
+    places = {"D001": (3.0, 2.9), "D002": (4.9, 4.4), "D003": (1.5, 1.3), "D004": (4.0, 1.0), "D005": (2.8, 1.2)}
+    distances = between(places)
+    del distances["D003", "D005"]
+    layout = locate(distances)
+    assert layout.rms < 1e-6
+    aligned = align(layout, places)
+    for name, place in places.items():
+        assert aligned.places[name] == pytest.approx(place, abs=1e-4)
+
+
 def test_with_the_noise_of_averaged_ranges_places_are_within_centimetres():
     generator = random.Random(4)
     worst = []
