@@ -80,16 +80,15 @@ class Pololu:
         per_radian = self._counts_per_radian
         # Both wheels: twice the mean.
         distance = 2 * per_radian * (off.way / self._radius - self._angle)
-        # As counted in this tick: the estimate's speed is smoothed, and this algorithm does not bear the lag.
+        # As counted in this tick, so it counts by itself for a tick of any length: the estimate's speed is smoothed, and
+        # this algorithm does not bear the lag.
         step = distance - self._distance
         self._distance = distance
-        speed = step / ticks if ticks > 0.5 else 0.0
         rising = math.degrees(off.tilt_rate) * values["angle_rate_ratio"] + 1e3 * math.degrees(self._angle)
         response = (
-            values["angle_response"] * rising
-            + values["distance_response"] * distance
-            + values["speed_response"] * speed
+            ticks * (values["angle_response"] * rising + values["distance_response"] * distance)
+            + values["speed_response"] * step
         )
-        motor = self._motor + ticks * response / 100 / self._gear_ratio
+        motor = self._motor + response / 100 / self._gear_ratio
         self._motor = limited(motor, self.limit * _MOTOR_UNITS)
         return self._motor / _MOTOR_UNITS

@@ -100,6 +100,15 @@ def test_pololu_is_its_formula() -> None:
     assert duty == pytest.approx(min(300.0, expected) / 400)
 
 
+def test_pololu_counts_a_way_alike_in_one_tick_and_in_two_parts_of_it() -> None:
+    duties = []
+    for parts in ([(0.01, 0.002)], [(0.004, 0.001), (0.006, 0.002)]):
+        regulator = Pololu(CONFIGURED, POLOLU)
+        regulator.tune({**{name: each.value for name, each in regulator.parameters.items()}, "distance_response": 0.0})
+        duties.append([regulator.duty(Deviation(way, 0.0, 0.0, 0.0, dt), STANDSTILL) for dt, way in parts][-1])
+    assert duties[0] == pytest.approx(duties[1], rel=1e-9)
+
+
 finite = st.floats(-100, 100)
 
 
