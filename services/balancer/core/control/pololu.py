@@ -80,8 +80,8 @@ class Pololu:
         per_radian = self._counts_per_radian
         # Both wheels: twice the mean.
         distance = 2 * per_radian * (off.way / self._radius - self._angle)
-        # As counted in this tick, so it counts by itself for a tick of any length: the estimate's speed is smoothed, and
-        # this algorithm does not bear the lag.
+        # The way of this tick, whatever its length, in place of the speed: the estimate's speed is smoothed, and this
+        # algorithm does not bear the lag.
         step = distance - self._distance
         self._distance = distance
         rising = math.degrees(off.tilt_rate) * values["angle_rate_ratio"] + 1e3 * math.degrees(self._angle)
