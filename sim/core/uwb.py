@@ -81,14 +81,15 @@ class Tag:
         self._place = (0.0, 0.0)
 
     def measure(self, modules: Iterable[Module], x: float, y: float, heading: float, z: float = 0.0) -> Location:
-        """Measure at this pose (m, rad). Return the module's answer until the next measurement."""
+        """Measure at this pose (m, rad), the antenna at the height `z`. Return the module's answer until the next
+        measurement."""
         seen = sorted(((math.dist((x, y, z), (m.x, m.y, m.z)), m.address, m) for m in modules), key=lambda s: s[:2])
         ranges = tuple(
             AnchorRange(module.address, self._range(distance, heading), 100, module.known)
             for distance, _, module in seen[:MAX_RANGES]
             if self._generator.random() >= self._model.missing
         )
-        return Location(self._position(ranges), ranges)
+        return Location(self._position(ranges, z), ranges)
 
     def _range(self, distance: float, heading: float) -> float:
         model, generator = self._model, self._generator
@@ -101,16 +102,16 @@ class Tag:
             measured += generator.uniform(-model.outlier_size, model.outlier_size)
         return max(0.0, round(measured, 3))
 
-    def _position(self, ranges: Sequence[AnchorRange]) -> Position:
+    def _position(self, ranges: Sequence[AnchorRange], z: float) -> Position:
         """Return the location engine's place; without a fix the last one with quality 0, as the real one does."""
         used = [item for item in ranges if item.position.quality > 0]
         fix = least_squares_point(
-            [(item.position.x, item.position.y, item.position.z) for item in used],
+            [(item.position.x, item.position.y, item.position.z - z) for item in used],
             [item.distance + self._model.engine_offset for item in used],
         )
         if fix is not None:
             self._place = (round(fix[0], 3), round(fix[1], 3))
-        return Position(*self._place, 0.0, 0 if fix is None else QUALITY[len(used)])
+        return Position(*self._place, z, 0 if fix is None else QUALITY[len(used)])
 
 
 def least_squares_point(

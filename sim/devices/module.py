@@ -89,7 +89,7 @@ class ModuleBoard:
                 at = (*config.simulation.target, anchor.z)
             self._add_anchor(anchor.address, at, Position(anchor.x, anchor.y, anchor.z, 100))
         if target is not None and target not in self._modules:
-            self._add_anchor(target, (*config.simulation.target, 0.0), NOWHERE)
+            self._add_anchor(target, (*config.simulation.target, config.dwm.height), NOWHERE)
 
     def add(self, robot: str) -> None:
         """Wire a module to `robot`, at its starting place where the config gives one; else it sees nothing yet."""
@@ -98,7 +98,7 @@ class ModuleBoard:
         flash = Flash(Settings(anchor=known.uwb_role == "anchor"))
         place = self._config.simulation.places.get(robot)
         if place is not None:
-            self._places[robot] = (place[0], place[1], 0.0, place[2])
+            self._places[robot] = (place[0], place[1], self._config.dwm.height, place[2])
         self._add(robot, self._run_dir / robot / TTY, address, flash)
 
     def remove(self, name: str) -> None:
@@ -114,7 +114,7 @@ class ModuleBoard:
     def update_pose(self, robot: str, x: float, y: float, heading: float) -> None:
         """Set the place of `robot` (m, rad); may be called from another thread."""
         before = self._places.get(robot)
-        self._places[robot] = (x, y, 0.0, heading)
+        self._places[robot] = (x, y, self._config.dwm.height, heading)
         if before is None or math.dist(before[:2], (x, y)) > _MOTION or abs(heading - before[3]) > _MOTION:
             self._modules[robot].module.moved(clock.now())
 

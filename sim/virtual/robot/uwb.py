@@ -39,6 +39,8 @@ class ModuleField:
 
     def __init__(self, config: Config) -> None:
         self._simulation = config.simulation
+        self.height = config.dwm.height
+        """Height of the robots' antennas, and of a target that is no anchor, m."""
         self._target = target = config.dwm.target
         self.moves_from = math.inf
         """The time at which the target begins to move, if it does."""
@@ -51,7 +53,7 @@ class ModuleField:
                 _Standing(anchor.address, (*at, anchor.z), Position(anchor.x, anchor.y, anchor.z, 100))
             )
         if target is not None and all(module.address != target for module in self._standing):
-            self._standing.append(_Standing(target, (*config.simulation.target, 0.0), NOWHERE))
+            self._standing.append(_Standing(target, (*config.simulation.target, self.height), NOWHERE))
         self._carried: dict[str, tuple[str, VirtualBalancer]] = {}
 
     def move(self, address: str, x: float, y: float) -> None:
@@ -72,7 +74,7 @@ class ModuleField:
         for name, (address, balancer) in self._carried.items():
             if name != robot:
                 body = balancer.look()
-                modules.append(Module(address, body.x, body.y, 0.0, NOWHERE))
+                modules.append(Module(address, body.x, body.y, self.height, NOWHERE))
         return modules
 
 
@@ -115,7 +117,7 @@ class VirtualDwm:
             self._localizer = Localizer(self, now)
         body = self._balancer.look()
         location = (
-            self._tag.measure(self._field.around(self.robot, now), body.x, body.y, body.heading)
+            self._tag.measure(self._field.around(self.robot, now), body.x, body.y, body.heading, self._field.height)
             if self._is_tag
             else Location(NOWHERE, ())
         )

@@ -96,6 +96,12 @@ def test_a_range_includes_the_difference_in_height():
     assert item.distance == 5.0
 
 
+def test_the_position_of_a_tag_above_the_anchors_is_right_too():
+    position = Tag(random.Random(1), QUIET).measure(MODULES, 0.5, 1.5, 0.3, 0.5).position
+    assert (position.x, position.y) == pytest.approx((0.5, 1.5), abs=3e-3)
+    assert position.z == 0.5
+
+
 def test_one_address_twice_is_ranged_twice():
     tag = Tag(random.Random(1), QUIET)
     assert [item.anchor for item in tag.measure([MODULES[0], MODULES[0]], 0.5, 1.5, 0.0).ranges] == ["D001", "D001"]

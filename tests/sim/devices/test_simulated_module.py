@@ -101,6 +101,19 @@ def test_the_pose_decides_what_is_measured(board, port):
     pytest.fail("it never measured at the new place")
 
 
+def test_antennas_are_at_the_configured_height(tmp_path):
+    anchors = tuple(replace(anchor, z=30.0) for anchor in CONFIG.anchors)
+    board = ModuleBoard(tmp_path, replace(CONFIG, anchors=anchors, dwm=replace(CONFIG.dwm, height=30.0)), 1)
+    board.add("r0")
+    board.update_pose("r0", 1.0, 1.0, 0.0)
+    ranges = ()
+    with serial.Serial(str(tmp_path / "r0" / "dwm.tty"), 115200, timeout=0, exclusive=True) as line:
+        while not ranges:
+            ranges = ask(board, line).ranges
+    board.close()
+    assert all(item.distance < 5.0 for item in ranges)
+
+
 def test_without_a_pose_it_sees_nothing(board, tmp_path):
     board.add("r1")
     with serial.Serial(str(tmp_path / "r1" / "dwm.tty"), 115200, timeout=0) as port:

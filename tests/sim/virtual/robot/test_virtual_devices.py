@@ -1,6 +1,7 @@
 """Balancer and dwm under virtual time, through the clients that apps use."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -13,12 +14,14 @@ from sim.virtual.run import PLACE, VirtualRun
 from sim.virtual.world import VirtualWorld
 from swarm.app.devices import Devices
 from swarm.errors import LocalError
-from swarm.messages import BalancerState, LedChange, Notice, Stop, read
+from swarm.messages import BalancerState, LedChange, Notice, Ranges, Stop, read
 
 
 class Rig:
-    def __init__(self, *options, lying=None):
+    def __init__(self, *options, lying=None, height=0.0):
         config, air = build(parse(list(options)), PLACE).config, AirModel(latency=0.03)
+        anchors = tuple(replace(anchor, z=height) for anchor in config.anchors)
+        config = replace(config, anchors=anchors, dwm=replace(config.dwm, height=height))
         self.world = VirtualWorld(config, air, 1, mesh=FROM_START, lying=lying)
         self.bus = VirtualBus(self.world.robots["r0"].router)
         self.time = self.world.time
@@ -181,6 +184,14 @@ def test_the_pose_comes_through_module_calibration_and_filter(rig):
     assert math.dist((pose.x, pose.y), (rig.body.x, rig.body.y)) < 0.15
     error = (pose.heading - rig.body.heading + math.pi) % (2 * math.pi) - math.pi
     assert abs(error) < 0.3
+
+
+def test_antennas_and_the_target_are_at_the_configured_height():
+    rig = Rig("--robots", "3", height=30.0)
+    rig.run(2.0)
+    (_, ranges) = rig.messages(Ranges)[-1]
+    assert len(ranges.ranges) == 4
+    assert all(item.raw < 5.0 for item in ranges.ranges)
 
 
 def test_nothing_is_measured_for_nobody():
