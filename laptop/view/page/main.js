@@ -114,6 +114,7 @@ function take(step) {
     lockstepChart.clear();
   }
   store.take(step, directed ? step.t * 1000 : heard);
+  store.hear(step);
   store.newest = step.t;
   part(() => lockstepChart.take(step));
   if (!first && !replaced) part(() => controls.take(step));
@@ -128,16 +129,16 @@ function take(step) {
 function glance(step) {
   store.newest = step.t;
   series.take(step);
-  for (const [name, topics] of Object.entries(step.robots ?? {})) if (topics["mesh/stopped"]) store.robots.get(name)?.set("mesh/stopped", topics["mesh/stopped"]);
+  store.hear(step);
 }
 
 // An instant of the past.
 function look(step) {
   if (present.wanted === null) return;
-  const { swarm, services, newest, edges } = store;
+  const { swarm, services, newest, edges, stops, pace } = store;
   store.clear();
   store.become(swarm);
-  [store.services, store.looking, store.newest] = [services, true, newest];
+  Object.assign(store, { services, newest, stops, pace, looking: true });
   if (!store.edges.length) store.edges = edges;
   events.clear();
   lockstepChart.clear();
@@ -156,7 +157,7 @@ function news() {
   if (connection.textContent !== text) [connection.textContent, connection.className] = [text, kind];
   part(head);
   store.zoom = bracket.range;
-  for (const draw of [chooseApp, () => layout.draw(), () => events.draw(store.events), () => controls.draw(selected, map), () => pace.draw(), () => keep.draw()]) part(draw);
+  for (const draw of [chooseApp, () => layout.draw(), () => events.draw(store.events), () => controls.draw(selected, map, silent), () => pace.draw(), () => keep.draw()]) part(draw);
   find("#tabs [data-panel=control]").hidden = find("#control").hidden;
 }
 

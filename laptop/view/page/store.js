@@ -35,6 +35,7 @@ export class Store {
     this.links = new Map(); // "r0 r1" -> link(); forgotten when a robot tells of its links
     this.robots = new Map(); // name -> Map(topic -> value)
     this.services = {};
+    this.stops = new Map(); // name -> whether a stop holds there: of now, also while an instant of the past is shown
     this.events = [];
     this.faults = new Map(); // name -> the newest event that is an error
     this.trails = new Map(); // name -> [[x, y, the swarm's time], ...]
@@ -81,6 +82,15 @@ export class Store {
         } else if (before.seen === now) this.flashes.set(edge, before);
       }
     }
+  }
+
+  // What holds now.
+  hear(step) {
+    for (const [name, topics] of Object.entries(step.robots ?? {})) if (topics["mesh/stopped"]) this.stops.set(name, topics["mesh/stopped"].stopped);
+  }
+
+  get stopped() {
+    return this.names.filter((name) => this.stops.get(name) === true);
   }
 
   // What does not move.

@@ -27,6 +27,7 @@ from laptop.view.actions.simulated_actions import SimulatedActions  # noqa: E402
 from laptop.view.feeds.feed import SimulationFeed  # noqa: E402
 from swarm.config import parse  # noqa: E402
 from swarm.messages import topics  # noqa: E402
+from swarm.messages.codec import encode  # noqa: E402
 from swarm.process.simulations import claim  # noqa: E402
 
 pytest_plugins = ("view_fixtures",)
@@ -119,6 +120,47 @@ def test_a_stop_that_is_pressed_while_the_server_is_away_goes_out_when_it_is_bac
         expect(shown.locator("#said")).to_have_text("stop given to all robots", timeout=PATIENCE_MS)
     finally:
         second.close()
+    assert problems == []
+
+
+def test_the_stop_button_tells_what_holds_now_also_while_the_page_looks_back_and_without_a_server(
+    feed: SimulationFeed, port: int, page: tuple[Any, list[str]]
+) -> None:
+    shown, problems = page
+    stop, alive = shown.locator("#stop"), shown.locator("[data-answer=alive] b")
+    names, t = feed.buses, feed.now()
+
+    def say(stopped: bool) -> None:
+        with feed.lock:
+            for name in names:
+                feed.picture.put(name, "mesh/stopped", {"stopped": stopped}, feed.now())
+
+    with feed.lock:
+        for name in names:  # with a history, which a look back finds
+            feed.picture.take(name, f"swarm/{name}/mesh/stopped", encode({"t": t, "stopped": False, "by": {}}), t)
+    serving = Server(feed, port)
+    try:
+        shown.goto(serving.address)
+        expect(stop).to_have_text("STOP", timeout=PATIENCE_MS)
+        stop.click()
+        expect(stop).to_have_text("STOPPING 0/3", timeout=PATIENCE_MS)
+        say(True)
+        expect(stop).to_have_text("STOPPED 3/3", timeout=PATIENCE_MS)
+        until(shown, f"swarmView.store.newest > {t}")
+        shown.evaluate(f"swarmView.present.go({t})")
+        until(shown, "swarmView.store.t === swarmView.present.wanted")
+        expect(alive).to_have_text("3 of 3 stopped", timeout=PATIENCE_MS)
+        expect(stop).to_have_text("STOPPED 3/3")
+        say(False)
+        expect(stop).to_have_text("STOP", timeout=PATIENCE_MS)
+        say(True)
+        expect(stop).to_have_text("STOPPED 3/3", timeout=PATIENCE_MS)
+    finally:
+        serving.close()
+    expect(shown.locator("#connection")).to_have_text("server lost", timeout=PATIENCE_MS)
+    expect(stop).to_have_text("STOP", timeout=PATIENCE_MS)
+    stop.click()
+    expect(stop).to_have_text("STOP NOT SENT", timeout=PATIENCE_MS)
     assert problems == []
 
 

@@ -1,14 +1,16 @@
 // A chart of lines, one for each robot: drawn by uPlot (vendor/), with names and values at the lines' ends. Of many robots
 // there are bands: half of them, nearly all, extremes.
 
-import { column, short } from "../numbers.js";
+import { column, largest, short } from "../numbers.js";
 import { FONT, sizeOf, theme } from "../theme.js";
 
 const MANY = 30; // robots from which on there are bands
 const STEPS = 160; // of the bands
 const LABEL = 13; // px from one name to the next
 const BANDS = 108; // px for names and values of bands
-const RIGHT = 84; // px for names and values
+const RIGHT = [84, 180]; // px for names and values, at least and at most
+const SHARE = 0.3; // of the chart at most for names and values
+const VALUE = 52; // px for a value, and from a line's end to its name
 // uPlot goes along an axis by adding steps. It never arrives where a step is too small to change the number, or too small
 // for the way.
 const LEAST = 1e-12; // the least width of an axis, as a share of its largest number
@@ -33,7 +35,7 @@ export class Plot {
     const drawn = own.length > MANY ? [...bands(own), ...own.filter((each) => each.name === selected), ...lines.filter((each) => each.dash)] : lines;
     this.lines = drawn;
     const data = uPlot.join(drawn.map(({ points }) => columns(points, scale.factor, log)), drawn.map(() => [0, EXPAND]));
-    const shape = JSON.stringify([drawn.map((line) => [line.name, line.dash, few(line)]), log, over, theme.version, selected, scale.unit, stepped]);
+    const shape = JSON.stringify([drawn.map((line) => [line.name, line.dash, few(line)]), log, over, theme.version, selected, scale.unit, stepped, SHARE * width < RIGHT[1] && width]);
     this.range = from;
     if (this.plot && shape === this.shape) {
       if (this.plot.width !== width || this.plot.height !== height) this.plot.setSize({ width, height });
@@ -44,10 +46,14 @@ export class Plot {
     this.shape = shape;
     const muted = theme.colour("--muted"), hair = theme.colour("--grid"), font = `11px ${FONT}`;
     const axis = { stroke: muted, font, grid: { stroke: hair, width: 1 }, ticks: { show: false }, gap: 4 };
+    const pen = document.createElement("canvas").getContext("2d");
+    pen.font = `600 11px ${FONT}`;
+    const names = Math.ceil(largest(own.map(({ name }) => pen.measureText(name).width)));
+    this.right = own.length > MANY ? BANDS : Math.max(RIGHT[0], Math.min(RIGHT[1], SHARE * width, names + VALUE));
     const xs = (_, low, high) => this.range ?? counted(low, high);
     this.plot = new uPlot({
       width, height,
-      padding: [8, own.length > MANY ? BANDS : RIGHT, 0, 0],
+      padding: [8, this.right, 0, 0],
       legend: { show: false },
       cursor: { sync: { key: sync.key, scales: ["x", null], filters: { pub: () => true, sub: () => over === "t" } }, y: false, points: { size: 5 }, drag: { x: false } },
       scales: { x: { time: false, range: xs }, y: log ? { distr: 3, range: (_, low, high) => decades(low, high) } : { range: (_, low, high) => room(low, high === null ? high : Math.min(high, Math.max(low, this.top))) } },
@@ -96,14 +102,23 @@ export class Plot {
       c.stroke();
       c.fillStyle = theme.colour("--text");
       c.font = `600 ${11 * ratio}px ${FONT}`;
-      c.fillText(name, end + 13 * ratio, at);
-      const wide = c.measureText(`${name} `).width;
+      const called = shortened(c, name, (this.right - VALUE) * ratio);
+      c.fillText(called, end + 13 * ratio, at);
+      const wide = c.measureText(`${called} `).width;
       c.font = `${11 * ratio}px ${FONT}`;
       c.fillStyle = theme.colour("--muted");
       c.fillText(text(value), end + 13 * ratio + wide, at);
     }
     c.restore();
   }
+}
+
+// A name without its beginning where there is no room for all of it: names of one swarm differ at their ends.
+function shortened(c, name, room) {
+  if (c.measureText(name).width <= room) return name;
+  let from = 1;
+  while (from < name.length - 1 && c.measureText(`…${name.slice(from)}`).width > room) from += 1;
+  return `…${name.slice(from)}`;
 }
 
 // Whether a line has so few points that they are marked.

@@ -51,9 +51,9 @@ export class Answers {
     const dead = names.filter((name) => store.gone(name)), failed = names.filter((name) => store.failed(name));
     const silent = names.filter((name) => !store.robots.has(name) && !dead.includes(name));
     const left = names.map((name) => [store.get(name, "balancer/state")?.battery_left, name]).filter(([each]) => typeof each === "number").sort(([a], [b]) => a - b)[0];
-    const stopped = names.filter((name) => store.get(name, "mesh/stopped")?.stopped);
+    const { stopped } = store;
     const value = `${names.length - dead.length - silent.length} of ${names.length}`;
-    if (stopped.length) return { value: `${stopped.length} of ${names.length} stopped`, note: "take the stops back to go on", kind: "bad" };
+    if (stopped.length) return { value: `${stopped.length} of ${names.length} stopped`, note: `${dead.length ? `gone: ${some(dead)}; ` : ""}take the stops back to go on`, kind: "bad" };
     if (dead.length) return { value, note: `gone: ${some(dead)}`, kind: "bad" };
     if (failed.length) return { value, note: `in a fault: ${some(failed)}`, kind: "bad" };
     const ended = this.ended();

@@ -22,8 +22,10 @@ export class Controls {
     this.outcomes = new Outcomes(find("#outcomes"), store);
     this.shown = this.known = this.slid = "";
     this.owed = null; // a stop that could not be sent yet
-    this.modes = ["stand", "rest", "lie"].map((mode) => button(mode, () => this.mode(mode), { hidden: true, className: "mode" }));
-    this.arm.before(...this.modes);
+    this.given = false; // a stop that no robot has confirmed yet
+    this.whom = find("#whom");
+    this.modes = ["stand", "rest", "lie"].map((mode) => button(mode, () => this.mode(mode), { hidden: true }));
+    this.whom.after(...this.modes);
     this.stop.addEventListener("click", () => this.act({ act: "stop" }));
     this.arm.addEventListener("click", () => this.act({ act: "arm" }));
     this.apps.addEventListener("submit", (event) => {
@@ -36,8 +38,11 @@ export class Controls {
 
   // Without a server nothing can be sent. A stop is kept until there is one again: a late stop harms nobody, all else might.
   act(act) {
-    if (act.act === "stop" || act.act === "arm") this.owed = null;
-    if (this.ask({ do: act })) return this.expect(act);
+    if (act.act === "stop" || act.act === "arm") [this.owed, this.given] = [null, false];
+    if (this.ask({ do: act })) {
+      this.given ||= act.act === "stop";
+      return this.expect(act);
+    }
     if (act.act === "stop") this.owed = act;
     this.tell(this.owed ? "NOT SENT: the server is lost. The stop is sent as soon as it is back; swarm estop does not need it" : "not sent: the server is lost", true);
   }
@@ -47,7 +52,7 @@ export class Controls {
     const robots = robot ? [robot] : [...this.store.names], get = (topic) => (each) => this.store.get(each, topic);
     const service = (each) => this.store.services[each]?.[`app/${app}`];
     const seen = {
-      stop: (each) => get("mesh/stopped")(each)?.stopped === true, arm: (each) => get("mesh/stopped")(each)?.stopped === false,
+      stop: (each) => this.store.stops.get(each) === true, arm: (each) => this.store.stops.get(each) === false,
       start: (each) => service(each) === true, end: (each) => service(each) === false,
       set: (each) => get(`app/${app}/parameters`)(each)?.parameters?.[name]?.value === value,
       mode: (each) => STANDS[mode]?.includes(get("balancer/state")(each)?.mode),
@@ -86,17 +91,23 @@ export class Controls {
     this.act({ act: "mode", mode, ...(this.robot ? { robot: this.robot } : {}) });
   }
 
-  draw(robot, map) {
-    const names = this.store.names;
+  // What the stop button says. While the server is lost nobody knows what holds.
+  state(stopped, silent) {
+    if (this.owed) return "STOP NOT SENT";
+    if (silent) return "STOP";
+    if (stopped) this.given = false;
+    return stopped ? `STOPPED ${stopped}/${this.store.names.length}` : this.given ? `STOPPING 0/${this.store.names.length}` : "STOP";
+  }
+
+  draw(robot, map, silent) {
     this.robot = robot;
-    const stopped = names.filter((name) => this.store.get(name, "mesh/stopped")?.stopped);
+    const stopped = this.store.stopped.length;
     this.stop.hidden = !this.can("stop");
-    this.arm.hidden = !this.can("arm") || !stopped.length;
-    write(this.stop, stopped.length ? `STOPPED ${stopped.length}/${names.length}` : "STOP");
-    this.modes.forEach((each, index) => {
-      each.hidden = !this.can("mode");
-      write(each, `${["stand", "rest", "lie"][index]}${robot ? ` ${robot}` : ""}`);
-    });
+    this.arm.hidden = !this.can("arm") || !stopped;
+    write(this.stop, this.state(stopped, silent));
+    this.whom.hidden = !this.can("mode");
+    write(this.whom, robot ?? "all");
+    for (const each of this.modes) [each.hidden, each.ariaLabel] = [this.whom.hidden, `${each.textContent} ${robot ?? "all"}`];
     const acts = this.can("set") || this.can("start");
     this.whole.hidden = !acts;
     this.main.classList.toggle("controlled", acts);

@@ -18,6 +18,8 @@ pytest_plugins = ("view_fixtures",)
 pytestmark = [pytest.mark.timeout(120), pytest.mark.filterwarnings("ignore::ResourceWarning")]
 
 DESK = {"width": 1440, "height": 900}
+LONGEST = "robot-number-000"
+"""A robot's name of as many characters as it may have."""
 SIX = ("map", "values", "pace", "error", "robots", "events")
 ACTS = (
     "swarmView.store.swarm.acts = ['stop', 'arm', 'mode', 'set', 'start', 'end', 'cut', 'kill', 'press', 'push', 'lay']"
@@ -130,7 +132,7 @@ def test_an_event_app_has_a_lane_a_robot_with_a_mark_for_each_kind_of_event(brow
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("width", "height"), [(320, 640), (390, 844), (1024, 768), (1920, 1080)])
+@pytest.mark.parametrize(("width", "height"), [(320, 640), (390, 844), (800, 700), (1024, 768), (1920, 1080)])
 def test_nothing_is_cut_and_stop_is_on_top_on_any_screen(browser: Any, waits: Path, width: int, height: int) -> None:
     with shown(browser, waits, viewport={"width": width, "height": height}) as page:
         seek(page, 8)
@@ -141,17 +143,44 @@ def test_nothing_is_cut_and_stop_is_on_top_on_any_screen(browser: Any, waits: Pa
         assert page.evaluate(LAID_OUT)
         page.evaluate(ACTS)
         expect(page.locator("#stop")).to_be_visible(timeout=PATIENCE_MS)
-        page.evaluate("for (const known of swarmView.store.robots.values()) known.set('mesh/stopped', {stopped: true})")
+        page.evaluate(f"swarmView.store.swarm.robots[0] = '{LONGEST}'")
+        page.evaluate("for (const name of swarmView.store.names) swarmView.store.stops.set(name, true)")
         for act in (
             "scrollTo(0, 0)",
             "scrollTo(0, document.body.scrollHeight)",
-            "swarmView.select('r0')",
+            f"swarmView.select('{LONGEST}')",
             "document.querySelector('#find').click()",
             "swarmView.layout.arrange()",
         ):
             page.evaluate(act)
             until(page, ON_TOP)
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+
+
+def test_a_robot_with_the_longest_name_leaves_room_for_stop_and_its_outcome_and_has_its_value_in_charts(
+    browser: Any, waits: Path
+) -> None:
+    with shown(browser, waits, viewport={"width": 1440, "height": 900}) as page:
+        seek(page, 8)
+        expect(page.locator("#values .plot canvas")).to_be_visible(timeout=PATIENCE_MS)
+        page.evaluate(ACTS)
+        page.evaluate("swarmView.store.stops.set('r1', true)")
+        page.evaluate(f"swarmView.store.swarm.robots.push('{LONGEST}'); swarmView.select('{LONGEST}')")
+        page.evaluate("document.querySelector('#said').textContent = 'stop given to all robots'")
+        expect(page.get_by_role("button", name=f"stand {LONGEST}")).to_be_visible(timeout=PATIENCE_MS)
+        assert page.evaluate(
+            "(({scrollWidth, clientWidth}) => scrollWidth <= clientWidth)(document.querySelector('#said'))"
+        )
+        for width in (1440, 1200, 1024, 800):
+            page.set_viewport_size({"width": width, "height": 800})
+            until(page, ON_TOP)
+        assert page.evaluate("swarmView.values.chart.plot.right") == 84, "of short names"
+        points = "[[0, 1, 0], [8, 2, 0]]"
+        page.evaluate(
+            "swarmView.values.chart.plot.draw({scale: {unit: '', factor: 1}, lines: "
+            f"[{{name: '{LONGEST}', colour: '#000000', points: {points}}}]}})"
+        )
+        assert page.evaluate("swarmView.values.chart.plot.right") > 150
 
 
 @pytest.mark.slow
