@@ -26,7 +26,7 @@ from laptop.view.feeds.feed import LiveFeed
 from laptop.view.feeds.picture import TRAIL_S
 from laptop.view.layouts import Layouts, default_path
 from laptop.view.playing import Playing, number_asked
-from laptop.view.questions import Answer, Questions, as_json
+from laptop.view.questions import MAX_WAITING, Answer, Questions, as_json
 from laptop.view.recording import ViewedRecording
 from laptop.view.scene import fixed_parts
 from swarm.errors import LocalError, PayloadError
@@ -126,8 +126,7 @@ async def _live(request: web.Request) -> web.StreamResponse:
     await socket.prepare(request)
     feed, control, layouts = request.app[_FEED], request.app[_CONTROL], request.app[_LAYOUTS]
     if isinstance(feed, ViewedRecording):
-        with contextlib.suppress(ConnectionError):  # the page may be gone before its answer is there
-            await _play(Playing(feed, request.app[_LAYOUTS], request.query.get("run")), socket)
+        await _play(Playing(feed, request.app[_LAYOUTS], request.query.get("run")), socket)
         return socket
     loop, halts = asyncio.get_running_loop(), request.app[_HALTS]
     questions = Questions(
@@ -240,11 +239,32 @@ async def _tell(steps: _PageSteps, socket: web.WebSocketResponse, builders: conc
 
 
 async def _play(playing: Playing, socket: web.WebSocketResponse) -> None:
-    """Answer a page that goes through a recording at its own pace."""
-    await socket.send_str(as_json(playing.first()))
-    async for asked, problem in _messages(socket):
-        answer = {"refused": problem} if problem else await asyncio.to_thread(playing.answer, asked)
+    """Answer a page that goes through a recording at its own pace. Numbers over the whole run take long: they have a
+    queue of their own, so that the page plays on meanwhile."""
+
+    async def answer(asked: Any) -> None:
+        answer = await asyncio.to_thread(playing.answer, asked)
         await socket.send_str(await asyncio.to_thread(as_json, answer))
+
+    async def answer_series() -> None:
+        while True:
+            await answer(await charts.get())
+
+    charts = asyncio.Queue[Any](MAX_WAITING)
+    try:
+        async with asyncio.TaskGroup() as group:
+            await socket.send_str(as_json(playing.first()))
+            drawing = group.create_task(answer_series())
+            async for asked, problem in _messages(socket):
+                if problem:
+                    await socket.send_str(as_json({"refused": problem}))
+                elif isinstance(asked, dict) and "series" in asked:
+                    await charts.put(asked)
+                else:
+                    await answer(asked)
+            drawing.cancel()
+    except* ConnectionError:
+        pass  # the page is gone before its answer is there
 
 
 def _told(feed: LiveFeed, control: Control | None, layouts: Layouts, asked: Any) -> str:

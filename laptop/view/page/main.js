@@ -7,7 +7,7 @@ import { Focus } from "./focus.js";
 import { Layout } from "./layout.js";
 import { goals } from "./map/goals.js";
 import { SwarmMap } from "./map/map.js";
-import { column, largest, scaled, write } from "./numbers.js";
+import { column, counted, largest, scaled, write } from "./numbers.js";
 import { part } from "./part.js";
 import { Answers } from "./panels/answers.js";
 import { Controls } from "./panels/controls.js";
@@ -163,7 +163,7 @@ function news() {
 
 // What the page is about.
 function head() {
-  const recording = store.swarm?.recording, about = store.swarm ? `${store.swarm.kind}${recording ? ` ${recording.name}` : ""} · ${store.names.length} robots${focus.app ? ` · ${focus.kind}` : ""}${directed && recording ? ` · ${store.t.toFixed(2)} s` : ""}` : "";
+  const recording = store.swarm?.recording, about = store.swarm ? `${store.swarm.kind}${recording ? ` ${recording.name}` : ""} · ${counted(store.names.length)}${focus.app ? ` · ${focus.kind}` : ""}${directed && recording ? ` · ${store.t.toFixed(2)} s` : ""}` : "";
   write(find("#kind"), about);
   find("#speed").hidden = !recording;
 }

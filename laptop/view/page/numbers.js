@@ -23,6 +23,8 @@ export function scaled(unit, most) {
 
 export const some = (names) => (names.length > 4 ? `${names.slice(0, 4).join(" ")} and ${names.length - 4} more` : names.join(" "));
 
+export const counted = (robots) => `${robots} robot${robots === 1 ? "" : "s"}`;
+
 export const median = (values) => {
   const sorted = [...values].sort((a, b) => a - b), middle = sorted.length >> 1;
   return sorted.length ? (sorted.length % 2 ? sorted[middle] : (sorted[middle - 1] + sorted[middle]) / 2) : NaN;

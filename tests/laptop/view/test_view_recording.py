@@ -1,6 +1,7 @@
 """A recorded run on the page: at any instant, from any other one."""
 
 import asyncio
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -113,6 +114,29 @@ def test_a_page_asks_for_instants_and_anything_else_is_refused(recording: Viewed
             assert set((await socket.receive_json(timeout=60))["series"]["rows"]) == {"r0", "r1", "r2"}
 
     asyncio.run(main())
+
+
+def test_a_page_plays_on_while_the_server_collects_numbers_for_its_charts(
+    recording: ViewedRecording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go_on = threading.Event()
+    series = recording.series
+    monkeypatch.setattr(recording, "series", lambda *asked: go_on.wait(60.0) and series(*asked))
+
+    async def main() -> None:
+        async with TestClient(TestServer(application(recording, None, "token"), host="127.0.0.1")) as client:
+            socket = await client.ws_connect("/live?token=token")
+            await socket.receive_json(timeout=60)
+            await socket.send_json({"series": {"topic": "app/consensus/state", "fields": [["state", "value"]]}})
+            await socket.send_json({"seek": {"since": None, "t": 1.0}})
+            assert (await socket.receive_json(timeout=60))["t"] == 1.0
+            go_on.set()
+            assert set((await socket.receive_json(timeout=60))["series"]["rows"]) == {"r0", "r1", "r2"}
+
+    try:
+        asyncio.run(main())
+    finally:
+        go_on.set()
 
 
 def test_a_page_is_given_pictures_and_films_or_told_why_there_are_none(

@@ -1,7 +1,7 @@
 // What robots do that do not step together: a lane for each, with a tick for each step of a periodic app. Of an event app a
 // dot for each change of its state, and bars and diamonds for the numbers that it records.
 
-import { write } from "../numbers.js";
+import { largest, write } from "../numbers.js";
 import { plain } from "../series.js";
 import { FONT, sharp, theme } from "../theme.js";
 
@@ -11,7 +11,7 @@ const LATE = 3; // periods
 const RATE_S = 5;
 const REDRAW_MS = 200;
 const KINDS = ["bars", "diamonds"]; // of what an event app records
-const LEFT = 44, RIGHT = 104, BOTTOM = 18;
+const LEFT = 44, RIGHT = 104, BOTTOM = 18, NAMED = 10; // px; the last one is the least height of a lane with its robot's name
 
 export class Lanes {
   constructor(section, store, series, focus, select) {
@@ -103,7 +103,10 @@ export class Lanes {
   paint(names, selected, ratio) {
     const c = this.canvas.getContext("2d"), width = this.canvas.width / ratio, height = this.canvas.height / ratio;
     const kind = this.focus.kind, span = this.span, period = this.focus.period, late = new Set(this.late());
-    const lane = (this.lane = Math.min(26, Math.max(4, (height - BOTTOM) / names.length))), x = (t) => LEFT + (width - LEFT - RIGHT) * (1 - (this.now - t) / span);
+    const lane = (this.lane = Math.min(26, Math.max(4, (height - BOTTOM) / names.length)));
+    c.font = `600 11px ${FONT}`;
+    const left = (this.left = lane < NAMED ? LEFT : Math.max(LEFT, 24 + largest(names.map((name) => c.measureText(name).width))));
+    const x = (t) => left + (width - left - RIGHT) * (1 - (this.now - t) / span);
     c.setTransform(ratio, 0, 0, ratio, 0, 0);
     c.clearRect(0, 0, width, height);
     c.textBaseline = "middle";
@@ -130,7 +133,7 @@ export class Lanes {
           else diamond(c, x(t), y, Math.min(5, size / 2));
         }
       });
-      if (lane < 10) return;
+      if (lane < NAMED) return;
       c.fillStyle = theme.colour("--text");
       c.font = `600 11px ${FONT}`;
       c.textAlign = "left";

@@ -57,7 +57,7 @@ export class Chart {
     const recording = this.store.swarm?.recording, at = recording || this.store.looking ? this.store.t : null;
     const off = this.log && !isDistance(value); // what is no distance is drawn as one
     const newest = new Map(robots.map((name) => [name, (at === null ? this.series.points(entry, name).at(-1) : held(this.series.points(entry, name), at))?.[1]]).filter(([, each]) => each !== undefined));
-    const said = hero(newest), scale = scaled(value.unit ?? "", largest([...newest.values()].map(Math.abs)));
+    const said = newest.size ? hero(newest) : { value: null, text: () => "nothing told yet" }, scale = scaled(value.unit ?? "", largest([...newest.values()].map(Math.abs)));
     write(this.hero, said.value === null ? "-" : short(said.value * scale.factor));
     write(this.note, ` ${scale.unit} ${said.text(scale)}`);
     write(this.unit, [`${scale.unit}${value.truth ? " against truth" : ""}`, off && "distance from the mean", value.truth || (counts && this.over === "k" ? "over iterations" : "over time")].filter((each) => each && each !== true).join(", "));
@@ -137,7 +137,7 @@ function means(series, entry, robots, run) {
 
 const press = (button, on) => button.ariaPressed !== String(on) && (button.ariaPressed = String(on));
 
-const worst = (newest) => [...newest].reduce((most, each) => (Math.abs(each[1]) > Math.abs(most[1]) ? each : most), ["", 0]);
+const worst = (newest) => [...newest].reduce((most, each) => (Math.abs(each[1]) > Math.abs(most[1]) ? each : most));
 
 // The app's own values, and what else somebody has asked for.
 export class Values {

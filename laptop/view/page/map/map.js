@@ -14,7 +14,8 @@ const FLASH_MS = 160;
 const FRAME_MS = 16;
 const STEP = 2; // pixels by which something may be off before it is drawn anew: nobody sees less
 const LABELS_MS = 250; // between two looks at names that are about to move
-const MARGIN = 0.3; // m around everything
+const MARGIN = 0.3; // m around everything, and
+const EDGE = 20; // px around it at least: a robot is as large in a swarm that is spread far
 const LOOSE = 1.4; // times as large as it might be, and it is fitted anew
 const [HEAD, HEAD_OF_PHONE] = [34, 52]; // px of the panel's title above the map
 const phone = matchMedia("(max-width: 760px)");
@@ -150,7 +151,8 @@ export class SwarmMap {
     if (left > right) [left, bottom, right, top] = [-1, -1, 1, 1];
     const head = (phone.matches ? HEAD_OF_PHONE : HEAD) * (window.devicePixelRatio || 1), free = Math.max(height / 2, height - head); // below the switches
     const scale = ([x0, y0, x1, y1]) => Math.min(width / (x1 - x0), free / (y1 - y0));
-    const box = this.box, tight = [left - MARGIN, bottom - MARGIN, right + MARGIN, top + MARGIN];
+    const margin = Math.max(MARGIN, (EDGE * (window.devicePixelRatio || 1)) / scale([left, bottom, right, top]));
+    const box = this.box, tight = [left - margin, bottom - margin, right + margin, top + margin];
     const inside = box && left > box[0] && bottom > box[1] && right < box[2] && top < box[3];
     if (!inside || scale(tight) > LOOSE * scale(box)) this.box = tight;
     const [x0, y0, x1, y1] = this.box;

@@ -1,7 +1,7 @@
 // The five questions, answered in words: is everyone alive, does it converge, who holds us up, how wrong are places, what
 // happened. An answer is a button to the panel that explains it.
 
-import { ago, median, scaled, short, SIGMAS, some, write } from "../numbers.js";
+import { ago, counted, median, scaled, short, SIGMAS, some, write } from "../numbers.js";
 import { held, isDistance } from "../series.js";
 
 const BACK_S = 8; // what converging is judged by
@@ -74,11 +74,13 @@ export class Answers {
       const ys = points.map((each) => held(each, at)?.[1]).filter((each) => each !== undefined);
       return ys.length ? Math.max(...ys) - (positive ? 0 : Math.min(...ys)) : NaN;
     };
-    const last = spread(t), most = Math.max(...points.map((each) => Math.max(...each.map(([, y]) => y)))) - (positive ? 0 : Math.min(...points.map((each) => Math.min(...each.map(([, y]) => y)))));
+    const last = spread(t);
+    if (Number.isNaN(last)) return { value: "No values yet", note: value.label };
+    const most = Math.max(...points.map((each) => Math.max(...each.map(([, y]) => y)))) - (positive ? 0 : Math.min(...points.map((each) => Math.min(...each.map(([, y]) => y)))));
     const scale = scaled(value.unit, last), now = `${value.label}: ${positive ? "worst" : "spread"} ${short(last * scale.factor)}${scale.unit ? ` ${scale.unit}` : ""}`;
     const agreed = held(points[0], t)?.[1];
-    if (this.focus.kind === "event" && last === 0 && agreed !== undefined) return { value: `All at ${short(agreed)}`, note: `${value.label} of ${robots.length} robots` };
-    if (this.focus.kind === "event") return { value: now.slice(value.label.length + 2), note: `${value.label} of ${robots.length} robots` };
+    if (this.focus.kind === "event" && last === 0 && agreed !== undefined) return { value: `All at ${short(agreed)}`, note: `${value.label} of ${counted(robots.length)}` };
+    if (this.focus.kind === "event") return { value: now.slice(value.label.length + 2), note: `${value.label} of ${counted(robots.length)}` };
     const ended = this.focus.kind === "lockstep" ? this.ended() : [];
     if (ended.length) return { value: "No, it has ended", note: `the app has failed on ${some(ended)}`, kind: "bad" };
     if (this.focus.kind === "lockstep" && this.waiting().size && this.still()) return { value: "Held", note: now, kind: "warn" };

@@ -71,6 +71,12 @@ LINKS_IN_RIMS = """(() => {
   return found;
 })()"""
 
+LATER = """for (const entry of swarmView.series.entries.values()) {
+  for (const {rows} of entry.sources) for (const points of rows.values()) for (const point of points) point[0] += 100;
+  swarmView.series.touch(entry);
+}"""
+"""All that robots tell is told 100 s later."""
+
 
 @pytest.fixture(scope="module")
 def waits(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -118,6 +124,9 @@ def test_a_periodic_app_has_its_values_and_steps_and_no_columns_of_iterations(br
         expect(page.locator("#lockstep")).to_be_hidden()
         expect(page.locator("#lanes h2")).to_have_text("Steps")
         assert page.evaluate("swarmView.lanes.rate()") == pytest.approx(10.0, rel=0.1)
+        assert page.evaluate("swarmView.lanes.left") == 44
+        page.evaluate(f"swarmView.store.swarm.robots[2] = '{LONGEST}'; swarmView.lanes.shape = ''")
+        until(page, "swarmView.lanes.left > 100")  # no step is drawn below a name
 
 
 @pytest.mark.slow
@@ -217,6 +226,22 @@ def test_a_name_that_would_cover_another_one_moves_at_once(waiting: Any) -> None
       });
     }""")
     assert overlaps == [False] * 4
+
+
+def test_before_its_first_value_nothing_is_said_of_what_an_app_computes(waiting: Any) -> None:
+    expect(waiting.locator("#values .hero b")).not_to_have_text("-", timeout=PATIENCE_MS)
+    waiting.evaluate(LATER)
+    expect(waiting.locator("[data-answer=converging] b")).to_have_text("No values yet", timeout=PATIENCE_MS)
+    expect(waiting.locator("#values .hero b")).to_have_text("-", timeout=PATIENCE_MS)
+    expect(waiting.locator("#values .hero .note")).to_contain_text("nothing told yet")
+
+
+def test_robots_of_a_swarm_that_is_spread_far_are_whole_at_the_edges_of_the_map(waiting: Any) -> None:
+    places = "new Map([['r0', {x: 0, y: 0}], ['r1', {x: 200, y: 200}]])"
+    left, bottom = waiting.evaluate(
+        f"(({{x, y, scale}}) => [200 - x * scale, 200 - y * scale])(swarmView.map.fit({places}, [], 400, 400))"
+    )
+    assert min(left, bottom) > 15, "pixels from the map's edge to a robot's middle"
 
 
 @pytest.mark.slow
