@@ -14,6 +14,9 @@ from swarm.recording.run import Run, natural
 CROWD = 24
 """Number of links or robots from which on the mesh is drawn without labels."""
 
+INSIDE = 4
+"""The most letters of a name that stands in its robot's circle."""
+
 APART = 0.15
 """Distance below which two drawn robots hide each other, m."""
 BESIDE = 0.12
@@ -100,7 +103,18 @@ def network(
         face = (faces or {}).get(name, "white")
         axes.plot(x, y, "o", color=face, markeredgecolor="black", markersize=5 if crowded else 21, zorder=3)
         if not crowded:
-            axes.annotate(name, (x, y), ha="center", va="center", fontsize=8.5, zorder=4)
+            below = len(name) > INSIDE
+            axes.annotate(
+                name,
+                (x, y),
+                textcoords="offset points",
+                xytext=(0.0, -12.0 if below else 0.0),
+                ha="center",
+                va="top" if below else "center",
+                fontsize=8.5,
+                zorder=4,
+                bbox={"fc": "white", "ec": "none", "alpha": 0.7, "pad": 0.5} if below else None,
+            )
     if known:
         bar = figure.colorbar(ScalarMappable(scale, ramp), ax=axes, shrink=0.75, pad=0.02)
         bar.set_label("round-trip time / ms")

@@ -65,9 +65,14 @@ def mark(index: int) -> str:
 
 
 def legend(axes: Any, count: int, **options: Any) -> None:
-    """Draw a legend of robots above the axes, where no data is. With too many robots it would hide the picture."""
+    """Draw a legend of robots above the axes, where no data is, in lines that are no wider than the axes: the layout
+    takes the room of a wider one from the axes. With too many robots it would hide the picture."""
     if count <= FEW:
-        place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": count, "borderaxespad": 0.2}
+        _, names = axes.get_legend_handles_labels()
+        entry = (3.2 + 0.58 * max(map(len, names), default=0)) * RC["legend.fontsize"]
+        fit = int(72.0 * axes.figure.get_figwidth() / axes.get_subplotspec().get_gridspec().ncols / entry)
+        lines = -(-count // max(1, fit))
+        place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": -(-count // lines), "borderaxespad": 0.2}
         axes.legend(**{**place, "handlelength": 1.4, "columnspacing": 1.0, **options})
 
 

@@ -14,7 +14,7 @@ from laptop.cli.runs.plot import KINDS
 from laptop.plotting import style
 from laptop.plotting.events import _flashes
 from laptop.plotting.journeys import JourneyLeg, Pass, _answers, _arrivals, _heard, _requests, legs
-from laptop.plotting.mesh import layout, spots
+from laptop.plotting.mesh import layout, network, spots
 from laptop.plotting.mesh import mesh as mesh_plot
 from laptop.plotting.style import figure
 from sim.report import summary
@@ -147,6 +147,30 @@ class LinksAlone:
         for t, (robot, dropped) in enumerate(self.told if topic.endswith("mesh/links") else ()):
             links = [{"peer": peer, "state": "up", "rtt": 0.05, "dropped": count} for peer, count in dropped.items()]
             yield SimpleNamespace(topic=f"swarm/{robot}/mesh/links", message={"links": links}, t=float(t))
+
+
+@pytest.mark.parametrize("name", ["r{}", "robot-number-{:03d}"])
+def test_a_legend_is_no_wider_than_its_axes_and_takes_no_room_from_them(name):
+    with figure(None, settings=style.RC, layout="constrained") as made:
+        made.set_size_inches(7.2, 2.9)
+        grid = made.add_gridspec(1, 2)
+        left, right = (made.add_subplot(each) for each in grid)
+        for robot in range(style.FEW):
+            left.plot([0.0, 1.0], [0.0, robot], label=name.format(robot))
+        right.plot([0.0, 1.0], [0.0, 1.0])
+        style.legend(left, style.FEW)
+        made.draw_without_rendering()
+        assert left.get_position().width > 0.4
+        assert left.get_legend().get_window_extent().x1 <= right.get_window_extent().x0
+
+
+def test_a_long_name_stands_beside_its_robot_in_the_mesh_and_not_across_its_rim():
+    with figure(None) as made:
+        network(made, {"r0": (0.0, 0.0), "robot-number-001": (1.0, 0.0)}, {})
+        made.draw_without_rendering()
+        (axes,) = made.axes
+        offset = {each.get_text(): each.xyann for each in axes.texts}
+    assert offset == {"r0": (0.0, 0.0), "robot-number-001": (0.0, -12.0)}
 
 
 def test_the_mesh_is_drawn_without_links_that_are_gone_and_counts_drops_over_restarts():
