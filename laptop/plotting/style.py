@@ -28,6 +28,8 @@ TIME = "time / s"
 """The label of an axis that shows time."""
 NOTE_PT = 8.0
 """Size of notes below a picture. A letter of usual text is less than 0.58 of that wide."""
+LEGEND_PT = 8.0
+"""Size of the text of legends."""
 FEW = len(COLOURS)
 """The most robots that have a colour of their own and a line in the legend."""
 
@@ -41,7 +43,7 @@ RC = {
     "grid.linewidth": 0.6,
     "axes.axisbelow": True,
     "legend.frameon": False,
-    "legend.fontsize": 8,
+    "legend.fontsize": LEGEND_PT,
     "savefig.bbox": "tight",
     "svg.fonttype": "none",
     "pdf.fonttype": 42,
@@ -69,7 +71,7 @@ def legend(axes: Any, count: int, **options: Any) -> None:
     takes the room of a wider one from the axes. With too many robots it would hide the picture."""
     if count <= FEW:
         _, names = axes.get_legend_handles_labels()
-        entry = (3.2 + 0.58 * max(map(len, names), default=0)) * RC["legend.fontsize"]
+        entry = (3.2 + 0.58 * max(map(len, names), default=0)) * LEGEND_PT
         fit = int(72.0 * axes.figure.get_figwidth() / axes.get_subplotspec().get_gridspec().ncols / entry)
         lines = -(-count // max(1, fit))
         place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": -(-count // lines), "borderaxespad": 0.2}
