@@ -164,6 +164,25 @@ def test_the_stop_button_tells_what_holds_now_also_while_the_page_looks_back_and
     assert problems == []
 
 
+def test_a_stop_that_no_robot_has_confirmed_when_the_server_goes_is_sent_again(
+    feed: SimulationFeed, port: int, page: tuple[Any, list[str]]
+) -> None:
+    shown, problems = page
+    first = Server(feed, port)
+    shown.goto(first.address)
+    shown.locator("#stop").click(timeout=PATIENCE_MS)
+    expect(shown.locator("#stop")).to_have_text("STOPPING 0/3", timeout=PATIENCE_MS)
+    first.close()
+    expect(shown.locator("#stop")).to_have_text("STOP NOT CONFIRMED", timeout=PATIENCE_MS)
+    given = stops(feed)
+    second = Server(feed, port)
+    try:
+        wait_until(lambda: all(now > before for now, before in zip(stops(feed), given, strict=True)))
+    finally:
+        second.close()
+    assert problems == []
+
+
 ODD = [5, None, "x", [], [5], [{}], {}, {"a": {}}, [[[]]], 1e16, 1e300, -1, True, "\x1b[31m<b>"]
 
 

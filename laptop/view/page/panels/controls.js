@@ -21,8 +21,8 @@ export class Controls {
     this.main = find("main");
     this.outcomes = new Outcomes(find("#outcomes"), store);
     this.shown = this.known = this.slid = "";
-    this.owed = null; // a stop that could not be sent yet
-    this.given = false; // a stop that no robot has confirmed yet
+    this.stopping = ""; // of a stop: "owed" while it could not be sent, "given" until a robot confirms it
+    this.before = 0; // robots that were stopped when it was given
     this.whom = find("#whom");
     this.modes = ["stand", "rest", "lie"].map((mode) => button(mode, () => this.mode(mode), { hidden: true }));
     this.whom.after(...this.modes);
@@ -38,13 +38,11 @@ export class Controls {
 
   // Without a server nothing can be sent. A stop is kept until there is one again: a late stop harms nobody, all else might.
   act(act) {
-    if (act.act === "stop" || act.act === "arm") [this.owed, this.given] = [null, false];
-    if (this.ask({ do: act })) {
-      this.given ||= act.act === "stop";
-      return this.expect(act);
-    }
-    if (act.act === "stop") this.owed = act;
-    this.tell(this.owed ? "NOT SENT: the server is lost. The stop is sent as soon as it is back; swarm estop does not need it" : "not sent: the server is lost", true);
+    const sent = this.ask({ do: act });
+    if (act.act === "stop") [this.stopping, this.before] = [sent ? "given" : "owed", this.store.stopped.length];
+    if (act.act === "arm") this.stopping = "";
+    if (sent) return this.expect(act);
+    this.tell(this.stopping === "owed" ? "NOT SENT: the server is lost. The stop is sent as soon as it is back; swarm estop does not need it" : "not sent: the server is lost", true);
   }
 
   // By what of a robot it can be seen that an act has come to something.
@@ -60,8 +58,9 @@ export class Controls {
     if (seen) this.outcomes.watch([act === "mode" ? mode : act, app, name === undefined ? "" : `${name} ${typeof value === "number" ? short(value) : value}`].filter(Boolean).join(" "), robots, seen);
   }
 
+  // A connection may have ended with a stop on its way.
   connected() {
-    if (this.owed) this.act(this.owed);
+    if (this.stopping) this.act({ act: "stop" });
   }
 
   tell(text, refused) {
@@ -93,10 +92,11 @@ export class Controls {
 
   // What the stop button says. While the server is lost nobody knows what holds.
   state(stopped, silent) {
-    if (this.owed) return "STOP NOT SENT";
-    if (silent) return "STOP";
-    if (stopped) this.given = false;
-    return stopped ? `STOPPED ${stopped}/${this.store.names.length}` : this.given ? `STOPPING 0/${this.store.names.length}` : "STOP";
+    const all = this.store.names.length, { stopping } = this;
+    if (stopping === "owed") return "STOP NOT SENT";
+    if (silent) return stopping ? "STOP NOT CONFIRMED" : "STOP";
+    if (stopped > this.before || stopped === all) this.stopping = "";
+    return stopped ? `STOPPED ${stopped}/${all}` : stopping ? `STOPPING 0/${all}` : "STOP";
   }
 
   draw(robot, map, silent) {
