@@ -160,7 +160,7 @@ export class Robots {
       [app ? String(this.k(name, app, progress)) : "-"],
       [waits.join(" ") || "-", waits.length ? "warn" : ""],
       [app ? `${app} ${progress?.phase ?? ""}` : "-", PHASES.get(progress?.phase) ?? ""],
-      body ? [`${body.mode} ${fixed((body.tilt * 180) / Math.PI, 1, "°")}`, body.mode === "fault" ? "bad" : ""] : ["-"],
+      this.store.gone(name) ? ["gone", "bad"] : body ? [`${body.mode} ${fixed((body.tilt * 180) / Math.PI, 1, "°")}`, body.mode === "fault" ? "bad" : ""] : ["-"],
       [typeof volts === "number" ? `${fixed(volts, 2, " V")}${typeof left === "number" ? ` ${Math.round(left / 60)} min` : ""}` : "-", BATTERIES.get(body?.battery_level) ?? (typeof left === "number" && left < LOW_S ? "warn" : "")],
       [`${up}/${links.length}${links.length > 4 ? "" : ` ${links.map((each) => `${each?.state === "up" ? "" : "×"}${each?.peer}`).join(" ")}`}`, up < links.length ? "bad" : ""],
       [typeof clock?.error === "number" ? `${typeof clock.offset === "number" ? `${seconds(clock.offset)} ` : ""}±${(clock.error * 1000).toFixed(1)} ms by ${clock.root}` : "-"],

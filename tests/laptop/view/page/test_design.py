@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browsing import PATIENCE_MS, seek, shown, until
+from browsing import PATIENCE_MS, row, seek, shown, until
 from virtual_run import recorded
 
 pytest.importorskip("aiohttp", reason="the lab extra is not installed")
@@ -234,6 +234,14 @@ def test_before_its_first_value_nothing_is_said_of_what_an_app_computes(waiting:
     expect(waiting.locator("[data-answer=converging] b")).to_have_text("No values yet", timeout=PATIENCE_MS)
     expect(waiting.locator("#values .hero b")).to_have_text("-", timeout=PATIENCE_MS)
     expect(waiting.locator("#values .hero .note")).to_contain_text("nothing told yet")
+
+
+def test_of_a_robot_that_is_gone_the_table_says_so_in_place_of_its_last_mode(waiting: Any) -> None:
+    expect(row(waiting, "r1")).to_contain_text("balancing", timeout=PATIENCE_MS)
+    waiting.evaluate("swarmView.store.gone = (name) => name === 'r1'")
+    expect(row(waiting, "r1").locator("td.body.app").first).to_have_text("gone", timeout=PATIENCE_MS)
+    expect(row(waiting, "r1")).to_have_attribute("data-kind", "bad")
+    expect(row(waiting, "r2")).to_contain_text("balancing")
 
 
 def test_robots_of_a_swarm_that_is_spread_far_are_whole_at_the_edges_of_the_map(waiting: Any) -> None:
