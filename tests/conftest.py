@@ -87,9 +87,6 @@ def pytest_configure(config: pytest.Config) -> None:
     _thorough = config.option.markexpr == "slow"
     if _thorough:
         settings.load_profile("thorough")
-    # A shell that starts the tests in the background has Ctrl-C ignored, and so would every process that they start.
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
     # No test meets a simulation that runs on this machine in the usual folder.
     place = tempfile.TemporaryDirectory(prefix="swarm-")
     config.add_cleanup(place.cleanup)
@@ -171,8 +168,12 @@ def pytest_terminal_summary(terminalreporter: "pytest.TerminalReporter") -> None
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    """What a test that fails has left open goes with it. Its traceback holds that until the next one runs, which the
-    warnings would otherwise fail."""
+    """Each test begins with Ctrl-C heard. What a test that fails has left open goes with it: its traceback holds that
+    until the next one runs, which the warnings would otherwise fail."""
+    # Ctrl-C is ignored where a shell has started the tests in the background, and after a command that was interrupted
+    # in a test of this process. Every process that a test starts would then ignore it, too.
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     failed = item.session.testsfailed
     outcome = yield
     if item.session.testsfailed > failed:

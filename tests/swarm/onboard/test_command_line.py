@@ -1,6 +1,9 @@
 """How a command ends, whatever ends it."""
 
-from conftest import Processes
+import signal
+
+import pytest
+from conftest import Processes, pytest_runtest_protocol
 
 WAITS = """
 import threading
@@ -61,3 +64,11 @@ def test_the_same_error_without_ctrl_c_is_a_defect(processes: Processes) -> None
     code, errors = ended(processes, DEFECT)
     assert code == 1
     assert "Traceback" in errors
+
+
+def test_a_command_that_was_interrupted_in_a_test_keeps_no_later_test_from_ctrl_c(
+    request: pytest.FixtureRequest,
+) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    next(pytest_runtest_protocol(request.node))
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
