@@ -46,9 +46,9 @@ class Place:
             )
 
     def cut(self, robot: str, peer: str, seconds: float) -> None:
+        air, asked = self.near if robot == "r0" else self.far, clock.now()
         self.send_cut(robot, peer, seconds)
-        air = self.near if robot == "r0" else self.far
-        wait_until(lambda: air.is_cut(peer))
+        wait_until(lambda: air.cut_until(peer) >= asked + seconds)
 
     def close(self) -> None:
         for pipe in self.pipes:
