@@ -4,7 +4,6 @@ import argparse
 import json
 import os
 import re
-import signal
 import socket
 import sys
 import threading
@@ -123,10 +122,7 @@ def test_a_robot_whose_command_hangs_has_its_balancer_stopped(
     monkeypatch.setattr(halt_ssh, "_HANGS_S", 1.0)
     home = robots.add("r0")
     robots.script("r0", "sudo", 'case $2 in env) echo $$ >hung; exec sleep 600 ;; *) shift; "$@" ;; esac')
-    try:
-        assert run("estop") == 0
-    finally:
-        os.kill(int((home / "hung").read_text()), signal.SIGKILL)
+    assert run("estop") == 0
     assert "its balancer was stopped (its own command has not ended within 1 s)" in capsys.readouterr().out
     assert (home / "systemctl.log").read_text() == "stop swarm-balancer.service\n"
 
@@ -333,8 +329,7 @@ def test_a_stop_waits_for_no_connection_that_ssh_shares(
     robots: FakeRobots, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As the user's own session keeps one, and the laptop was in another network meanwhile."""
-    monkeypatch.setattr(halt_ssh, "_HANGS_S", 5.0)
-    monkeypatch.setattr(halt_ssh, "_SYSTEMD_S", 0.0)
+    monkeypatch.setattr(halt_ssh, "_HANGS_S", 60.0)
     add(robots, "r0", answer("r0"))
     place = robots.folder / "dead"
     with socket.socket(socket.AF_UNIX) as dead:
