@@ -2,7 +2,6 @@
 
 import asyncio
 import itertools
-import socket
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,6 +20,7 @@ from test_page_stop import stops  # noqa: E402
 from test_reach import CONFIG  # noqa: E402
 from test_server import Bus  # noqa: E402
 
+from bench.rigs.ports import free_port  # noqa: E402
 from laptop.view import server  # noqa: E402
 from laptop.view.actions.control import Control  # noqa: E402
 from laptop.view.actions.simulated_actions import SimulatedActions  # noqa: E402
@@ -76,9 +76,7 @@ def feed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Simulation
 
 @pytest.fixture
 def port() -> int:
-    with socket.socket() as sock:
-        sock.bind(("127.0.0.1", 0))
-        return int(sock.getsockname()[1])
+    return free_port()
 
 
 @pytest.fixture

@@ -290,7 +290,7 @@ def test_a_stop_does_not_wait_for_a_large_answer(feed: SimulationFeed, monkeypat
     stopped, as_text = threading.Event(), server.as_json
 
     def slow(answer: dict[str, Any]) -> str:
-        assert "look" not in answer or stopped.wait(10)
+        assert "look" not in answer or stopped.wait(60.0)
         return as_text(answer)
 
     monkeypatch.setattr(server, "as_json", slow)

@@ -60,7 +60,7 @@ class Far:
         def told() -> bool:
             return sum(text in each for each in self.events()) >= count
 
-        wait_until(told, 40.0, what=lambda: f"{text!r} is told {count} times; told is {self.events()}")
+        wait_until(told, what=lambda: f"{text!r} is told {count} times; told is {self.events()}")
 
     def events(self) -> list[str]:
         with self.view.lock:
@@ -83,6 +83,7 @@ class Far:
 def far(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Far]:
     monkeypatch.setattr(robots_module, "Tunnel", Tunnel)
     monkeypatch.setattr(robots_module, "SILENT_S", 1e9)
+    monkeypatch.setattr(module, "COMPARE_S", 1e3)
     far = Far(tmp_path)
     yield far
     far.close()
@@ -141,7 +142,6 @@ def test_robots_that_differ_run_nothing_and_are_named(far: Far, odd: str, said: 
 
 @pytest.mark.slow
 def test_who_hangs_delays_nobody_and_a_newer_order_holds(far: Far, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "COMPARE_S", 1e3)
     far.add("r0")
     far.add("r1", hook="[ ! -e $HOME/hangs ] || { echo $$ >>$HOME/hung; exec sleep 1000; }")
     far.begin("r0")
