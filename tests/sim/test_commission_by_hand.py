@@ -12,7 +12,6 @@ import re
 import select
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from typing import Any
 import pytest
 from conftest import wait_until
 
+from swarm import clock
 from swarm.bus.zenoh_bus import Bus
 from swarm.messages import BalancerState, read
 from swarm.process.simulations import is_live
@@ -161,13 +161,18 @@ class Person:
         for pattern, act in ACTS:
             if (found := pattern.search(question)) is not None:
                 self.hand(act.format(*found.groups()))
-                time.sleep(HAND_S)
+                self._look()
                 break
         if "A or Enter" in question:
             if next(self._answers) == "enter":
                 os.write(terminal, b"\r")
             else:
                 self.hand("press r0 A")
+
+    def _look(self) -> None:
+        """Wait until the robot has told of the `HAND_S` after now."""
+        seen = clock.now() + HAND_S
+        wait_until(lambda: self._states[-1].t > seen, what="what the robot tells of itself")
 
     def close(self) -> None:
         """End all."""

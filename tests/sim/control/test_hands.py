@@ -10,7 +10,6 @@ import socket
 import subprocess
 import sys
 import termios
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -289,7 +288,8 @@ def test_a_robot_of_real_processes_is_commissioned(robot: Robot, tmp_path: Path)
         reports += [said["report"]] if "report" in said else []
         if (what := said.get("ask", "")) in COMMISSIONED:
             robot.hand(*COMMISSIONED[what])
-            time.sleep(1.5)  # the hand takes its time, and the person looks
+            looked = clock.now() + 1.5  # the hand takes its time, and the person looks
+            wait_until(lambda looked=looked: robot.states[-1].t > looked, what="what the robot tells of itself")
         if what and what != "again" and not what.startswith(("press", "roll", "tip-a-bit")):
             command.stdin.write("a")
             command.stdin.flush()
