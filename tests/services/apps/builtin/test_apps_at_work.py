@@ -159,6 +159,13 @@ def test_three_swap_sides_and_end_together() -> None:
     assert report["seconds"] < 60
 
 
+@pytest.mark.slow
+def test_six_cross_without_contact() -> None:
+    report, _ = run_virtually("goto", "--robots", "6", "--topology", "line", "--jitter", "10ms")
+    assert report["scene"]["contacts"] == 0
+    assert all(result["reached"] == result["of"] for result in report["result"].values())
+
+
 def test_the_same_seed_drives_the_same_way() -> None:
     first, second = (run_virtually("goto", "--robots", "3", "--iterations", "60", "--seed", "7")[0] for _ in range(2))
     assert first["scene"] == second["scene"]
