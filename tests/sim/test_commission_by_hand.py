@@ -179,7 +179,7 @@ class Person:
         if self._bus is not None:
             self._bus.close()
         self._simulation.terminate()
-        self._simulation.communicate(timeout=30)
+        self._simulation.communicate(timeout=60)
 
 
 def lines(terminal: int) -> Iterator[str]:

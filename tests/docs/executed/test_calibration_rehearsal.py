@@ -48,10 +48,10 @@ def test_a_calibration_is_rehearsed_on_a_simulated_robot(
                 said.append(line)
                 if (asked := START.match(line)) is not None:
                     with started(f"{found[3]} {asked[1]} {asked[2]}", tmp_path) as hand:
-                        assert "lies on its back" in hand.communicate(timeout=30)[0]
+                        assert "lies on its back" in hand.communicate(timeout=60)[0]
                     session.stdin.write("\n")
                     session.stdin.flush()
-            assert session.wait(30) == 0, "".join(said)
+            assert session.wait(60) == 0, "".join(said)
     file = calibration_file.parse((tmp_path / "r0.toml").read_text(), "r0.toml")
     assert file.distance is not None
     assert file.distance[1].nested < 0.8 * file.distance[1].left_out["raw"]

@@ -82,7 +82,7 @@ def test_keys_repeat_while_they_are_held_and_end_with_the_pad(tmp_path: Path) ->
             pad.write(button(2, True))
             assert process.stdout.read(1) == STOP.encode()
         assert process.stdout.read() == b""
-        assert process.wait(20) == 0
+        assert process.wait(60) == 0
 
 
 def test_a_pad_that_is_not_there_is_named(tmp_path: Path) -> None:

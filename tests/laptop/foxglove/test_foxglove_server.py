@@ -99,7 +99,7 @@ class Client:
         self.said: dict[str, Any] = {}
 
     async def hear(self) -> None:
-        message = await self._socket.receive(timeout=20)
+        message = await self._socket.receive(timeout=60)
         if message.type == aiohttp.WSMsgType.BINARY:
             opcode, subscription, _ = HEAD.unpack_from(message.data)
             assert opcode == 1

@@ -24,7 +24,7 @@ def listening(path: Path, kind: int) -> Iterator[socket.socket]:
         sock.bind(str(path))
         if kind == socket.SOCK_SEQPACKET:
             sock.listen()
-        sock.settimeout(10.0)
+        sock.settimeout(60.0)
         yield sock
     path.unlink()
 

@@ -197,7 +197,7 @@ def test_a_cut_reaches_both_ends_of_a_link(
             (run / name).mkdir(exist_ok=True)
             meshes[name] = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
             meshes[name].bind(str(run / name / "air.sock"))
-            meshes[name].settimeout(10)
+            meshes[name].settimeout(60)
         assert hands(run, "cut", "r0", "r1", *option, "--json") == 0
         told = {name: msgpack.unpackb(mesh.recv(1000)) for name, mesh in meshes.items()}
     assert told == {"r0": {"cut": "r1", "seconds": seconds}, "r1": {"cut": "r0", "seconds": seconds}}
