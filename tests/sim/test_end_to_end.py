@@ -128,7 +128,7 @@ def test_one_killed_service_changes_no_bit(service):
 
 
 def test_a_second_simulation_is_refused_nothing_survives_a_killed_one_and_the_next_ends_by_ctrl_c_with_a_report():
-    words = ("consensus", "--robots", "2", "--seconds", "60", "--latency", "10ms")
+    words = ("consensus", "--robots", "2", "--seconds", "600", "--latency", "10ms")
     with Simulation(*words) as first:
         first.wait_for("r0", 1)
         command = [sys.executable, "-m", "laptop.cli", "sim", *words, "--run-dir", str(first.run_dir)]

@@ -41,7 +41,7 @@ def swarm(*words: str) -> None:
 @pytest.fixture(scope="module")
 def simulation() -> Iterator[Simulation]:
     """Three robots that localize a target for as long as the tests take."""
-    with Simulation("localization", "--robots", "3", "--seconds", "240") as simulation:
+    with Simulation("localization", "--robots", "3", "--seconds", "3600") as simulation:
         simulation.wait_for("r0", 0, app="localization")
         yield simulation
 

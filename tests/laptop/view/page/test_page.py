@@ -36,7 +36,7 @@ pytestmark = [
 
 @pytest.fixture(scope="module")
 def simulation() -> Iterator[Simulation]:
-    with Simulation("consensus", "--robots", "6", "--topology", "loop", "--seconds", "600") as simulation:
+    with Simulation("consensus", "--robots", "6", "--topology", "loop", "--seconds", "3600") as simulation:
         simulation.wait_for("r0", 3)
         # Six bodies fall in real time where a busy machine holds up their loops while everything starts.
         stand = [sys.executable, "-m", "laptop.cli", "balance", "stand", "--run-dir", str(simulation.run_dir)]
