@@ -1,5 +1,6 @@
 """The balancer's real processes, started for a test, and who listens to what they say."""
 
+import math
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,7 +10,7 @@ from conftest import Processes, wait_until
 
 from services.balancer.core.faults import FELL
 from swarm.bus.zenoh_bus import Bus
-from swarm.messages import BalancerState, read
+from swarm.messages import BalancerState, SetMode, read
 
 FALLS_AFTER = 10
 """Ticks without which a body falls, at least."""
@@ -35,6 +36,22 @@ class Watcher:
 
     def wait_mode(self, mode: str) -> BalancerState:
         wait_until(lambda: self.last() is not None and self.last().mode == mode, what=f"mode {mode}")
+        return self.last()
+
+    def wait_balancing(self) -> BalancerState:
+        """Wait until it balances. Where it has fallen it is told to stand up again: its body falls in real time, and a
+        busy host keeps its loop from computing."""
+        told = -math.inf
+
+        def balances() -> bool:
+            nonlocal told
+            state = self.last()
+            if state is not None and state.mode == "fault" and state.t > told + 1.0:
+                told = state.t
+                self.command("mode", SetMode("stand"))
+            return state is not None and state.mode == "balancing"
+
+        wait_until(balances, what="mode balancing")
         return self.last()
 
     def assert_balancing(self) -> None:

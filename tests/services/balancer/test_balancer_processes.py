@@ -51,7 +51,7 @@ def alive(pid: int) -> bool:
 
 def test_a_robot_stands_talks_obeys_and_stops(processes: Processes, watcher: Watcher, runtime: Path) -> None:
     body = processes.start_ready("-m", "sim.body")
-    state = watcher.wait_mode("balancing")
+    state = watcher.wait_balancing()
     assert abs(state.tilt) < 0.2
     wait_until(lambda: watcher.lamps() == (False, False, True))
 
@@ -85,7 +85,7 @@ def test_a_robot_stands_talks_obeys_and_stops(processes: Processes, watcher: Wat
     wait_until(lambda: watcher.heard["notice"] and watcher.last("notice").text == refused)
 
     watcher.command("mode", SetMode("stand"))
-    watcher.wait_mode("balancing")
+    watcher.wait_balancing()
     watcher.bus.publish("swarm/stop", Stop(0.0, "test", "enough"))
     state = watcher.wait_mode("fault")
     assert state.fault == "stopped: enough (by test)"
@@ -100,7 +100,7 @@ def test_a_robot_stands_talks_obeys_and_stops(processes: Processes, watcher: Wat
 
 def test_the_loop_outlives_its_bridge_and_starts_another(processes: Processes, watcher: Watcher) -> None:
     body = processes.start("-m", "sim.body")
-    watcher.wait_mode("balancing")
+    watcher.wait_balancing()
     (bridge,) = children(body.pid)
     os.kill(bridge, signal.SIGKILL)
     before = [*watcher.heard["state"]]
@@ -123,7 +123,7 @@ def test_the_loop_outlives_its_bridge_and_starts_another(processes: Processes, w
 def test_a_stop_holds_though_the_bridge_that_heard_it_is_killed(processes: Processes, watcher: Watcher) -> None:
     """No mesh runs here, which could tell the next bridge."""
     body = processes.start("-m", "sim.body")
-    watcher.wait_mode("balancing")
+    watcher.wait_balancing()
     watcher.bus.publish("swarm/stop", Stop(0.0, "test", "enough"))
     watcher.wait_mode("fault")
     (bridge,) = children(body.pid)
@@ -141,7 +141,7 @@ def test_a_stop_holds_though_the_bridge_that_heard_it_is_killed(processes: Proce
 
 def test_driving_over_the_bus_and_what_is_refused(processes: Processes, watcher: Watcher) -> None:
     processes.start("-m", "sim.body")
-    watcher.wait_mode("balancing")
+    watcher.wait_balancing()
 
     start = watcher.last("odometry").x
     watcher.command("velocity", SetVelocity(0.2, 0.0, 5.0))
@@ -175,7 +175,7 @@ def test_a_robot_has_the_controller_and_body_that_the_file_gives_it(processes: P
     with processes.config.open("a") as file:
         file.write('[balancing.robots.r0]\ncontroller = "pololu"\nmax_speed = 0.3\n[body.robots.r0]\ntrim = 0.19\n')
     processes.start("-m", "sim.body")
-    state = watcher.wait_mode("balancing")
+    state = watcher.wait_balancing()
     assert state.posture == "upright", "with its trim taken out"
     wait_until(lambda: watcher.last("parameters") is not None, what="the parameters")
     told = watcher.last("parameters")
@@ -266,7 +266,7 @@ def test_a_robot_stands_through_a_router_that_hangs_and_obeys_a_stop_afterwards(
 ) -> None:
     watcher = Watcher(runtime)
     body = processes.start("-m", "sim.body")
-    before = watcher.wait_mode("balancing")
+    before = watcher.wait_balancing()
     (bridge,) = children(body.pid)
     bus_service.send_signal(signal.SIGSTOP)
     wait_until(lambda: children(body.pid) not in ([], [bridge]), what="another bridge")
@@ -385,7 +385,7 @@ def test_a_wrong_seed_is_named(processes: Processes) -> None:
 
 def test_the_devices_over_the_bus(processes: Processes, watcher: Watcher) -> None:
     processes.start_ready("-m", "sim.body")
-    watcher.wait_mode("balancing")
+    watcher.wait_balancing()
     wait_until(lambda: watcher.last("battery") is not None and watcher.last("battery").voltage == 7.4)
     wait_until(lambda: watcher.last("buttons") is not None and watcher.last("buttons").presses_a == 0)
     wait_until(lambda: watcher.last("uwb") is not None)
@@ -427,7 +427,7 @@ def test_the_devices_over_the_bus(processes: Processes, watcher: Watcher) -> Non
 
 def test_swarm_measure_i2c_asks_the_balancer(processes: Processes, watcher: Watcher) -> None:
     processes.start_ready("-m", "sim.body")
-    watcher.wait_mode("balancing")
+    watcher.wait_balancing()
     command = [sys.executable, "-m", "laptop.cli", "measure", "i2c", "--sizes", "8", "--count", "20", "--json"]
     done = subprocess.run(command, env=processes.environment(), capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stderr) == (0, "")
