@@ -4,12 +4,12 @@
 """
 
 import os
-import socket
 import sys
 import time
 from pathlib import Path
 
-from bench.rigs import socket_mesh, tcp_radio
+from bench.rigs import socket_mesh
+from bench.rigs.ports import free_port
 from bench.rigs.running import robots_folder, running
 from laptop.cli.runs import sim
 from sim.processes import run
@@ -21,9 +21,8 @@ ROBOTS = 6
 
 def main() -> int:
     """Start the radio, then the simulation with the other mesh in it."""
-    with robots_folder() as home, socket.create_server((tcp_radio.in_range(0), 0)) as free:
-        key, port = Path(home) / "key", str(free.getsockname()[1])
-        free.close()
+    with robots_folder() as home:
+        key, port = Path(home) / "key", str(free_port())
         new_key_file(key, time.time())
         os.environ.update({socket_mesh.PORT: port, socket_mesh.KEY: str(key)})
         run.SERVICE_MODULES["mesh"] = "bench.rigs.socket_mesh"
