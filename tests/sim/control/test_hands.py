@@ -71,6 +71,9 @@ class Robot:
         message = read(key, payload)
         (self.states if isinstance(message, BalancerState) else self.buttons).append(message)
 
+    def told_after(self, t: float) -> bool:
+        return bool(self.states) and self.states[-1].t > t
+
     def wait_balancing(self) -> None:
         """Wait until it balances; order it to stand up again where it has fallen. Its body falls in real time,
         so a host that stands still for a fifth of a second can make it fall (tests with `Rig` have a time of their
@@ -289,7 +292,7 @@ def test_a_robot_of_real_processes_is_commissioned(robot: Robot, tmp_path: Path)
         if (what := said.get("ask", "")) in COMMISSIONED:
             robot.hand(*COMMISSIONED[what])
             looked = clock.now() + 1.5  # the hand takes its time, and the person looks
-            wait_until(lambda looked=looked: robot.states[-1].t > looked, what="what the robot tells of itself")
+            wait_until(lambda looked=looked: robot.told_after(looked), what="what the robot tells of itself")
         if what and what != "again" and not what.startswith(("press", "roll", "tip-a-bit")):
             command.stdin.write("a")
             command.stdin.flush()
