@@ -29,7 +29,7 @@ def test_every_app_has_its_page(app: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(240)
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize("app", sorted(loader.BUILT_IN))
 def test_its_pictures_are_made_by_the_commands_that_stand_there(app: str, tmp_path: Path, runtime: Path) -> None:
     tools, home = tmp_path / "tools", tmp_path / "home"

@@ -28,7 +28,7 @@ def started(command: str, folder: Path) -> "AbstractContextManager[subprocess.Po
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(200)
+@pytest.mark.timeout(300)
 def test_a_calibration_is_rehearsed_on_a_simulated_robot(
     tmp_path: Path, runtime: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -23,7 +23,7 @@ PAGES = ("how-to/tools/zenoh-client.md", "how-to/runs/export.md", "reference/ove
 PROGRAM = re.compile(r"^```python (\S+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 PROGRAMS = dict(PROGRAM.findall("".join((ROOT / "docs" / page).read_text(encoding="utf-8") for page in PAGES)))
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(200)]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 
 @pytest.fixture

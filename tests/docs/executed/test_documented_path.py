@@ -25,7 +25,7 @@ def test_no_command_hides_in_an_indented_block(page: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(200)
+@pytest.mark.timeout(300)
 def test_what_the_tutorial_does_before_there_are_robots_works_as_it_stands(tmp_path: Path, runtime: Path) -> None:
     tools, home = tmp_path / "tools", tmp_path / "home"
     tools.mkdir()

@@ -20,7 +20,7 @@ from swarm.process.paths import bus_endpoint
 
 real_page = [
     pytest.mark.slow,
-    pytest.mark.timeout(240),
+    pytest.mark.timeout(300),
     pytest.mark.filterwarnings("ignore::ResourceWarning"),
     needs_ssh,
 ]

@@ -31,7 +31,7 @@ from swarm.messages.codec import encode  # noqa: E402
 from swarm.process.simulations import claim  # noqa: E402
 
 pytest_plugins = ("view_fixtures",)
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(240), pytest.mark.filterwarnings("ignore::ResourceWarning")]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300), pytest.mark.filterwarnings("ignore::ResourceWarning")]
 
 
 class Server:

@@ -15,7 +15,7 @@ pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
 
 pytest_plugins = ("view_fixtures",)
-pytestmark = [pytest.mark.timeout(120), pytest.mark.filterwarnings("ignore::ResourceWarning")]
+pytestmark = [pytest.mark.timeout(300), pytest.mark.filterwarnings("ignore::ResourceWarning")]
 
 DESK = {"width": 1440, "height": 900}
 LONGEST = "robot-number-000"

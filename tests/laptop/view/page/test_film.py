@@ -33,7 +33,7 @@ def rig(test: Callable[..., None]) -> Callable[..., None]:
     """A test that needs browser and encoder, and its time."""
     there = CHROMIUM is not None and shutil.which("ffmpeg") is not None
     test = pytest.mark.skipif(not there, reason="no chromium or ffmpeg: apt-get install chromium ffmpeg")(test)
-    return pytest.mark.slow(pytest.mark.timeout(240)(test))
+    return pytest.mark.slow(pytest.mark.timeout(300)(test))
 
 
 @given(st.floats(-10.0, 10.0), st.floats(0.01, 60.0), st.sampled_from([1.0, 24.0, 30.0, 59.94]), st.floats(0.1, 100.0))

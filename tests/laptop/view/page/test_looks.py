@@ -13,7 +13,7 @@ pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
 
 pytest_plugins = ("view_fixtures",)
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(120), pytest.mark.filterwarnings("ignore::ResourceWarning")]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300), pytest.mark.filterwarnings("ignore::ResourceWarning")]
 
 AT = 5.0
 """s into the run, where the page stands still."""

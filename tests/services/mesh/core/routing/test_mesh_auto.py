@@ -252,4 +252,4 @@ class Mending(RuleBasedStateMachine):
 TestMending = Mending.TestCase
 TestMending.settings = settings(max_examples=examples(25), stateful_step_count=15, deadline=None)
 
-pytestmark = pytest.mark.timeout(120)
+pytestmark = pytest.mark.timeout(300)
