@@ -8,4 +8,4 @@ from pathlib import Path
 def recorded(folder: Path, app: str, *arguments: str) -> None:
     """Run an app under virtual time, with its recording in `folder`."""
     command = [sys.executable, "-m", "laptop.cli", "sim", app, "--virtual", *arguments, "--record", str(folder)]
-    subprocess.run(command, check=True, capture_output=True, timeout=60)
+    subprocess.run(command, check=True, capture_output=True, timeout=240)

@@ -168,7 +168,7 @@ class Robot:
         """Run the script, without the trees, which take most of the time."""
         environment = {**os.environ, "PATH": f"{self.shims}:{os.environ['PATH']}", "SHIMS": str(self.shims)}
         done = subprocess.run(
-            ["sh", script, *arguments], env=environment, capture_output=True, text=True, timeout=100, check=False
+            ["sh", script, *arguments], env=environment, capture_output=True, text=True, timeout=240, check=False
         )
         assert done.returncode == code, done.stdout + done.stderr
 

@@ -31,7 +31,7 @@ sys.meta_path.insert(0, Blocker())
 def run(program: str, *words: str) -> subprocess.CompletedProcess[str]:
     """Run a program in a Python that has neither `sim` nor `laptop`."""
     command = [sys.executable, "-c", BLOCKED + program, *words]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=240)
 
 
 def test_everything_that_a_robot_carries_is_imported_without_the_laptop_and_the_simulated_world() -> None:
@@ -106,7 +106,7 @@ def test_files_of_the_user_take_no_place_of_our_modules(runtime: Path, words: tu
         env=environment,
         capture_output=True,
         text=True,
-        timeout=100,
+        timeout=240,
         check=False,
     )
     assert "file of the user" not in done.stdout + done.stderr

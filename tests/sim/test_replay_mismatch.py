@@ -284,6 +284,6 @@ def test_without_a_robot_another_algorithm_ends_elsewhere(tmp_path: Path) -> Non
 def test_the_command_ends_with_1(tmp_path: Path, recorded: dict[str, str]) -> None:
     place = written(tmp_path, {name: recorded[name] for name in ("0.csv", "1.csv")})
     command = [sys.executable, "-m", "laptop.cli", "sim", *THESIS, "--replay", place, "--virtual"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=240)
     assert done.returncode == 1
     assert "problem     the replay leaves" in done.stdout

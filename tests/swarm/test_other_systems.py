@@ -30,7 +30,7 @@ def system(request: pytest.FixtureRequest) -> str:
 
 def on_another_system(folder: Path, system: str, *words: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, str(PROGRAM), system, *words]
-    return subprocess.run(command, cwd=folder, env=bare_environment(), capture_output=True, text=True, timeout=100)
+    return subprocess.run(command, cwd=folder, env=bare_environment(), capture_output=True, text=True, timeout=240)
 
 
 @contextmanager

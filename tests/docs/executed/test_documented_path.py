@@ -39,6 +39,6 @@ def test_what_the_tutorial_does_before_there_are_robots_works_as_it_stands(tmp_p
     for command in tried:
         done = subprocess.run(
             ["/bin/sh", "-c", command], cwd=home, env=environment, capture_output=True, text=True, check=False,
-            timeout=150,
+            timeout=240,
         )  # fmt: skip
         assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"

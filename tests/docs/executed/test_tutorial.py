@@ -61,7 +61,7 @@ def work_through(page: str, tmp_path: Path, runtime: Path, *, slow: bool) -> int
                 code = int(comment.removeprefix(" exit code ")) if comment.startswith(" exit code ") else 0
                 done = subprocess.run(
                     ["/bin/sh", "-c", command], cwd=home, env=environment, capture_output=True, text=True, check=False,
-                    timeout=100,
+                    timeout=240,
                 )  # fmt: skip
                 assert done.returncode == code, f"{command}\n{done.stdout}\n{done.stderr}"
                 count += 1

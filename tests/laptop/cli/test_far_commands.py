@@ -150,7 +150,7 @@ def test_an_app_of_real_robots_is_started_and_stopped_as_one_of_a_simulation(rob
 def test_status_logs_services_and_apps_of_a_simulation(runtime: Path) -> None:
     def swarm(*words: str) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "laptop.cli", *words, "--run-dir", str(runtime / "run")]
-        return subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
+        return subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
 
     words = ["sim", "consensus", "--robots", "2", "--seconds", "100", "--run-dir", str(runtime / "run")]
     with running([sys.executable, "-m", "laptop.cli", *words], stdout=subprocess.DEVNULL):

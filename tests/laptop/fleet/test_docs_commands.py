@@ -112,7 +112,7 @@ def test_the_commands_of_the_pages_work_in_their_order_as_they_stand(robots: Fak
     for command in dict.fromkeys(each for each in commands() if not is_elsewhere(each)):
         done = subprocess.run(
             ["/bin/sh", "-c", command], cwd=robots.folder, env=environment, capture_output=True, text=True,
-            check=False, timeout=120,
+            check=False, timeout=240,
         )  # fmt: skip
         assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
     for number in range(6):

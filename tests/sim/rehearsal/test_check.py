@@ -435,7 +435,7 @@ def test_a_test_of_convergence_that_returns_nothing_is_named(tmp_path: Path, sho
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "laptop.cli", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=100)
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=240)
 
 
 def test_hash_order_is_found_by_the_command(tmp_path: Path) -> None:
@@ -461,7 +461,7 @@ def test_a_new_app_passes_its_test_and_the_check(tmp_path: Path, kind: str, shor
     one_graph = "not loop and not thesis and not full"
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", one_graph, test.name],
-        cwd=tmp_path, capture_output=True, text=True, check=False, timeout=100,
+        cwd=tmp_path, capture_output=True, text=True, check=False, timeout=240,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout
     found = check.judge(findings(str(app), 60), findings(str(app), 60))
@@ -525,7 +525,7 @@ def test_an_app_that_prints_without_an_end_of_the_line_hides_no_fault(tmp_path: 
         "        print('.', end='')\n        if self.k == 5:\n            raise ValueError('broken')\n"
     )
     command = [sys.executable, "-m", "laptop.cli", "check", str(file), "--robots", "3", "--iterations", "20"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
     assert done.returncode == 1
     assert "ValueError: broken" in done.stdout
 
@@ -537,7 +537,7 @@ def test_an_app_that_ends_its_process_is_told_by_its_code_and_last_words(tmp_pat
         "    def step(self, neighbours):\n        print('all is well', flush=True)\n        os._exit(3)\n"
     )
     command = [sys.executable, "-m", "laptop.cli", "check", str(file), "--robots", "3", "--iterations", "20"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
     assert done.returncode == 1
     assert "the app's process ended with code 3; the last line it wrote: all is well" in done.stdout
 

@@ -104,7 +104,7 @@ def test_a_session_on_a_robot_is_led_from_here_and_fitted_here(robots: FakeRobot
     way = ["--config", str(robots.config), "--ssh-config", str(robots.ssh_config), "--robots", "r0"]
     done = subprocess.run(
         [sys.executable, "-m", "laptop.cli", "calibrate", "distance", "--places", "0.2,0.5 0.8,0.5", *way],
-        input="start\n", capture_output=True, text=True, timeout=100, check=False, cwd=robots.folder,
+        input="start\n", capture_output=True, text=True, timeout=240, check=False, cwd=robots.folder,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "measuring after start" in done.stdout
@@ -172,7 +172,7 @@ def test_what_was_measured_before_ctrl_c_is_brought_here(robots: FakeRobots, her
         assert led.stdout is not None
         assert led.stdout.readline() == "measuring\n"
         led.send_signal(signal.SIGINT)
-        _, errors = led.communicate(timeout=60)
+        _, errors = led.communicate(timeout=240)
     assert errors == "swarm: r0: the session was interrupted; what was measured is in my.csv\n"
     assert (robots.folder / "my.csv").read_text() == "samples\n"
     assert not (robots.folder / "r0/s.csv").exists()

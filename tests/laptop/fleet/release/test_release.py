@@ -70,12 +70,12 @@ def test_a_release_holds_the_locked_and_the_further_packages_and_pip_installs_th
         path.write_bytes(data)
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-index", "--target", str(tmp_path / "there")]
     links = ["--find-links", "wheels", "--require-hashes", "-r", "requirements-robot.lock"]
-    subprocess.run([*pip, *links], cwd=tmp_path / "robot", check=True, timeout=60)
-    subprocess.run([*pip, "--no-deps", f"wheels/{own}"], cwd=tmp_path / "robot", check=True, timeout=60)
+    subprocess.run([*pip, *links], cwd=tmp_path / "robot", check=True, timeout=240)
+    subprocess.run([*pip, "--no-deps", f"wheels/{own}"], cwd=tmp_path / "robot", check=True, timeout=240)
     said = subprocess.run(
         [sys.executable, "-I", "-c", f"import sys; sys.path.insert(0, {str(tmp_path / 'there')!r})\n"
          "import arrays, base, swarm, services; print(base.version, swarm.__file__)"],
-        check=True, capture_output=True, text=True, timeout=60,
+        check=True, capture_output=True, text=True, timeout=240,
     )  # fmt: skip
     assert said.stdout.split() == ["1.0", str(tmp_path / "there/swarm/__init__.py")]
 

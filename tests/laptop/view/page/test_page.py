@@ -213,7 +213,7 @@ def test_a_lost_server_is_shown_as_lost(browser: Any, simulation: Simulation) ->
 def test_a_picture_without_a_person(simulation: Simulation, tmp_path: Path) -> None:
     picture = tmp_path / "page.png"
     command = [sys.executable, "-m", "laptop.cli", "view", "--run-dir", str(simulation.run_dir)]
-    subprocess.run([*command, "--screenshot", str(picture)], check=True, capture_output=True, timeout=100)
+    subprocess.run([*command, "--screenshot", str(picture)], check=True, capture_output=True, timeout=240)
     data = picture.read_bytes()
     assert data.startswith(b"\x89PNG")
     assert len(data) > 50_000  # an empty page has 15 kB

@@ -196,7 +196,7 @@ def test_samples_that_are_to_be_measured_anew_are_in_no_file_of_a_session_that_f
 
 def test_the_end_of_the_answers_ends_the_session(processes, router, swarm, runtime):
     session = calibrate(processes, "distance", "--samples", str(runtime / "s.csv"))
-    _, error = session.communicate("", timeout=60)
+    _, error = session.communicate("", timeout=240)
     assert session.returncode == 2
     assert "nothing was measured" in error
 
@@ -218,7 +218,7 @@ def test_what_is_wrong_is_one_line(processes, swarm, runtime, arguments, words):
     (runtime / "line.csv").write_text("\n".join([HEADER, *map(write, rows)]))
     path = [str(runtime / word) if word.endswith((".csv", ".")) else word for word in arguments]
     process = calibrate(processes, *path)
-    _, error = process.communicate(timeout=110)
+    _, error = process.communicate(timeout=240)
     assert process.returncode == 2
     assert words in error
     assert error.count("\n") == 1
@@ -228,13 +228,13 @@ def test_what_is_wrong_is_one_line(processes, swarm, runtime, arguments, words):
 @needs_calibration
 def test_the_thesis_samples_give_a_file_and_its_picture(processes, swarm, runtime):
     process = calibrate(processes, "fit", str(DATA / "calibration"), "--places", "thesis", "--target", "0.5", "1.0")
-    said, error = process.communicate(timeout=110)
+    said, error = process.communicate(timeout=240)
     assert process.returncode == 0, error
     assert re.search(r"curved +2\.72 cm  <- taken", said)
     assert re.search(r"scaled +5\.08 cm  <- taken", said)
     assert (runtime / "of" / "r0.png").read_bytes().startswith(b"\x89PNG")
     process = calibrate(processes, "fit", str(DATA / "calibration"), "--thesis")
-    said, _ = process.communicate(timeout=110)
+    said, _ = process.communicate(timeout=240)
     assert "eq. 2.4   m = 1.056 d + 6.299 cm" in said
 
 
@@ -252,7 +252,7 @@ def test_an_offset_is_learned_and_added_to_the_file(processes, swarm, runtime):
         processes, "offset", str(DATA / "localization" / "test_2"), "--place", "0.5", "1.5", "--target", "0.5", "1.0",
         "--write",
     )  # fmt: skip
-    said, error = process.communicate(timeout=110)
+    said, error = process.communicate(timeout=240)
     assert process.returncode == 0, error
     assert "only another place can tell them apart" in said
     file = calibration_file.parse((runtime / "of" / "r0.toml").read_text(), "f")
