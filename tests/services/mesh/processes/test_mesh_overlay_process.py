@@ -43,14 +43,14 @@ def test_apps_flood_and_send_and_learn_what_became_of_it(build: Build) -> None:
         each.on_flood(lambda origin, payload, name=name: got.append((name, origin, payload)))  # type: ignore[misc]
         each.on_message(lambda sender, payload, name=name: got.append((name, sender, payload)))  # type: ignore[misc]
         each.on_complete(lambda origin, answer, name=name: completed.append((name, origin)))  # type: ignore[misc]
-    reached = overlays["r0"].flood(b"hello", announce=True).result(10.0)
+    reached = overlays["r0"].flood(b"hello", announce=True).result(60.0)
     assert reached.complete
     assert reached.robots == ("r1", "r2", "r3")
     wait_until(lambda: len(got) == 3 and len(completed) == 3)
     assert sorted(got) == [(name, "r0", b"hello") for name in ("r1", "r2", "r3")]
     got.clear()
     handles = [overlays[name].send(to, f"{name}>{to}".encode()) for name in overlays for to in overlays if to != name]
-    assert all(handle.result(10.0).delivered for handle in handles)
+    assert all(handle.result(60.0).delivered for handle in handles)
     wait_until(lambda: len(got) == 12)
     assert sorted(got) == sorted(
         (to, name, f"{name}>{to}".encode()) for name in overlays for to in overlays if to != name
@@ -71,11 +71,11 @@ def test_large_payloads_of_apps_cross_the_swarm(build: Build) -> None:
         overlays[name].on_flood(lambda origin, payload, name=name: came.append((name, payload)))  # type: ignore[misc]
     overlays["r3"].on_message(lambda sender, payload: came.append((sender, payload)))
     payload = os.urandom(950_000)
-    handle = overlays["r0"].send("r3", payload)
+    handle = overlays["r0"].send("r3", payload, timeout=120.0)
     wait_until(lambda: handle.answer is None and 0 < handle.moved < len(payload), what="it is under way")
-    assert handle.result(60.0).delivered
+    assert handle.result(120.0).delivered
     wait_until(lambda: came == [("r0", payload)])
-    flooded = overlays["r0"].flood(payload).result(60.0)
+    flooded = overlays["r0"].flood(payload).result(120.0)
     assert flooded.complete
     assert flooded.robots == ("r1", "r2", "r3")
     wait_until(lambda: sorted(came[1:]) == [(name, payload) for name in ("r1", "r2", "r3")])
@@ -149,7 +149,7 @@ def test_messages_go_another_way_when_a_robot_dies(build: Build) -> None:
     robot = swarm["r1"]
     assert robot.mesh is not None
     robot.mesh.kill()
-    assert overlays.send("r2", b"x").result(10.0).delivered
+    assert overlays.send("r2", b"x").result(60.0).delivered
     wait_until(lambda: members(swarm, "r0")["r1"].state == "gone")
     member = members(swarm, "r0")["r2"]
     assert (member.state, member.via, member.hops) == ("here", "r3", 2)
