@@ -17,6 +17,8 @@ from swarm.process.paths import bus_endpoint
 SYNC = "swarm/{}/app/consensus/sync/00000000000000a1-0-3-9f3c21aa"
 SHORT = "heartbeat = 0.1\nsuspect = 0.4\ndead = 2.0\n"
 """Shorter times than normal, so that tests of silence are short."""
+PATIENT = "suspect = 20.0\ndead = 40.0\n"
+"""Longer times than normal: a busy host that stops a mesh for some seconds breaks no link of tests about other things."""
 
 
 class Robot:
@@ -146,7 +148,7 @@ def build(processes: Processes) -> Iterator[Build]:
         edges: tuple[tuple[str, str], ...] = (("r0", "r1"),),
         extra: str = "",
         model: str = "",
-        times: str = "",
+        times: str = PATIENT,
         key: Path | None = None,
         auto: bool = False,
         own_bus: tuple[str, ...] = (),
