@@ -18,7 +18,7 @@ SYNC = "swarm/{}/app/consensus/sync/00000000000000a1-0-3-9f3c21aa"
 SHORT = "heartbeat = 0.1\nsuspect = 0.4\ndead = 2.0\n"
 """Shorter times than normal, so that tests of silence are short."""
 PATIENT = "suspect = 20.0\ndead = 40.0\n"
-"""Longer times than normal: a busy host that stops a mesh for some seconds breaks no link of tests about other things."""
+"""Longer times than normal: a busy host stops a mesh for some seconds, which breaks no link of other tests."""
 
 
 class Robot:
