@@ -42,11 +42,14 @@ from services.mesh import __main__ as mesh
 from services.mesh.bus_interface import BusInterface
 from swarm.process import service
 
-BusInterface._stop = lambda *_: threading.Event().wait()
-mesh._LOOK_S = 0.05
+def hang(*_):
+    mesh._LOOK_S = 0.05
+    threading.Event().wait()
+
+BusInterface._stop = hang
 service.run(mesh.main)
 """
-"""A mesh that a stop makes deaf: Zenoh's thread hangs in its callback."""
+"""A mesh that a stop makes deaf: Zenoh's thread hangs in its callback. From then on it asks the router often."""
 
 HUGE = "resource.setrlimit(resource.RLIMIT_AS, (1 << 30, 1 << 30)); return bytes(1 << 40)"
 

@@ -5,13 +5,11 @@ import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from unittest.mock import MagicMock
 
 import pytest
 from balancer_rig import Rig
 from loop_rig import VirtualLoop
 
-from services.balancer.bridge import bridge as bridge_module
 from services.balancer.bridge import child
 from services.balancer.bridge.child import Bridge
 from swarm.messages import SetMode, Stop
@@ -117,17 +115,3 @@ def test_a_bridge_that_takes_messages_now_and_then_is_kept(bridge: Bridge) -> No
         assert bridge.send(SetMode("rest"))
         bridge.keep_up(2 * second * child.START_S)
     assert os.waitid(os.P_PID, bridge.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is None
-
-
-def test_a_bridge_ends_when_five_questions_in_a_row_were_not_answered(monkeypatch: pytest.MonkeyPatch) -> None:
-    defects: list[BaseException] = []
-    monkeypatch.setattr(bridge_module, "defect", lambda error, _: defects.append(error))
-    relay = bridge_module._Relay(MagicMock(robot="r0"), MagicMock(), MagicMock(), stopped=False)
-    for _ in range(2 * bridge_module.UNANSWERED):
-        relay._ask_router()
-        relay._answered("", b"")
-    for _ in range(bridge_module.UNANSWERED):
-        relay._ask_router()
-    assert not defects
-    relay._ask_router()
-    assert len(defects) == 1
