@@ -1,12 +1,10 @@
 """`swarm sim APP --virtual`: one run under virtual time, with the report of the real one."""
 
-import contextlib
-import gc
 import json
 import math
 import random
 import time as real_time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection
 from functools import partial
 from pathlib import Path
 
@@ -32,6 +30,7 @@ from swarm.app.run_options import RunOptions
 from swarm.config.dump import dump
 from swarm.core.lockstep.stopping import is_unmet
 from swarm.errors import ConfigError, LocalError
+from swarm.garbage import without_garbage_collection
 from swarm.messages import AppEpoch, AppLog, AppParameters
 from swarm.recording import folder
 from swarm.recording.recorded_topics import TOPICS
@@ -51,23 +50,10 @@ PLACE = Path("/virtual")
 _NEVER = float("inf")
 
 
-@contextlib.contextmanager
-def _without_looking_for_garbage() -> Iterator[None]:
-    """Look for no garbage within this: the robots live to the end and make no circles. Going through millions of their
-    objects again and again takes a third of the time."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
-
-
 class VirtualRun:
     """Runs a scenario until its end."""
 
-    @_without_looking_for_garbage()
+    @without_garbage_collection()
     def __init__(
         self,
         options: Options,
@@ -130,7 +116,7 @@ class VirtualRun:
         self.computed = 0.0
         """Seconds of real time that the run took."""
 
-    @_without_looking_for_garbage()
+    @without_garbage_collection()
     @broken_off()
     def go(self) -> RunOutcome:
         """Run from beginning to end."""

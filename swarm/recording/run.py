@@ -10,6 +10,7 @@ from itertools import groupby
 from pathlib import Path
 
 from swarm.errors import RecordingError
+from swarm.garbage import without_garbage_collection
 from swarm.recording import folder
 from swarm.recording.axis import WORLD, Axis, Clocks, Relation
 from swarm.recording.core.mcap import McapSchema
@@ -24,6 +25,7 @@ DISORDER_S = 5.0
 class Run:
     """One run. `samples` streams from the files; nothing but the list of topics is kept."""
 
+    @without_garbage_collection()
     def __init__(self, path: Path, app: str = "", in_memory: Mapping[Path, MemoryRecording] | None = None) -> None:
         """`path`: the run's folder, or one recording of it. `app`: which one is looked at where robots ran several.
         `in_memory`: recordings that are there, by their files. Raises `RecordingError` where there is
@@ -103,6 +105,7 @@ class Run:
                 found.setdefault(rest[0] if len(rest) == 2 else "", {})[robot] = topic
         return found
 
+    @without_garbage_collection()
     def trajectories(self, app: str = "", channel: str = "") -> dict[str, Trajectory]:
         """Return each robot's trajectory, with times from `origin` on. Of an iteration that was recorded twice the
         later one counts; `damage` reports it where the two differ."""
