@@ -25,17 +25,16 @@ class _Note(NamedTuple):
     entries: dict[str, str]
 
 
-_Message = tuple[str, float, object, str]
-"""The arguments of `write`. Messages do not change: they are frozen, or mappings of JSON's values made for this."""
-
-
 class MemoryRecording:
     """One recording: the same messages as of a `DirectRecording`, and the same bytes once it is in its file."""
 
     def __init__(self, path: Path, run: Mapping[str, str], clock: str = VIRTUAL) -> None:
         """See `DirectRecording`."""
         self._path, self._run, self._clock = path, run, clock
-        self._records: list[_Note | _Message] = []
+        self._records: list[_Note | RecordedSample] = []
+        """The messages do not change: they are frozen, or mappings of JSON's values that were made for this."""
+        self._names: dict[str, str] = {}
+        """The names of schemas by topic."""
         self._file: DirectRecording | None = None
         """The file, once it is written."""
         self._closed = False
@@ -52,7 +51,8 @@ class MemoryRecording:
         if self._file is not None:
             self._file.write(topic, t, message, name)
             return
-        self._records.append((topic, t, message, name))
+        self._records.append(RecordedSample(topic, round(t * 1e9) / 1e9, message))
+        self._names.setdefault(topic, name)
         if len(self._records) >= MOST:
             self.write_out()
 
@@ -84,7 +84,7 @@ class MemoryRecording:
                 if isinstance(record, _Note):
                     file.metadata(*record)
                 else:
-                    file.write(*record)
+                    file.write(*record, self._names[record.topic])
             if self._closed:
                 file.close()
         except LocalError:
@@ -96,7 +96,7 @@ class MemoryRecording:
         """Return a reader of what was recorded."""
         if self._file is not None:
             return RecordingReader(self._path)
-        return MemoryReader(self._records, described(self._run, self._clock), self._clock)
+        return MemoryReader(self._records, self._names, described(self._run, self._clock), self._clock)
 
 
 _ended: list["weakref.ref[MemoryRecording]"] = []
@@ -105,30 +105,31 @@ _ended: list["weakref.ref[MemoryRecording]"] = []
 class MemoryReader:
     """Reads a recording in memory as `RecordingReader` reads a file."""
 
-    def __init__(self, records: list[_Note | _Message], run: dict[str, str], clock: str) -> None:
-        """`run`: the first record of metadata."""
+    def __init__(
+        self, records: list[_Note | RecordedSample], names: Mapping[str, str], run: dict[str, str], clock: str
+    ) -> None:
+        """`names`: of schemas by topic; `run`: the first record of metadata."""
         self.clock = clock
         self.clocks = {clock: 0}
         self.damage: tuple[str, ...] = ()
-        self._messages = [record for record in records if not isinstance(record, _Note)]
+        self._names = names
+        self._samples = [record for record in records if not isinstance(record, _Note)]
         notes = [(record.name, record.entries) for record in records if isinstance(record, _Note)]
         self.metadata = [(RUN, run), *notes]
-        self._first: dict[str, _Message] = {}
-        """The first message of each topic."""
-        for record in self._messages:
-            self._first.setdefault(record[0], record)
-        self.topics = list(self._first)
+        self.topics = list(names)
 
     def topic_schemas(self) -> dict[str, McapSchema]:
         """Return the schema of the messages of each topic."""
-        shapes = {topic: schema_of(message, name) for topic, _, message, name in self._first.values()}
+        first = {sample.topic: sample for sample in reversed(self._samples)}
+        shapes = {topic: schema_of(first[topic].content, name) for topic, name in self._names.items()}
         return {topic: McapSchema(0, name, "jsonschema", text) for topic, (name, text) in shapes.items()}
 
     def samples(self, wanted: Callable[[str], bool] = lambda topic: True) -> Iterator[RecordedSample]:
         """Yield the messages of the topics that are `wanted`, in the order of their writing."""
         chosen = set(filter(wanted, self.topics))
-        for topic, t, message, _ in self._messages:
-            if topic in chosen:
-                log_time = round(t * 1e9)
-                content = foxglove.pose(message, log_time) if type(message) is Pose else message
-                yield RecordedSample(topic, log_time / 1e9, content)
+        for sample in self._samples:
+            if sample.topic in chosen:
+                if type(sample.content) is Pose:
+                    pose = foxglove.pose(sample.content, round(sample.t * 1e9))
+                    sample = sample._replace(content=pose)  # noqa: PLW2901 - as it is in a file
+                yield sample

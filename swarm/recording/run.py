@@ -115,11 +115,13 @@ class Run:
             builder.shapes = self.shapes
         told = {each: robot for topic, robot in topics.items() for each in beside(topic)}
         for file in self.files:
-            for sample in self._read(file, {*topics, *told}.__contains__):
+            reader = self._reader(file)
+            for sample in reader.samples({*topics, *told}.__contains__):
                 if sample.topic in told:
                     found[told[sample.topic]].heed(sample.topic, sample.message)
                 else:
-                    found[topics[sample.topic]].add(sample.message, file, sample.t)
+                    t = self._axis(reader.clock)(sample.t) - self.origin
+                    found[topics[sample.topic]].add(sample.message, file, t)
         for robot, builder in found.items():
             if builder.forks:
                 note = f"{robot}: {len(builder.forks)} iterations stand there twice and differ (it began anew)"
