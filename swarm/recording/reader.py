@@ -49,8 +49,6 @@ class RecordedSample(NamedTuple):
     @property
     def message(self) -> dict[str, Any]:
         """The message's fields. What was None is missing; raises `RecordingError` where the text is no JSON."""
-        if isinstance(self.content, dict):
-            return self.content
         try:
             message = json_text.decode(self.data)
         except (ValueError, RecursionError) as error:

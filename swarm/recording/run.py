@@ -121,7 +121,9 @@ class Run:
                     found[told[sample.topic]].heed(sample.topic, sample.message)
                 else:
                     t = self._axis(reader.clock)(sample.t) - self.origin
-                    found[topics[sample.topic]].add(sample.message, file, t)
+                    # Of a state in memory: it has nan where a message that was read has None, which is the same here.
+                    message = sample.content if isinstance(sample.content, dict) else sample.message
+                    found[topics[sample.topic]].add(message, file, t)
         for robot, builder in found.items():
             if builder.forks:
                 note = f"{robot}: {len(builder.forks)} iterations stand there twice and differ (it began anew)"

@@ -81,7 +81,12 @@ def test_a_recording_in_memory_reads_as_its_file_and_has_its_bytes(tmp_path_fact
 
 
 def state(k: int) -> dict[str, object]:
-    return {"t": float(k), "k": k, "state": {"v": -0.0 if k else math.pi}, "result": {"far": math.inf}}
+    return {
+        "t": float(k),
+        "k": k,
+        "state": {"v": -0.0 if k else math.pi},
+        "result": {"far": math.inf, "error": math.nan},
+    }
 
 
 def states_in_memory(path: Path, count: int) -> MemoryRecording:
@@ -99,7 +104,7 @@ def test_a_long_recording_goes_on_in_its_file(tmp_path: Path, monkeypatch: pytes
     recording.metadata("outcome", {"messages": "3"})
     recording.close()
     run = Run(path, in_memory={path: recording})
-    assert run.trajectories()["r0"].rows[24] == ("-0.0", "inf")
+    assert run.trajectories()["r0"].rows[24] == ("-0.0", "inf", "nan")
     assert run.notes("outcome") == [{"messages": "3"}]
     assert run.damage == []
 
@@ -114,7 +119,8 @@ def test_older_recordings_make_room_for_new_ones(tmp_path: Path, monkeypatch: py
         recordings[path].close()
     assert [path.name for path in sorted(tmp_path.iterdir())] == ["a.mcap"]
     for path, recording in recordings.items():
-        assert len(Run(path, in_memory={path: recording}).trajectories()["r0"].rows) == 4
+        rows = Run(path, in_memory={path: recording}).trajectories()["r0"].rows
+        assert (len(rows), rows[3]) == (4, ("-0.0", "inf", "nan"))
     recordings.clear()
     del recording
     assert memory_recording._ended == []
