@@ -36,7 +36,7 @@ simulations slots sockets source space spec spectrum stand start state states st
 stream style sub supervision surroundings survey switch system table tasks telemetry templates terminal terms text
 texts threads time timeout times tool topics tracing track tracker traffic transfers trends trips tune types units unix
 up values version versions view viewing wanted watch wire wiring wish world writer zero far manoeuvre spare calling
-random experiments end percentile findings memory garbage
+random experiments end percentile findings
 """
 PLAIN = frozenset(_PLAIN_WORDS.split())
 """English words that mean in a module's name what they mean in English."""

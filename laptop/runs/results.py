@@ -13,7 +13,6 @@ from swarm.core.state import entry_names
 from swarm.errors import LocalError, MissingPackageError, RecordingError
 from swarm.process.arguments import PICTURES
 from swarm.recording import folder
-from swarm.recording.memory_recording import MemoryRecording
 from swarm.recording.reader import OUTCOME
 from swarm.recording.run import Run
 from swarm.recording.trajectory import Trajectory
@@ -38,24 +37,16 @@ class RunData:
     Arrays have the axes iteration (from 0 on) and robot (in the order of `robots`), and further ones for a vector or
     matrix. If a robot has no such iteration, its entry is nan, or None in an array of texts."""
 
-    def __init__(self, path: Path, app: str = "", in_memory: Mapping[Path, MemoryRecording] | None = None) -> None:
-        """`path`: the run's folder, or one recording of it; `app`: which one is looked at where robots ran several;
-        `in_memory`: see `Run`. Raises `RecordingError` where there is no recording."""
-        self._in_memory = in_memory or {}
-        self.recording = Run(path, app, in_memory)
+    def __init__(self, path: Path, app: str = "") -> None:
+        """`path`: the run's folder, or one recording of it; `app`: which one is looked at where robots ran several.
+        Raises `RecordingError` where there is no recording."""
+        self.path = path
+        self.recording = Run(path, app)
         """The whole recording, for example `recording.samples("swarm/*/dwm/pose")`."""
         self.app = self.recording.app
         """The app's name."""
 
     # -- what there is
-
-    @property
-    def path(self) -> Path:
-        """The run's folder, or its recording. That of a simulation is written when this is asked for the first time:
-        raises `LocalError` where it cannot be. It is gone with the run."""
-        for each in self._in_memory.values():
-            each.write_out()
-        return self.recording.path
 
     @property
     def robots(self) -> tuple[str, ...]:
@@ -119,7 +110,7 @@ class RunData:
     def target(self) -> Array | None:
         """Return the place of the simulated target, m: float of shape (iteration, robot, 2); None for real robots."""
         moving = self._along("target", ("x", "y"))
-        file = self.recording.path / folder.CONFIG_FILE
+        file = self.path / folder.CONFIG_FILE
         if moving is not None or self.truth is None or not file.is_file():
             return moving
         target = configuration.load(file).simulation.target
@@ -218,7 +209,7 @@ class RunData:
         found = {channel: self.recording.trajectories(channel=channel) for channel in self.recording.states()}
         if not found:
             why = "".join(f"; {problem}" for problem in self.problems)
-            raise RecordingError(f"{self.recording.path}: no app's states are recorded{why}")
+            raise RecordingError(f"{self.path}: no app's states are recorded{why}")
         return found
 
     @cached_property

@@ -28,8 +28,6 @@ from swarm.app.settings import Setting
 from swarm.app.sync_app import BaseApp
 from swarm.core.lockstep.stopping import is_unmet
 from swarm.errors import AppError, ConfigError, shown
-from swarm.garbage import without_garbage_collection
-from swarm.recording.memory_recording import MemoryRecording
 from swarm.recording.recorded_topics import TOPICS
 
 App = type[BaseApp] | str | Path
@@ -89,19 +87,13 @@ def simulate(
     place = Path(held) / "run"
     read = replace(read, settings=tuple(AppSetting("", each) for each in settings), record=place)
     topics = [topic for topic in TOPICS if devices or topic not in DEVICES]
-    recordings: dict[Path, MemoryRecording] = {}
-
-    def hold(path: Path, about: Mapping[str, str], clock: str) -> MemoryRecording:
-        return recordings.setdefault(path, MemoryRecording(path, about, clock))
-
     try:
-        with without_garbage_collection():
-            plan = build(read, PLACE, found)
-            with shown_progress(f"{found.name}: {len(plan.config.names)} robots", shown=progress) as look:
-                VirtualRun(read, plan, topics=topics, recording=hold, look=look, said=partial(say, sys.stdout)).go()
-            sets = [f"--set={each.text}" for each in settings]
-            keep_command(place, [found.name if found.is_built_in else f"{found.name}.py", *words, *sets])
-            run = RunData(place, in_memory=recordings)
+        plan = build(read, PLACE, found)
+        with shown_progress(f"{found.name}: {len(plan.config.names)} robots", shown=progress) as look:
+            VirtualRun(read, plan, topics=topics, look=look, said=partial(say, sys.stdout)).go()
+        sets = [f"--set={each.text}" for each in settings]
+        keep_command(place, [found.name if found.is_built_in else f"{found.name}.py", *words, *sets])
+        run = RunData(place)
     except BaseException:
         shutil.rmtree(held)
         raise

@@ -1,10 +1,12 @@
 """`swarm sim APP --virtual`: one run under virtual time, with the report of the real one."""
 
+import contextlib
+import gc
 import json
 import math
 import random
 import time as real_time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from functools import partial
 from pathlib import Path
 
@@ -22,7 +24,7 @@ from sim.report import Json, RunOutcome, fault, summary
 from sim.scenario.options import PRESS_S, Options
 from sim.scenario.options import parse as arguments_of
 from sim.scenario.scenario import Scenario, build
-from sim.virtual.apps.app_records import AppRecords, OpenRecording
+from sim.virtual.apps.app_records import AppRecords
 from sim.virtual.apps.hang import broken_off
 from sim.virtual.mesh_choice import mesh_of
 from sim.virtual.world import Launch, VirtualWorld
@@ -30,11 +32,9 @@ from swarm.app.run_options import RunOptions
 from swarm.config.dump import dump
 from swarm.core.lockstep.stopping import is_unmet
 from swarm.errors import ConfigError, LocalError
-from swarm.garbage import without_garbage_collection
 from swarm.messages import AppEpoch, AppLog, AppParameters
 from swarm.recording import folder
 from swarm.recording.recorded_topics import TOPICS
-from swarm.recording.virtual_file import DirectRecording
 
 STALLED = 60.0
 """Seconds of virtual time without any iteration after which a run is given up: it costs no patience to wait so long."""
@@ -50,10 +50,23 @@ PLACE = Path("/virtual")
 _NEVER = float("inf")
 
 
+@contextlib.contextmanager
+def _without_looking_for_garbage() -> Iterator[None]:
+    """Look for no garbage within this: the robots live to the end and make no circles. Going through millions of their
+    objects again and again takes a third of the time."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
 class VirtualRun:
     """Runs a scenario until its end."""
 
-    @without_garbage_collection()
+    @_without_looking_for_garbage()
     def __init__(
         self,
         options: Options,
@@ -61,19 +74,17 @@ class VirtualRun:
         *,
         rows: bool = False,
         topics: Collection[str] = tuple(TOPICS),
-        recording: OpenRecording = DirectRecording,
         look: Callable[[float], None] | None = None,
         said: Callable[[str, AppLog], None] | None = None,
     ) -> None:
         """`rows`: keep the states of all iterations for the outcome, not only the last. `topics`: what a recording
-        holds beside what the app says, of those of `swarm.recording.recorded_topics`; `recording` begins one.
-        `look(share)` is called at each second of virtual time with the share of the run that is done, 0 to 1;
-        `said(robot, line)` with what apps print and log."""
+        holds beside what the app says, of those of `swarm.recording.recorded_topics`. `look(share)` is called at each
+        second of virtual time with the share of the run that is done, 0 to 1; `said(robot, line)` with what
+        apps print and log."""
         self._options = options
         self._scenario = scenario
         self._rows = rows or bool(scenario.recordings)
         self._topics = topics
-        self._recording = recording
         self._look = look
         names = scenario.config.names
         if scenario.iterations is None and not (options.slots or options.latency or options.jitter):
@@ -116,7 +127,7 @@ class VirtualRun:
         self.computed = 0.0
         """Seconds of real time that the run took."""
 
-    @without_garbage_collection()
+    @_without_looking_for_garbage()
     @broken_off()
     def go(self) -> RunOutcome:
         """Run from beginning to end."""
@@ -150,7 +161,7 @@ class VirtualRun:
         self._watch()
 
     def _records_of(self, app: str) -> AppRecords:
-        return AppRecords(self.world, app, self._recording, keep=self._rows, skewed=bool(self._options.clock_skew))
+        return AppRecords(self.world, app, keep=self._rows, skewed=bool(self._options.clock_skew))
 
     def _launch(
         self, app: loader.LoadedApp, which: str, run_options: RunOptions, records: AppRecords, observer: Observer

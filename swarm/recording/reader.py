@@ -17,7 +17,6 @@ EPOCH = "epoch_ns"
 """Its entry that says which time of day, ns since 1970, the process' clock had at its zero."""
 
 _NO_TIME = 1 << 64
-_NO_SCHEMA = mcap.McapSchema(0, "", "", b"{}")
 
 OUTCOME = "outcome"
 """Name of the metadata record that ends the recording of a run in virtual time: `messages`, `problems` (JSON)."""
@@ -38,13 +37,8 @@ class RecordedSample(NamedTuple):
     topic: str
     t: float
     """The time at which it was recorded, s of the recording process' clock."""
-    content: object
-    """JSON text. Of a recording that is held in memory the message itself: a dict of JSON's values, or a dataclass."""
-
-    @property
-    def data(self) -> bytes:
-        """Return the message as JSON text."""
-        return self.content if isinstance(self.content, bytes) else json_text.encode(self.content)
+    data: bytes
+    """JSON text."""
 
     @property
     def message(self) -> dict[str, Any]:
@@ -86,15 +80,6 @@ class RecordingReader:
             raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
         if begins != mcap.MAGIC[: len(begins)]:
             raise RecordingError(f"{path}: it is no MCAP file")
-
-    @property
-    def topics(self) -> list[str]:
-        """The topics seen so far."""
-        return [channel.topic for channel in self.channels.values()]
-
-    def topic_schemas(self) -> dict[str, mcap.McapSchema]:
-        """Return the schema of the messages of each topic."""
-        return {channel.topic: self.schemas.get(channel.schema, _NO_SCHEMA) for channel in self.channels.values()}
 
     def samples(self, wanted: Callable[[str], bool] = lambda topic: True) -> Iterator[RecordedSample]:
         """Yield the messages of the topics that are `wanted`, in the order of their writing."""

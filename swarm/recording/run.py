@@ -4,19 +4,19 @@ import heapq
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from functools import cached_property
 from itertools import groupby
 from pathlib import Path
 
 from swarm.errors import RecordingError
-from swarm.garbage import without_garbage_collection
 from swarm.recording import folder
 from swarm.recording.axis import WORLD, Axis, Clocks, Relation
 from swarm.recording.core.mcap import McapSchema
-from swarm.recording.memory_recording import MemoryReader, MemoryRecording
 from swarm.recording.reader import SUFFIX, WORLD_CLOCK, RecordedSample, RecordingReader, shapes_of
 from swarm.recording.trajectory import Builder, Trajectory, beside, is_state
+
+_NO_SCHEMA = McapSchema(0, "", "", b"{}")
 
 DISORDER_S = 5.0
 """Seconds by which a message may stand in a file behind later ones: what came over the bus is written once a second."""
@@ -25,14 +25,11 @@ DISORDER_S = 5.0
 class Run:
     """One run. `samples` streams from the files; nothing but the list of topics is kept."""
 
-    @without_garbage_collection()
-    def __init__(self, path: Path, app: str = "", in_memory: Mapping[Path, MemoryRecording] | None = None) -> None:
+    def __init__(self, path: Path, app: str = "") -> None:
         """`path`: the run's folder, or one recording of it. `app`: which one is looked at where robots ran several.
-        `in_memory`: recordings that are there, by their files. Raises `RecordingError` where there is
-        none."""
+        Raises `RecordingError` where there is none."""
         self.path = path
-        self._in_memory = in_memory or {}
-        self.files = tuple(sorted(self._in_memory or (path.glob(f"*{SUFFIX}") if path.is_dir() else (path,))))
+        self.files = tuple(sorted(path.glob(f"*{SUFFIX}"))) if path.is_dir() else (path,)
         if not self.files:
             tables = "; swarm import reads the thesis' CSV files" if any(path.glob("*.csv")) else ""
             raise RecordingError(f"{path}: there is no recording (*{SUFFIX}) in this folder{tables}")
@@ -40,8 +37,8 @@ class Run:
         """App, run, version, seed and digest."""
         self.topics: dict[str, list[Path]] = {}
         """Every topic, and the files that hold it."""
-        self._readers: list[RecordingReader | MemoryReader] = []
-        """The readers of the first pass."""
+        self.schemas: dict[str, McapSchema] = {}
+        """The schema of each topic."""
         self._metadata: list[tuple[str, dict[str, str]]] = []
         self._numbers: dict[str, str] = {}
         """The run's number by app, as the first file has it."""
@@ -85,11 +82,6 @@ class Run:
         return [entries for known, entries in self._metadata if known == name]
 
     @cached_property
-    def schemas(self) -> dict[str, McapSchema]:
-        """The schema of each topic."""
-        return {topic: schema for reader in self._readers for topic, schema in reader.topic_schemas().items()}
-
-    @cached_property
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """The shape of each field with several axes: messages hold them as one row after the other."""
         return shapes_of(self._metadata)
@@ -105,7 +97,6 @@ class Run:
                 found.setdefault(rest[0] if len(rest) == 2 else "", {})[robot] = topic
         return found
 
-    @without_garbage_collection()
     def trajectories(self, app: str = "", channel: str = "") -> dict[str, Trajectory]:
         """Return each robot's trajectory, with times from `origin` on. Of an iteration that was recorded twice the
         later one counts; `damage` reports it where the two differ."""
@@ -115,15 +106,11 @@ class Run:
             builder.shapes = self.shapes
         told = {each: robot for topic, robot in topics.items() for each in beside(topic)}
         for file in self.files:
-            reader = self._reader(file)
-            for sample in reader.samples({*topics, *told}.__contains__):
+            for sample in self._read(file, {*topics, *told}.__contains__):
                 if sample.topic in told:
                     found[told[sample.topic]].heed(sample.topic, sample.message)
                 else:
-                    t = self._axis(reader.clock)(sample.t) - self.origin
-                    # Of a state in memory: it has nan where a message that was read has None, which is the same here.
-                    message = sample.content if isinstance(sample.content, dict) else sample.message
-                    found[topics[sample.topic]].add(message, file, t)
+                    found[topics[sample.topic]].add(sample.message, file, sample.t)
         for robot, builder in found.items():
             if builder.forks:
                 note = f"{robot}: {len(builder.forks)} iterations stand there twice and differ (it began anew)"
@@ -148,8 +135,7 @@ class Run:
 
     def _look(self, file: Path, clocks: Clocks) -> None:
         """First pass: what is in a file, and how its clocks relate."""
-        reader = self._reader(file)
-        self._readers.append(reader)
+        reader = RecordingReader(file)
         for sample in reader.samples():
             clock = reader.clock
             of = clock, sample.topic
@@ -164,8 +150,9 @@ class Run:
                     self.damage.append(f"{file}: {sample.topic}: it is no sample of the mesh clock")
         for clock, epoch_ns in reader.clocks.items():
             clocks.add(clock, epoch_ns / 1e9)
-        for topic in reader.topics:
-            self.topics.setdefault(topic, []).append(file)
+        for channel in reader.channels.values():
+            self.topics.setdefault(channel.topic, []).append(file)
+            self.schemas[channel.topic] = reader.schemas.get(channel.schema, _NO_SCHEMA)
         self.damage += reader.damage
         self._metadata += reader.metadata
         for name, entries in reader.metadata:
@@ -181,12 +168,9 @@ class Run:
                     self.damage.append(f"{file}: {WORLD_CLOCK}: expected numbers `offset` and `rate`, got {entries}")
 
     def _read(self, file: Path, wanted: Callable[[str], bool]) -> Iterator[RecordedSample]:
-        reader = self._reader(file)
-        for topic, t, content in reader.samples(wanted):
-            yield RecordedSample(topic, self._axis(reader.clock)(t) - self.origin, content)
-
-    def _reader(self, file: Path) -> RecordingReader | MemoryReader:
-        return self._in_memory[file].reader() if file in self._in_memory else RecordingReader(file)
+        reader = RecordingReader(file)
+        for topic, t, data in reader.samples(wanted):
+            yield RecordedSample(topic, self._axis(reader.clock)(t) - self.origin, data)
 
     def _axis(self, clock: str) -> Axis:
         return self._axes.get(clock, float)

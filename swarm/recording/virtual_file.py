@@ -1,6 +1,5 @@
 """A recording without clock and threads, for virtual time: same messages, same bytes."""
 
-import contextlib
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,7 +21,7 @@ class DirectRecording:
         """`run`: what is to be known of the run (`folder.describe`); `clock` names what its times are of."""
         self._path = path
         self._writer = Writer(LIBRARY, epoch_ns=0)
-        self._writer.metadata(RUN, described(run, clock))
+        self._writer.metadata(RUN, {**run, EPOCH: "0", CLOCK: clock})
         try:
             self._file = path.open("x+b")
         except OSError as error:
@@ -51,17 +50,6 @@ class DirectRecording:
             self._file.close()
         except OSError as error:
             raise LocalError(f"{self._path}: cannot be written: {error.strerror}") from None
-
-    def abandon(self) -> None:
-        """Remove the file again, as where the disk was full."""
-        with contextlib.suppress(OSError):
-            self._file.close()
-        self._path.unlink(missing_ok=True)
-
-
-def described(run: Mapping[str, str], clock: str) -> dict[str, str]:
-    """Return the first record of metadata, with the clock."""
-    return {**run, EPOCH: "0", CLOCK: clock}
 
 
 def finish(writer: Writer, file: BinaryIO) -> None:

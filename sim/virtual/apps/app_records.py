@@ -1,6 +1,6 @@
 """The records of one app under virtual time: its last states or all, and a recording where one is wanted."""
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from functools import partial
 from pathlib import Path
 
@@ -13,29 +13,22 @@ from sim.virtual.events import LocalTime
 from sim.virtual.world import VirtualWorld
 from swarm.messages import AppEpoch, AppParameters
 from swarm.recording import folder
-from swarm.recording.memory_recording import MemoryRecording
 from swarm.recording.reader import OUTCOME, PLOTTED, SHAPES, SUFFIX, WORLD_CLOCK
 from swarm.recording.recorded_topics import TopicRecorder
 from swarm.recording.trajectory import Trajectory
-from swarm.recording.virtual_file import VIRTUAL, DirectRecording
-
-Recording = DirectRecording | MemoryRecording
-OpenRecording = Callable[[Path, Mapping[str, str], str], Recording]
-"""Begins the recording of a file; see `DirectRecording`."""
+from swarm.recording.virtual_file import DirectRecording
 
 
 class AppRecords:
     """The records of one app on all robots."""
 
-    def __init__(self, world: VirtualWorld, app: str, recording: OpenRecording, *, keep: bool, skewed: bool) -> None:
-        """`recording` begins recordings; `keep`: the states of all iterations, not only the last; `skewed`: each robot
-        has a clock of its own."""
+    def __init__(self, world: VirtualWorld, app: str, *, keep: bool, skewed: bool) -> None:
+        """`keep`: the states of all iterations, not only the last; `skewed`: each robot has a clock of its own."""
         self.app = app
         self._world = world
         self._skewed = skewed
         self._builders = {name: TrajectoryBuilder(keep=keep) for name in world.robots}
-        self._open = recording
-        self._files: list[Recording] = []
+        self._files: list[DirectRecording] = []
         self._recorders: dict[str, Recorder] = {}
 
     def record(self, place: Path, app: loader.LoadedApp, number: int, topics: Collection[str]) -> None:
@@ -43,13 +36,13 @@ class AppRecords:
         `TopicRecorder`."""
         world, run = self._world, folder.describe(app.name, number, self._world.seed, app.digest)
         if self._skewed:
-            files = {name: self._open(place / f"{name}.{app.name}{SUFFIX}", run, name) for name in world.robots}
+            files = {name: DirectRecording(place / f"{name}.{app.name}{SUFFIX}", run, name) for name in world.robots}
             self._files = list(files.values())
             for name, robot in world.robots.items():
                 assert isinstance(robot.time, LocalTime)
                 files[name].metadata(WORLD_CLOCK, {key: repr(it) for key, it in robot.time.relation.items()})
         else:
-            self._files = [self._open(place / f"{app.name}{SUFFIX}", run, VIRTUAL)]
+            self._files = [DirectRecording(place / f"{app.name}{SUFFIX}", run)]
             files = dict.fromkeys(world.robots, self._files[0])
         kind = app.kind_on(world.config, world.config.names[0])
         if shapes := kind.spec.schema.shapes:

@@ -157,7 +157,7 @@ class Writer:
         data = foxglove.pose(message, log_time) if type(message) is Pose else json_text.encode(message)
         channel = self._ids.get(topic)
         if channel is None:
-            channel = self._open(topic, *schema_of(message, name))
+            channel = self._open(topic, *self._shape(message, name))
         self._message(channel, log_time, data)
 
     def write_text(self, topic: str, t: float, data: bytes, schema: mcap.McapSchema) -> None:
@@ -282,6 +282,13 @@ class Writer:
         self._ready.clear()
         return data
 
+    def _shape(self, message: object, name: str) -> tuple[str, bytes]:
+        """Name and text of the schema of messages like this one."""
+        if type(message) is Pose:
+            return foxglove.POSE, foxglove.pose_schema()
+        name = name or f"swarm.{type(message).__name__}"
+        return name, json_text.schema(message, name)
+
     def _open(self, topic: str, name: str, shape: bytes) -> int:
         """Open a new channel, with its schema. Both stand before the chunk that is open now, whose position moves."""
         known = self._known
@@ -312,11 +319,3 @@ class Writer:
     def _put(self, data: bytes) -> None:
         self._ready += data
         self._known.position += len(data)
-
-
-def schema_of(message: object, name: str) -> tuple[str, bytes]:
-    """Return name and text of the schema of messages like this one; `name`: see `Writer.write`."""
-    if type(message) is Pose:
-        return foxglove.POSE, foxglove.pose_schema()
-    name = name or f"swarm.{type(message).__name__}"
-    return name, json_text.schema(message, name)
