@@ -206,8 +206,8 @@ def test_a_robot_that_is_cut_off_for_ever_does_not_keep_the_others_from_their_en
 def test_robots_without_an_app_just_balance():
     report = simulate("--robots", "2", "--seconds", "2")
     assert report["app"] is None
-    # That they stand is tested under virtual time; here the host may be too busy for a loop of 100 Hz.
-    assert {body["mode"] for body in report["result"].values()} <= {"balancing", "fault"}
+    # How upright they stand is tested under virtual time; here the host may be too busy for a loop of 100 Hz.
+    assert {body["mode"] for body in report["result"].values()} == {"balancing"}
 
 
 def test_a_swarm_of_one_robot_runs():
@@ -223,13 +223,13 @@ def test_localization_finds_the_target():
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_three_balancing_robots_cross():
+def test_six_balancing_robots_cross_without_contact():
     """Each to the opposite side, as the app has it where no waypoints are given. The run ends when all have arrived.
 
-    The balancer, the body that falls if it is late, odometry, UWB, EKF and mesh of each robot: 18 processes.
-    (`./run bench teamwork` does so with a formation of six.) How near two come is tested under virtual time, since on a
-    busy host the robots hear late where the others are.
+    The balancer, the body that falls if it is late, odometry, UWB, EKF and mesh of each robot: 36 processes.
+    (`./run bench teamwork` does so with a formation.)
     """
-    report = simulate("goto", "--robots", "3", "--topology", "line", "--jitter", "10ms")
+    report = simulate("goto", "--robots", "6", "--topology", "line", "--jitter", "10ms")
     assert report["problems"] == []
+    assert report["scene"]["closest_m"] > 0.15
     assert all(result["reached"] == result["of"] for result in report["result"].values())
