@@ -243,8 +243,8 @@ async def _play(playing: Playing, socket: web.WebSocketResponse) -> None:
     queue of their own, so that the page plays on meanwhile."""
 
     async def answer(asked: Any) -> None:
-        answer = await asyncio.to_thread(playing.answer, asked)
-        await socket.send_str(await asyncio.to_thread(as_json, answer))
+        found = await asyncio.to_thread(playing.answer, asked)
+        await socket.send_str(await asyncio.to_thread(as_json, found))
 
     async def answer_series() -> None:
         while True:
