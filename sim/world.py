@@ -26,6 +26,7 @@ from swarm.config import Config
 from swarm.frozen import frozen
 from swarm.messages import LedChange, Target, Truth
 from swarm.messages.codec import MAX_PAYLOAD, decode_any
+from swarm.messages.sim import TRUTH_PERIOD_S
 from swarm.process.paths import socket_path
 
 _log = logging.getLogger("sim")
@@ -33,8 +34,6 @@ _log = logging.getLogger("sim")
 SOCKET = "world.sock"
 
 T = TypeVar("T")
-TRUTH_PERIOD_S = 0.1
-"""`sim/truth` is published at 10 Hz, as poses are."""
 
 
 @frozen

@@ -23,11 +23,8 @@ from swarm.messages import (
     read,
 )
 from swarm.messages.keys import key, parse
+from swarm.messages.sim import THROTTLED_TRUTH_S
 from swarm.recording.file import UNRECORDED
-
-THROTTLED_TRUTH_S = 0.2
-"""Seconds between two messages of the throttled copy of the truth."""
-
 
 MOST_SAID = 1000
 """Lines of apps that wait to be shown; the oldest are lost."""

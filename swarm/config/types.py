@@ -330,7 +330,7 @@ class Config:
 
     def neighbours(self, name: str) -> tuple[str, ...]:
         """Return the names of the robots linked to `name` in the topology to begin with, sorted."""
-        return tuple(sorted((b if a == name else a) for a, b in self.edges if name in (a, b)))
+        return self.graph.neighbours(name)
 
     def app(self, name: str) -> AppConfig:
         """Parameters of an app; empty ones where the file says nothing of it."""

@@ -3,10 +3,15 @@
 from swarm.frozen import frozen
 from swarm.messages.codec import with_telemetry
 
+TRUTH_PERIOD_S = 0.1
+"""Seconds between two messages of a robot's truth ..."""
+THROTTLED_TRUTH_S = 0.2
+"""... and of its throttled copy."""
+
 
 @frozen
 class Truth:
-    """True pose of a simulated robot, on `swarm/<robot>/sim/truth` at 10 Hz."""
+    """True pose of a simulated robot, on `swarm/<robot>/sim/truth`."""
 
     t: float
     x: float

@@ -100,11 +100,9 @@ class TopicRecorder:
         sink: Takes,
         now: Now,
         *,
-        copies: bool = True,
         topics: Collection[str] = tuple(TOPICS),
     ) -> None:
-        """`copies`: fast keys have some, which are heard in their place (not so in virtual time). `topics`: which of
-        `TOPICS` are recorded."""
+        """`topics`: which of `TOPICS` are recorded."""
         self._sink = sink
         self._now = now
         self._app = app
@@ -123,7 +121,7 @@ class TopicRecorder:
         self.on_lost: Callable[[int], None] = lambda count: None
         """Called with the number of messages that are lost, as too much waits."""
         of = partial(key, robot)
-        throttled = [topic for topic in THROTTLED_TOPICS if copies and topic in topics]
+        throttled = [topic for topic in THROTTLED_TOPICS if topic in topics]
         self._copies = {f"{name}/{THROTTLED}": name for name in map(of, throttled)}
         heard = set(self._least) - set(self._copies.values()) | set(self._copies)
         bus.subscribe(sorted(heard), self._take)

@@ -58,7 +58,7 @@ class AppRecords:
         for name, robot in world.robots.items():
             bus = VirtualBus(robot.router)
             now = partial(getattr, robot.time, "now")
-            watch = TopicRecorder(bus, name, app.name, files[name], now, copies=False, topics=topics)
+            watch = TopicRecorder(bus, name, app.name, files[name], now, topics=topics)
             watch.on_sample = watch.drain
             watch.hear_requests(bus, name)
 

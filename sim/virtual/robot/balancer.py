@@ -6,6 +6,7 @@ What nobody hears is not made. Buttons are pressed, and robots laid down, by the
 import math
 import random
 from collections.abc import Callable, Mapping
+from functools import partial
 
 from services.balancer.bridge.bus_side import BusSide
 from services.balancer.bridge.link import TELEMETRY_S, LoopCommand
@@ -21,6 +22,7 @@ from sim.virtual.events import Time
 from sim.virtual.periodic_publisher import PeriodicPublisher
 from sim.virtual.robot.body import BALANCING, VirtualBody
 from sim.virtual.runtime import VirtualRuntime
+from swarm.bus.throttle import THROTTLED
 from swarm.config import Config
 from swarm.errors import LocalError
 from swarm.messages import (
@@ -38,8 +40,8 @@ from swarm.messages import (
     TryMotors,
 )
 from swarm.messages.keys import key
+from swarm.messages.sim import THROTTLED_TRUTH_S, TRUTH_PERIOD_S
 
-TRUTH = 0.1
 BATTERY = 7.4
 """Voltage of the battery, V, which never changes."""
 TICK = 0.01
@@ -82,12 +84,14 @@ class VirtualBalancer:
         """The time at which a robot that was switched on stands up, unless a stop or another mode comes before."""
         self._side = BusSide(VirtualRuntime(robot, time, bus), lambda: time.now, self)
         self._side.listen(self._put)
-        self._truth_key, self._sim_leds_key = key(robot, "sim", "truth"), key(robot, "sim", "leds")
+        truth, self._sim_leds_key = key(robot, "sim", "truth"), key(robot, "sim", "leds")
         phase = numbers.random()
         time.soon(self._show_leds)
         odometry_and_state = self._side.key(Odometry), *self._side.state_keys
         PeriodicPublisher(time, bus, odometry_and_state, TELEMETRY_S, time.now + TELEMETRY_S * phase, self._tell)
-        PeriodicPublisher(time, bus, (self._truth_key,), TRUTH, time.now + TRUTH * phase, self._tell_truth)
+        for truth_key, period in ((truth, TRUTH_PERIOD_S), (f"{truth}/{THROTTLED}", THROTTLED_TRUTH_S)):
+            tell_truth = partial(self._tell_truth, truth_key)
+            PeriodicPublisher(time, bus, (truth_key,), period, time.now + period * phase, tell_truth)
         time.at(time.now + REPEAT_S * phase, self._tell_slowly)
         if scene_record is not None:
             time.soon(self._be_seen, scene_record)
@@ -269,10 +273,10 @@ class VirtualBalancer:
             demanded_turn_rate=turn_rate,
         )
 
-    def _tell_truth(self) -> None:
+    def _tell_truth(self, truth_key: str) -> None:
         now, body = self._time.now, self.body
         body.advance(now)
-        self.bus.publish(self._truth_key, Truth(now, body.x, body.y, body.heading, body.tilt))
+        self.bus.publish(truth_key, Truth(now, body.x, body.y, body.heading, body.tilt))
 
     def _be_seen(self, scene_record: SceneRecord) -> None:
         now, body = self._time.now, self.body
