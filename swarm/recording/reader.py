@@ -86,6 +86,7 @@ class RecordingReader:
         self.damage.clear()
         self.finished = False  # a process that was started again goes on with what the one before had ended
         chosen: dict[int, str | None] = {}
+        """The topic of each channel so far; None where it is not wanted."""
         with self.path.open("rb") as file:
             size = os.fstat(file.fileno()).st_size
             if size <= len(mcap.MAGIC):
@@ -120,14 +121,14 @@ class RecordingReader:
                     continue
                 content = file.read(min(length, size - start))
                 try:
-                    for message in self._messages(opcode, content, torn=torn):
-                        if (channel := self.channels.get(message.channel)) is None:
-                            self._name(start, f"a message of channel {message.channel}, which is not described")
-                            continue
-                        if message.channel not in chosen:
-                            chosen[message.channel] = channel.topic if wanted(channel.topic) else None
-                        if (topic := chosen[message.channel]) is not None:
-                            yield RecordedSample(topic, (message.log_time - self._epoch_ns) / 1e9, message.data)
+                    for number, log_time, data in self._messages(opcode, content, torn=torn):
+                        if number not in chosen:
+                            if (channel := self.channels.get(number)) is None:
+                                self._name(start, f"a message of channel {number}, which is not described")
+                                continue
+                            chosen[number] = channel.topic if wanted(channel.topic) else None
+                        if (topic := chosen[number]) is not None:
+                            yield RecordedSample(topic, (log_time - self._epoch_ns) / 1e9, data)
                 except RecordingError as error:
                     if not torn:
                         self._name(start, str(error))
@@ -136,22 +137,20 @@ class RecordingReader:
                     return
                 self._at = after
 
-    def _messages(self, opcode: int, content: bytes, *, torn: bool) -> Iterator[mcap.McapMessage]:
-        """Yield the messages of a record, and note what else it says."""
+    def _messages(self, opcode: int, content: bytes, *, torn: bool) -> Iterable[tuple[int, int, bytes]]:
+        """Return channel, log time and data of a record's messages; what else it says is noted."""
+        if opcode == mcap.MESSAGE:
+            message = mcap.read_message(content)
+            return [(message.channel, message.log_time, message.data)]
         if opcode != mcap.CHUNK:
-            records: Iterable[tuple[int, int, bytes | memoryview]] = ((0, opcode, content),)
-        else:
-            chunk = mcap.read_chunk(content)
-            if chunk.compression:
-                raise RecordingError(f"a chunk is compressed with {chunk.compression!r}, which is not read here")
-            if not torn and chunk.crc and crc32(chunk.records) != chunk.crc:
-                raise RecordingError(f"the checksum of a chunk of {len(chunk.records)} bytes is wrong")
-            records = mcap.whole_records(chunk.records)
-        for _, inner, record in records:
-            if inner == mcap.MESSAGE:
-                yield mcap.read_message(record)
-            else:
-                self._note(inner, record)
+            self._note(opcode, content)
+            return ()
+        chunk = mcap.read_chunk(content)
+        if chunk.compression:
+            raise RecordingError(f"a chunk is compressed with {chunk.compression!r}, which is not read here")
+        if not torn and chunk.crc and crc32(chunk.records) != chunk.crc:
+            raise RecordingError(f"the checksum of a chunk of {len(chunk.records)} bytes is wrong")
+        return mcap.messages(chunk.records, self._note)
 
     def _note(self, opcode: int, content: bytes | memoryview) -> None:
         """Note what a record says that is neither a message nor a chunk; chunks hold no chunks."""
