@@ -64,7 +64,7 @@ class Cut:
 
 @frozen
 class Off:
-    """A robot that is switched off for a while, and forgets what it knew but for its votes."""
+    """A robot that is switched off for a while, and forgets what it knew but for its votes and stops."""
 
     robot: str
     at: float | None

@@ -62,7 +62,7 @@ def main() -> None:
         sockets = Sockets(runtime, network.listeners, network.dial)
         start_number = incarnation()
         view_sender = ViewSender(this.robot, len(this.config.names), this.runtime)
-        stops = FileWriter("stops", stops_file.save, this.runtime)
+        stops = FileWriter("stops", stops_file.save, state_dir())
         topology = FileWriter("the topology", topology_file.save, state_dir())
         mesh = Mesh(
             this.config,
@@ -74,7 +74,7 @@ def main() -> None:
             sockets,
             keep=topology.keep,
             keep_stops=stops.keep,
-            stops=stops_file.load(this.runtime, this.robot, start_number),
+            stops=stops_file.load(state_dir(), this.robot, start_number),
             heard=view_sender.heard,
             role_of=network.roles.of,
         )

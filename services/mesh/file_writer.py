@@ -9,8 +9,9 @@ from pathlib import Path
 
 from services.mesh.links.pipe import describe
 
-RETRY_S = 1.0
-"""Seconds after which a write that has failed is tried again."""
+PAUSE_S = 1.0
+"""Seconds after a write until the next one, so that news in a loop do not wear the card; or until one that has failed
+is tried again."""
 _END_S = 1.0
 """Seconds that the last write has when the mesh ends, which systemd gives 5 s."""
 
@@ -47,12 +48,14 @@ class FileWriter:
 
     def _run(self) -> None:
         while (data := self._next()) is not None:
+            failed = None
             try:
                 self._save(self._directory, data)
                 self.problem = ""
             except OSError as error:
                 self.problem = f"{self._what} cannot be kept through a restart: {self._directory}: {describe(error)}"
-                self._wait(data)
+                failed = data
+            self._pause(failed)
 
     def _next(self) -> bytes | None:
         """Wait for content and return it; None at the end."""
@@ -61,9 +64,9 @@ class FileWriter:
             data, self._data = self._data, None
             return data
 
-    def _wait(self, failed: bytes) -> None:
+    def _pause(self, failed: bytes | None) -> None:
         """Wait a while, then have the content that could not be written be the next, unless there is a newer one."""
         with self._news:
-            self._news.wait_for(lambda: self._data is not None or self._ending, RETRY_S)
+            self._news.wait_for(lambda: self._ending, PAUSE_S)
             if self._data is None and not self._ending:
                 self._data = failed

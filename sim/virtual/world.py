@@ -177,9 +177,9 @@ class VirtualWorld:
         return sum(robot.sent for robot in self.robots.values())
 
     def switch_off(self, robot: str, seconds: float, *, falls: bool = True) -> None:
-        """Switch a robot off: its mesh and its apps end at once, and with them what they knew, but for its votes. After
-        `seconds` they start anew. Its body falls (or where it does not `falls`, as one that is still held, stays as it
-        is) and stands up when it is on again, unless robots begin lying or a stop holds."""
+        """Switch a robot off: its mesh and its apps end at once, and with them what they knew, but for its votes and
+        the stops. After `seconds` they start anew. Its body falls (or where it does not `falls`, as one that is still
+        held, stays as it is) and stands up when it is on again, unless robots begin lying or a stop holds."""
         there = self.robots[robot]
         there.off_until = max(there.off_until, self.time.now + seconds)
         if not there.balancer.powered:
@@ -191,8 +191,6 @@ class VirtualWorld:
         there.balancer.switch_off(falls=falls)
         self.air.switch_off(robot)
         self._kill_mesh(robot, seconds)
-        if isinstance(there.mesh, VirtualMesh):
-            there.mesh.kept_stops = b""
         self.time.at(self.time.now + seconds, self._switch_on, robot, begun)
 
     def kill_app(self, robot: str, app: str) -> None:

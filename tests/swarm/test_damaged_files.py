@@ -262,13 +262,14 @@ def test_a_mesh_that_cannot_keep_a_stop_for_its_restart_says_so_until_there_is_r
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It did not try again, so a mesh that was restarted later knew of no stop; and it said so for ever."""
-    monkeypatch.setattr(file_writer, "RETRY_S", 0.01)
-    place = tmp_path / "missing"
+    monkeypatch.setattr(file_writer, "PAUSE_S", 0.01)
+    place = tmp_path / "mesh"
+    place.write_text("a file where the folder is to be")
     file = file_writer.FileWriter("stops", stops_file.save, place)
     file.keep(b"older")
     file.keep(b"data")
-    wait_until(lambda: file.problem.startswith(f"stops cannot be kept through a restart: {place}: no such file"))
-    place.mkdir()
+    wait_until(lambda: file.problem.startswith(f"stops cannot be kept through a restart: {place}: "))
+    place.unlink()
     wait_until(lambda: not file.problem)
     assert (place / stops_file.NAME).read_bytes() == b"data"
     file.close()
@@ -281,6 +282,20 @@ def test_the_content_given_last_before_the_end_is_in_the_file(tmp_path: Path, mo
         file.keep(b"%d" % number)
     file.close()
     assert (tmp_path / stops_file.NAME).read_bytes() == b"99"
+
+
+def test_news_in_a_loop_are_written_now_and_at_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each write wears the card."""
+    monkeypatch.setattr(file_writer, "_END_S", 60.0)
+    monkeypatch.setattr(file_writer, "PAUSE_S", 60.0)
+    written: list[bytes] = []
+    file = file_writer.FileWriter("stops", lambda place, data: written.append(data), tmp_path)
+    file.keep(b"first")
+    wait_until(lambda: written == [b"first"])
+    for number in range(100):
+        file.keep(b"%d" % number)
+    file.close()
+    assert written == [b"first", b"99"]
 
 
 def test_what_a_run_s_own_files_lack_is_said_in_the_log(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

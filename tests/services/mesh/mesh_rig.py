@@ -29,6 +29,7 @@ class Robot:
         self.swarm = swarm
         self.directory = swarm.runtime / name
         self.directory.mkdir()
+        self.disk = self.directory / "disk"
         self.config = swarm.runtime / f"{name}.toml"
         self.samples: list[tuple[str, bytes]] = []
         self.links: dict[str, LinkState] = {}
@@ -45,6 +46,7 @@ class Robot:
             "services.mesh",
             SWARM_ROBOT=self.name,
             SWARM_RUNTIME=str(self.directory),
+            SWARM_STATE=str(self.disk),
             SWARM_CONFIG=str(self.config),
             SWARM_SIM_LINK=self.swarm.model,
         )

@@ -117,6 +117,23 @@ def from_file(data: bytes) -> Halt:
     return halt
 
 
+_NONE = Mark(0, 0)
+"""The mark of no stop."""
+
+
+def without_greatest(halt: Halt, robot: str, first: Mark) -> Halt:
+    """Return kept stops without the robots in whose name there is a mark of the greatest incarnation. Nothing is above
+    it, so such a robot gives no more stops while anybody knows that mark. If its stop holds, it becomes a stop of
+    `robot`, with the mark `first` of this start."""
+    marks = [*halt.arms.items(), *((name, mark) for name, (mark, _) in halt.stops.items())]
+    lies = {name for name, mark in marks if mark.incarnation == MAX_INCARNATION}
+    stops = {name: stop for name, stop in halt.stops.items() if name not in lies}
+    for name, (mark, reason) in halt.stops.items():
+        if name in lies and mark > halt.arms.get(name, _NONE):
+            stops[robot] = (first, reason)
+    return Halt(stops, {name: mark for name, mark in halt.arms.items() if name not in lies})
+
+
 REPEAT_PERIOD = 10.0
 """Seconds between two messages to each neighbour once there was a stop."""
 
@@ -134,7 +151,6 @@ AT_ONCE = 5
 swarm again within 0.1 s give fewer."""
 
 _NEVER = float("inf")
-_NONE = Mark(0, 0)
 
 
 class Register:

@@ -117,7 +117,7 @@ def test_a_kill_in_the_middle_and_a_restart_of_all_keep_the_newest_topology(buil
         robot = swarm["r3"]
         assert robot.mesh is not None
         assert stop(robot.mesh) == 0
-        path = robot.directory / NAME
+        path = robot.disk / NAME
         data = bytearray(path.read_bytes())
         data[20] ^= 1
         path.write_bytes(data)

@@ -131,6 +131,20 @@ def test_a_robot_that_is_switched_on_stands_up_unless_a_stop_holds(rig):
     assert [at for at, message in rig.messages(BalancerState) if message.mode == "standing_up" and at > 6.0] == []
 
 
+def test_a_stopped_robot_that_is_switched_off_and_on_alone_stays_stopped(rig):
+    rig.run(0.5)
+    rig.bus.publish("swarm/stop", Stop(rig.time.now, "r0", "test"))
+    rig.run(1.0)
+    for peer in ("r1", "r2"):
+        rig.world.switch_off(peer, 60.0)
+    rig.world.switch_off("r0", 1.0)
+    rig.run(2.0)
+    rig.devices.drive(0.1, 0.0)
+    rig.run(6.0)
+    assert rig.body.fault == "stopped: test (by r0)"
+    assert rig.body.mode == "fault"
+
+
 def test_a_robot_that_was_switched_off_has_lost_the_leds_of_before_and_keeps_those_of_after(rig):
     balancer = rig.world.robots["r0"].balancer
     rig.run(0.5)

@@ -25,6 +25,7 @@ from services.mesh.core.overlays.stop import (
     encode_halts,
     from_file,
     to_file,
+    without_greatest,
 )
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import CONTROL, FLOOD
@@ -473,6 +474,22 @@ def test_kept_stops_are_read_as_they_were_written_and_damage_is_named() -> None:
     for at in range(len(data)):
         with pytest.raises(FrameError):
             from_file(data[:at] + bytes((data[at] ^ 4,)) + data[at + 1 :])
+
+
+def test_kept_stops_silence_no_robot_for_good() -> None:
+    """Nothing is above the greatest incarnation, which a member may have told in any name."""
+    first, greatest, mark = Mark(7, 1), Mark(packets.MAX_INCARNATION, 1), Mark(5, 1)
+    above = Mark(packets.MAX_INCARNATION, 2)
+    honest = Halt({"r1": (mark, "smoke"), "r2": (mark, "dog")}, {"r2": mark})
+    assert without_greatest(honest, "r0", first) == honest
+    # A stop that holds goes on holding, in our own name. What was taken back stays so.
+    stops = {"r1": (greatest, "a lie"), "r2": (greatest, "another"), "r3": (mark, "smoke")}
+    kept = without_greatest(Halt(stops, {"r2": above, "r3": greatest, "r4": greatest}), "r0", first)
+    assert kept == Halt({"r0": (first, "a lie")}, {})
+    world = World(line(2))
+    world.step("r0", lambda each: each.restore_stops(without_greatest(Halt({}, {"r0": greatest}), "r0", first), 0.0))
+    stop(world, "r0")
+    assert stopped(world, "r0").stopped
 
 
 @given(st.binary(max_size=300))
