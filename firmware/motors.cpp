@@ -37,13 +37,15 @@ inline void off()
 void start()
 {
     // Datasheet 14.8, Phase and Frequency Correct PWM Mode: mode 8, top in ICR1. 16 MHz / (2 x 400) = 20 kHz.
-    // The comparators are zero before the pins become outputs.
+    // The comparators are zero before the pins become outputs. The mode comes before its top: in others the chip
+    // ignores what is written to ICR1 (datasheet 14, Input Capture Unit), and with a top of 0 no duty is right.
     TCCR1B = 0;
     OCR1A = 0;
     OCR1B = 0;
     TCNT1 = 0;
-    ICR1 = MOTOR_TOP;
     TCCR1A = _BV(COM1A1) | _BV(COM1B1);
+    TCCR1B = _BV(WGM13);
+    ICR1 = MOTOR_TOP;
     TCCR1B = _BV(WGM13) | _BV(CS10);
     PORTB &= static_cast<uint8_t>(~(LEFT_DIRECTION | RIGHT_DIRECTION | LEFT_PWM | RIGHT_PWM));
     DDRB |= LEFT_DIRECTION | RIGHT_DIRECTION | LEFT_PWM | RIGHT_PWM;

@@ -30,8 +30,20 @@ static void write_compare(avr_t *avr, avr_io_addr_t address, uint8_t value, void
     b->tone_compare = (uint16_t)(value | (avr->data[R_TC4H] & 3) << 8);
 }
 
+/* The chip takes a new ICR1 only while timer 1 is in a mode whose top is ICR1: 8, 10, 12 or 14 (datasheet 14, Input
+ * Capture Unit). simavr always takes it. */
+static void write_icr1(avr_t *avr, avr_io_addr_t address, uint8_t value, void *param)
+{
+    (void)param;
+    int mode = (avr->data[R_TCCR1B] >> 1 & 0x0C) | (avr->data[R_TCCR1A] & 3);
+    if ((mode & 9) == 8)
+        avr->data[address] = value;
+}
+
 void board_attach(bench_t *b)
 {
+    avr_register_io_write(b->avr, R_ICR1, write_icr1, b);
+    avr_register_io_write(b->avr, R_ICR1 + 1, write_icr1, b);
     avr_register_io_write(b->avr, R_OCR4C, write_top, b);
     avr_register_io_write(b->avr, R_OCR4D, write_compare, b);
     for (const char *button = "B3D5B0"; *button; button += 2) {
