@@ -47,7 +47,7 @@ void freeze()
 
 uint8_t room_at(uint8_t at)
 {
-    if (at >= LEDS && at < ENCODERS)
+    if (at >= LEDS && at <= MOTORS)
         return static_cast<uint8_t>(ENCODERS - at);
     if (at == COMMAND)
         return 2;
@@ -66,10 +66,14 @@ uint8_t room_at(uint8_t at)
 bool apply()
 {
     if (first < ENCODERS) {
+        const uint8_t end = static_cast<uint8_t>(first + held_count);
+        // A write that was cut off would make one duty of new and old bytes.
+        if (end > MOTORS && end != ENCODERS)
+            return false;
         volatile uint8_t* live = reinterpret_cast<volatile uint8_t*>(&front);
         for (uint8_t i = 0; i < held_count; ++i)
             live[first + i] = held[i];
-        if (first + held_count > MOTORS)
+        if (end == ENCODERS)
             motors::written();
         return true;
     }

@@ -198,7 +198,7 @@ class AtmegaDevice:
 
     def _room(self) -> int:
         at = self._index
-        if balboa.LEDS <= at < balboa.ENCODERS:
+        if balboa.LEDS <= at <= balboa.MOTORS:
             return balboa.ENCODERS - at
         if at == balboa.COMMAND:
             return 2
@@ -222,9 +222,12 @@ class AtmegaDevice:
         """Apply values that were written at the index. Return False for values that make no sense."""
         first = self._index
         if first < balboa.ENCODERS:
-            self._buffer[first : first + len(values)] = values
+            end = first + len(values)
+            if balboa.MOTORS < end < balboa.ENCODERS:
+                return False
+            self._buffer[first:end] = values
             self._see_leds(now)
-            if first + len(values) > balboa.MOTORS:
+            if end == balboa.ENCODERS:
                 duties = self.motors
                 self._buffer[balboa.MOTORS : balboa.ENCODERS] = balboa.encode_motors(*duties)
                 self._body.drive(duties[0] * self._motor_signs[0], duties[1] * self._motor_signs[1])

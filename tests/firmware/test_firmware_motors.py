@@ -1,5 +1,6 @@
 """Motors: what the drivers get, and everything that turns them off."""
 
+import contextlib
 import struct
 
 import pytest
@@ -83,6 +84,25 @@ def test_reads_and_leds_do_not_feed_the_watchdog(bench):
         bench.get("ENCODERS")
         bench.run(0.005)
         assert bench.now < start + 0.25
+
+
+@pytest.mark.parametrize("index", range(8))
+def test_a_motor_write_that_was_cut_off_or_got_another_index_changes_and_feeds_nothing(bench, index):
+    """A duty of -1 and one of 10 have no byte in common: a mixture of them is more than half power."""
+    bench.drive(-1, -1)
+    start, refused = bench.now, bench.number("REFUSED")
+    sent = struct.pack("<2h", 10, 10)
+    writes = [sent[:size] for size in (1, 2, 3, 4) if index + size > FIELDS["MOTORS"].offset]
+    if index == FIELDS["MOTORS"].offset:
+        writes.remove(sent)
+    for data in writes:
+        with contextlib.suppress(OSError):
+            bench.write(CONSTANTS["ADDRESS"], bytes((index,)) + data)
+        bench.run(1e-4)
+        assert bench.get("MOTORS") == struct.pack("<2h", -1, -1), data
+    assert bench.number("REFUSED") == refused + len(writes)
+    bench.run_to(start + 0.202)
+    assert bench.motors() == (0.0, 0.0)
 
 
 def test_motors_at_rest_are_not_reported_as_stopped(bench):
