@@ -13,6 +13,7 @@ from collections.abc import Callable
 from services.balancer.core.devices import balboa, imu
 from services.balancer.core.slack.wire_time import Transfer
 from services.balancer.i2c import I2CBus
+from swarm.errors import RemoteError
 
 IMU, ATMEGA = "IMU", "ATmega"
 """The device whose transfer failed: an OSError's `filename`."""
@@ -27,6 +28,8 @@ class Imu:
         """Failed transfers that were done again."""
         self.block = bytes(imu.BLOCK)
         """The bytes of the last sample, from which all axes can be read."""
+        self._same = 0
+        """Samples in a row that brought nothing new of one of the sensors."""
 
     def set_up(self) -> None:
         """Check who it is, set ranges and rates, and check that they are set. Raises OSError or `RemoteError`."""
@@ -40,14 +43,18 @@ class Imu:
         imu.check_setup(self._fetch(imu.CTRL1_XL, len(imu.SETUP)))
 
     def read(self) -> imu.ImuReading:
-        """Read one sample of both sensors, in one burst."""
+        """Read one sample of both sensors, in one burst. Raises OSError, or `RemoteError` for one that is none."""
         try:
-            self.block = self._read()
+            block = self._read()
         except OSError as error:
             _again(self._bus, error)
             self.retried += 1
-            self.block = self._read()
-        return imu.decode(self.block)
+            block = self._read()
+        self._same = self._same + 1 if imu.same_sensor(block, self.block) else 0
+        self.block = block
+        if self._same >= imu.FROZEN:
+            raise RemoteError("IMU: gyro or accelerometer is frozen: its samples bring nothing new")
+        return imu.decode(block)
 
     def _read(self) -> bytes:
         return self._fetch(imu.OUTX_L_G, imu.BLOCK)

@@ -8,6 +8,7 @@ from services.balancer.balancer import Balancer
 from services.balancer.core.control.body import BodyModel, body_model
 from services.balancer.core.control.estimation.gyro import Zero
 from services.balancer.core.control.lqr import PERIOD_S
+from services.balancer.core.devices import imu
 from sim.core.balboa import BalboaBody
 from sim.core.devices import NO_ERRORS, ImuErrors, SimulatedRobot, draw_errors
 from sim.devices.i2c import SimulatedBus
@@ -43,6 +44,10 @@ PLANTS = {"configured": CONFIGURED, "other": OTHER} | {
     for factor in (-0.2, 0.2)
 }
 """Both estimates, and each with one parameter a fifth off."""
+
+
+NO_OFFSETS = NO_ERRORS._replace(gyro_noise=imu.GYRO_SCALE, acceleration_noise=imu.ACCELERATION_SCALE)
+"""A sensor without offsets, and with noise of a count: one without any is taken for frozen."""
 
 
 class Rig:
@@ -115,4 +120,4 @@ def upright(**arguments: object) -> Rig:
     return rig
 
 
-__all__ = ["CONFIGURED", "NO_ERRORS", "OTHER", "PLANTS", "Rig", "scaled", "upright"]
+__all__ = ["CONFIGURED", "NO_ERRORS", "NO_OFFSETS", "OTHER", "PLANTS", "Rig", "scaled", "upright"]

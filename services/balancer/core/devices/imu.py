@@ -44,6 +44,10 @@ STANDARD_GRAVITY = 9.80665
 ACCELERATION_SCALE = 0.061e-3 * STANDARD_GRAVITY
 """m/s^2 a count at 2 g (0.061 mg)."""
 
+FROZEN = 5
+"""Samples in a row with the same three words of one of the sensors that show that it does not measure any more. Noise
+of a count or more on each axis makes two such samples rare."""
+
 _WORDS = struct.Struct("<6h")
 
 
@@ -84,6 +88,12 @@ def check_setup(registers: bytes) -> None:
         raise RemoteError(
             f"IMU at 0x{ADDRESS:02X}: CTRL1_XL to CTRL3_C hold {registers.hex(' ')}, {CONTROL.hex(' ')} was written"
         )
+
+
+def same_sensor(block: bytes, before: bytes) -> bool:
+    """Return whether gyro or accelerometer show exactly what they showed before."""
+    half = BLOCK // 2
+    return block[:half] == before[:half] or block[half:] == before[half:]
 
 
 def decode(block: bytes) -> ImuReading:

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from services.balancer.balancer import WISH_S
 from services.balancer.core import faults
-from services.balancer.core.control.controller import STUCK_TICKS
+from services.balancer.core.control.controller import FALLEN, STUCK_TICKS
+from services.balancer.core.devices import imu
 from services.balancer.core.devices.battery import EMPTY, LOW, OK, UNKNOWN, WINDOW_S, BatteryGuard
 from services.balancer.core.devices.leds import CLAIM_S, shown
 from sim.core.balboa import REST_TILT
@@ -255,6 +256,39 @@ def test_a_mode_before_calibration_ends_is_kept_or_refused() -> None:
         rig.balancer.command("calibrate", rig.now)
     rig.balancer.command("stand", rig.now)
     assert rig.run(4).balancer.mode == "balancing"
+
+
+@pytest.mark.parametrize(
+    "part", [slice(0, imu.BLOCK), slice(0, 6), slice(6, imu.BLOCK)], ids=["both", "gyro", "accelerometer"]
+)
+@pytest.mark.parametrize("speed", [0.0, 0.3])
+def test_a_sensor_that_is_frozen_at_its_last_sample_stops_the_motors_before_the_robot_has_fallen(
+    part: slice, speed: float
+) -> None:
+    rig = upright().run(1)
+    rig.balancer.drive(speed, 0.0, 9.0, rig.now)
+    rig.run(1)
+    read, kept = rig.bus.write_read, bytearray()
+
+    def frozen(address: int, data: bytes, count: int) -> bytes:
+        block = bytearray(read(address, data, count))
+        if address == imu.ADDRESS and count == imu.BLOCK:
+            kept[:] = kept or block
+            block[part] = kept[part]
+        return bytes(block)
+
+    rig.bus.write_read = frozen
+    rig.run(0.12)
+    assert rig.balancer.fault == ("device", "IMU: gyro or accelerometer is frozen: its samples bring nothing new")
+    assert rig.robot.atmega.motors == (0.0, 0.0)
+    assert abs(rig.body.tilt) < FALLEN
+    rig.run(5)
+    assert rig.robot.atmega.motors == (0.0, 0.0)
+    rig.bus.write_read = read
+    rig.run(2)
+    assert (rig.balancer.mode, rig.balancer.duty) == ("fault", (0.0, 0.0)), "no fault goes by itself"
+    rig.balancer.command("stand", rig.now)
+    assert rig.run(8).balancer.mode == "balancing"
 
 
 # Parameters at run time

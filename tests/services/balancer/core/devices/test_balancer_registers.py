@@ -10,7 +10,7 @@ import subprocess
 import sys
 
 import pytest
-from balancer_rig import NO_ERRORS
+from balancer_rig import NO_OFFSETS
 from device_rig import Bench
 from hypothesis import given
 from hypothesis import strategies as st
@@ -357,7 +357,7 @@ def test_a_library_that_is_missing_is_not_waited_for(monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize(("control", "torn"), [(imu.SETUP[0][1], False), (0x04, True)], ids=["BDU", "no BDU"])
 def test_words_are_torn_by_a_sample_within_the_read_unless_block_data_update_is_on(control: int, torn: bool) -> None:
     """The rate stands at a border of the high byte, where noise of a count makes a torn word wrong by 256."""
-    bench = Bench(errors=NO_ERRORS._replace(gyro_noise=imu.GYRO_SCALE, gyro_offset=256 * imu.GYRO_SCALE))
+    bench = Bench(errors=NO_OFFSETS._replace(gyro_offset=256 * imu.GYRO_SCALE))
     bench.imu.set_up()
     bench.bus.write(imu.ADDRESS, bytes((imu.CTRL3_C, control)))
     rates = []

@@ -171,7 +171,7 @@ def test_a_robot_that_is_moved_at_the_start_says_so_and_waits() -> None:
     rig.run(4)
     assert rig.balancer.mode == "calibrating"
     assert rig.balancer.notices[0] == ("calibrate", "the robot is moved: leave it alone for a second")
-    rig.robot.imu._errors = rig.robot.imu._errors._replace(gyro_noise=0.0)
+    rig.robot.imu._errors = rig.robot.imu._errors._replace(gyro_noise=math.radians(0.07))
     rig.run(3)
     assert rig.balancer.mode == "balancing"
 

@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from balancer_rig import NO_ERRORS, Rig, upright
+from balancer_rig import NO_OFFSETS, Rig, upright
 from conftest import thinned
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,7 +15,7 @@ from swarm.messages import TryMotors
 
 
 def lifted(tilt: float = 0.0) -> Rig:
-    rig = Rig(start_mode="rest", tilt=-1.9, held=False, errors=NO_ERRORS).run(3.0)
+    rig = Rig(start_mode="rest", tilt=-1.9, held=False, errors=NO_OFFSETS).run(3.0)
     rig.body.lift(tilt, 0.0)
     return rig.run(3.0)
 
