@@ -292,10 +292,8 @@ class Balancer:
         return None if wanted == self.leds and now < self._leds_again_at else wanted
 
     def show_leds(self, now: float) -> bool:
-        """Write the LEDs as they shall be at `now`, where they changed, and now and then; for the slack.
-
-        True when they were written.
-        """
+        """Write the LEDs as they shall be at `now`, where they changed, and now and then; for the slack. True when they
+        were written."""
         wanted = self.leds_wanted(now)
         if not self.connected or wanted is None:
             return False
@@ -384,6 +382,8 @@ class Balancer:
         if isinstance(error, OSError):
             self.bus.recover()
         if self._errors_in_row < TOLERATED_ERRORS:
+            if self._controller.mode in (IDLE, FAULT) and self.duty != (0.0, 0.0):  # stopped meanwhile
+                self.motors_off()
             return
         fault = _described(error)
         _log.error("the bus failed %d ticks in a row: %s", self._errors_in_row, fault.reason)

@@ -258,6 +258,24 @@ def test_a_mode_before_calibration_ends_is_kept_or_refused() -> None:
     assert rig.run(4).balancer.mode == "balancing"
 
 
+@pytest.mark.parametrize("order", ["stop", "rest"])
+def test_a_stop_is_obeyed_in_its_tick_though_the_sensors_do_not_answer(order: str) -> None:
+    """The command that holds through some failed ticks is that of a robot that balances."""
+    rig = upright().run(1)
+    rig.balancer.drive(0.3, 0.0, 9.0, rig.now)
+    rig.run(1)
+    del rig.robot.devices[imu.ADDRESS]
+    rig.run(0.02)
+    assert rig.robot.atmega.motors != (0.0, 0.0)
+    assert rig.balancer.mode == "balancing"
+    if order == "stop":
+        rig.balancer.stop("enough")
+    else:
+        rig.balancer.command("rest", rig.now)
+    rig.run(0.01)
+    assert rig.robot.atmega.motors == (0.0, 0.0)
+
+
 @pytest.mark.parametrize(
     "part", [slice(0, imu.BLOCK), slice(0, 6), slice(6, imu.BLOCK)], ids=["both", "gyro", "accelerometer"]
 )
