@@ -13,6 +13,19 @@ namespace {
 // Left: XOR on PB4 = PCINT4, B on PE2. Right: XOR on PE6 = INT6, B on PF0. An edge of either channel is an edge of XOR.
 Quadrature left, right;
 
+// Edges of one wheel that are followed in a millisecond: six times what the robot's wheels make. A broken encoder may
+// make so many that their interrupts, which go first, would leave no time for the clock that stops the motors.
+constexpr uint8_t MOST_EDGES = 40;
+volatile uint8_t left_edges = MOST_EDGES;
+volatile uint8_t right_edges = MOST_EDGES;
+
+inline bool used_up(volatile uint8_t& edges)
+{
+    const uint8_t more = static_cast<uint8_t>(edges - 1);
+    edges = more;
+    return more == 0;
+}
+
 inline bool left_x() { return PINB & _BV(PB4); }
 inline bool left_b() { return PINE & _BV(PE2); }
 inline bool right_x() { return PINE & _BV(PE6); }
@@ -39,9 +52,16 @@ void start()
     right.a = right_x() != right.b;
     PCMSK0 = _BV(PCINT4);      // datasheet 11
     PCIFR = _BV(PCIF0);
-    PCICR = _BV(PCIE0);
     EICRB = _BV(ISC60);        // any edge of INT6
     EIFR = _BV(INTF6);
+    tick();
+}
+
+void tick()
+{
+    left_edges = MOST_EDGES;
+    right_edges = MOST_EDGES;
+    PCICR = _BV(PCIE0);
     EIMSK = _BV(INT6);
 }
 
@@ -51,10 +71,14 @@ ISR(PCINT0_vect, __attribute__((flatten)))
 {
     using namespace encoders;
     count(left, 0, left_x(), left_b());
+    if (used_up(left_edges))
+        PCICR = 0;
 }
 
 ISR(INT6_vect, __attribute__((flatten)))
 {
     using namespace encoders;
     count(right, 1, right_x(), right_b());
+    if (used_up(right_edges))
+        EIMSK = 0;
 }

@@ -4,5 +4,6 @@
 namespace encoders {
 
 void start();
+void tick();  // once a millisecond, in the timer's interrupt
 
 }  // namespace encoders

@@ -5,6 +5,7 @@
 #include <util/atomic.h>
 
 #include "boot.h"
+#include "encoders.h"
 #include "motors.h"
 #include "twi.h"
 
@@ -61,6 +62,7 @@ ISR(TIMER0_COMPA_vect, __attribute__((flatten)))
 {
     ticks::milliseconds = ticks::milliseconds + 1;
     motors::tick();
+    encoders::tick();
     twi::tick();
     if (ticks::loop_left != 0) {
         ticks::loop_left = static_cast<uint8_t>(ticks::loop_left - 1);

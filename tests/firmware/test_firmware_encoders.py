@@ -104,3 +104,29 @@ def test_the_place_at_switch_on_is_zero_wherever_the_wheels_stand(new_bench):
             settle(bench)
             assert bench.encoders() == tuple(now - then for now, then in zip(bench.counts(), start, strict=True))
             assert bench.get("ENCODER_ERRORS") == b"\0\0"
+
+
+@pytest.mark.parametrize(("left", "right"), [(0, 175e3), (30e3, 156e3), (173e3, 20e3), (0, 400e3), (1e6, -1e6)])
+def test_an_encoder_that_floats_keeps_nobody_from_stopping_the_motors_nor_from_the_bus(bench, left, right):
+    """Its interrupts go before all others: the clock of the motors' watchdog needs what they leave."""
+    bench.wheels(left, right)
+    bench.run(0.02)
+    bench.i2c_stats()
+    for _ in range(20):
+        bench.drive(200, 200)
+        bench.get("BATTERY")
+    assert bench.i2c_stats().refused == 0
+    start = bench.now
+    stopped = bench.run_until(lambda: bench.motors() == (0.0, 0.0), 0.21)
+    assert 0.1995 <= stopped - start <= 0.202
+    bench.wheels(1000, 1000)  # the first edge brings what the last one of the storm left over
+    bench.run(0.01)
+    settle(bench)
+    assert bench.call("resets") == 0
+    before, true = bench.encoders(), bench.counts()
+    bench.wheels(3000, -3000)
+    bench.run(0.1)
+    settle(bench)
+    assert wrapped(now - then for now, then in zip(bench.encoders(), before, strict=True)) == wrapped(
+        now - then for now, then in zip(bench.counts(), true, strict=True)
+    )
