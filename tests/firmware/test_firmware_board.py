@@ -1,6 +1,7 @@
 """LEDs, buttons, battery, buzzer, stack, reset causes, bootloader, sleep."""
 
 import itertools
+import subprocess
 
 import pytest
 from avr_bench import BROWN_OUT, HZ, POWER_ON, RESET_PIN, WATCHDOG
@@ -266,3 +267,23 @@ def test_more_than_65_seconds_change_nothing(new_bench):
     bench.run(0.02)
     assert bench.motors() == (0.0, 0.0)
     assert bench.cycles > 70 * HZ
+
+
+def test_the_wrap_of_the_clock_after_49_days_changes_nothing(bench, built):
+    """32 bits of milliseconds: the tune, the questions to the module and the motors' time go on through it."""
+    listed = subprocess.run(["avr-nm", "-C", built / "balboa.elf"], capture_output=True, text=True, check=True).stdout
+    (address,) = (int(line[:8], 16) & 0xFFFF for line in listed.splitlines() if line.endswith("::milliseconds"))
+    for at, byte in enumerate((2**32 - 300).to_bytes(4, "little")):
+        bench.call("poke", address + at, byte)
+    bench.run(0.2)
+    bench.sent()
+    bench.put("NOTES", bytes((15, 69, 30)))
+    bench.drive(100, 100)
+    start = bench.now
+    stopped = bench.run_until(lambda: bench.motors() == (0.0, 0.0), 0.21, 1e-4)
+    assert stopped - start == pytest.approx(0.2, abs=1.5e-3)
+    assert bench.call("data", address + 3) == 0, "it has wrapped"
+    bench.run(0.8)
+    assert len(bench.sent()) in (18, 20, 22), "a question of two bytes every 100 ms"
+    assert bench.number("NOTES_LEFT") == 0
+    assert bench.call("resets") == 0
