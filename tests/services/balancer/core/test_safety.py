@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from services.balancer.balancer import WISH_S
 from services.balancer.core import faults
-from services.balancer.core.control.controller import FALLEN, STUCK_TICKS
+from services.balancer.core.control.controller import FALLEN, FALLEN_TICKS, STUCK_TICKS
 from services.balancer.core.devices import imu
 from services.balancer.core.devices.battery import EMPTY, LOW, OK, UNKNOWN, WINDOW_S, BatteryGuard
 from services.balancer.core.devices.leds import CLAIM_S, shown
@@ -256,6 +256,25 @@ def test_a_mode_before_calibration_ends_is_kept_or_refused() -> None:
         rig.balancer.command("calibrate", rig.now)
     rig.balancer.command("stand", rig.now)
     assert rig.run(4).balancer.mode == "balancing"
+
+
+@pytest.mark.parametrize("controller", ["lqr", "pololu", "thesis"])
+@pytest.mark.parametrize("stall", [0.25, 0.35, 0.4, 0.45, 0.49, 0.6])
+def test_a_robot_that_falls_while_the_loop_stands_still_does_not_drive_on_the_floor(
+    controller: str, stall: float
+) -> None:
+    """The ATmega stopped its motors meanwhile; the gyro's samples of the fall are missing."""
+    rig = upright(controller=controller).run(2)
+    rig.balancer.drive(0.4, 0.0, 9.0, rig.now)
+    rig.run(1)
+    stalled = rig.tick
+    rig.lateness = lambda tick: stall if tick == stalled else 0.0
+    on_the_floor = 0
+    for _ in range(300):
+        rig.run(0.01)
+        on_the_floor += abs(rig.body.tilt) >= REST_TILT and rig.robot.atmega.motors != (0.0, 0.0)
+    assert on_the_floor <= 2 * FALLEN_TICKS
+    assert (rig.balancer.mode == "balancing") == (abs(rig.body.tilt) < FALLEN)
 
 
 @pytest.mark.parametrize("order", ["stop", "rest"])

@@ -7,8 +7,7 @@ from typing import NamedTuple
 from services.balancer.core.control.body import BodyModel
 from services.balancer.core.control.estimation.gyro import Zero
 from services.balancer.core.control.estimation.heading import Heading
-from services.balancer.core.devices import imu
-from services.balancer.core.devices.balboa import encoder_step
+from services.balancer.core.devices import balboa, imu
 from swarm.errors import RemoteError
 
 GRAVITY_TIME_S = 2.0
@@ -22,8 +21,9 @@ GRAVITY_TOLERANCE = 1.5
 
 SPEED_TIME_S = 0.01
 """Time constant of the speed's filter: a tick of 10 ms counts half. One count in a tick is 0.019 m/s."""
-LOST_TRACK_S = 0.5
-"""After a gap this long the integral is worthless: tilt is taken from gravity anew."""
+LOST_TRACK_S = balboa.MOTOR_TIMEOUT_S
+"""After a gap this long the integral is worthless, and the motors have stopped: tilt is taken from gravity anew. A
+robot that fell in the gap would otherwise drive on for a second as if it stood."""
 
 
 class BodyEstimate(NamedTuple):
@@ -97,7 +97,7 @@ class Estimator:
         dt = max(0.0, now - self._last)
         if dt == 0.0:
             self.backwards += 1
-        steps = [encoder_step(old, new) for old, new in zip(self._counters, counters, strict=True)]
+        steps = [balboa.encoder_step(old, new) for old, new in zip(self._counters, counters, strict=True)]
         self._counters = counters
         self._last = now
         self._integrate(reading, rate, dt)
