@@ -1,5 +1,6 @@
 """The results of a run, as one object for programs; `report_table` writes it for people."""
 
+import json
 import math
 import re
 from collections.abc import Mapping
@@ -75,6 +76,16 @@ class RunOutcome:
     def targets(self) -> dict[str, tuple[float, float]]:
         """Return the target's place at each robot's last iteration."""
         return {name: self.target(path.times[path.last]) for name, path in self.trajectories.items() if path.last >= 0}
+
+
+def notes(outcome: RunOutcome) -> dict[str, str]:
+    """Return the outcome's part that a recording keeps."""
+    kept = {
+        "problems": json.dumps(outcome.problems),
+        "never": json.dumps(outcome.never),
+        "scene": json.dumps(outcome.scene),
+    }
+    return kept if outcome.messages is None else {"messages": str(outcome.messages), **kept}
 
 
 def summary(outcome: RunOutcome) -> Json:

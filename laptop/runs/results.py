@@ -196,7 +196,7 @@ class RunData:
     @cached_property
     def _outcome(self) -> Mapping[str, str]:
         notes = self.recording.notes(OUTCOME)
-        return notes[-1] if notes else {}
+        return notes[-1] if notes else folder.read_outcome(self.path)
 
     @cached_property
     def _scene(self) -> Mapping[str, Any]:

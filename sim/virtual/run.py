@@ -2,11 +2,11 @@
 
 import contextlib
 import gc
-import json
 import math
 import random
 import time as real_time
 from collections.abc import Callable, Collection, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from sim import scene
 from sim.core import actions
 from sim.core.scene_record import SceneRecord
 from sim.disturbances import Cut, Disturbance, Kill, Off, ScheduledPress, ScheduledPush, never
-from sim.report import Json, RunOutcome, fault, summary
+from sim.report import Json, RunOutcome, fault, notes, summary
 from sim.scenario.options import PRESS_S, Options
 from sim.scenario.options import parse as arguments_of
 from sim.scenario.scenario import Scenario, build
@@ -134,11 +134,11 @@ class VirtualRun:
         began = real_time.perf_counter()
         self._run()
         self._problems += self._lost()
-        ended_at = self.world.time.now
+        outcome = self._outcome(self.world.time.now)
         for records in (self._records, *self._beside.values()):
-            records.close(self._notes(ended_at))
+            records.close(notes(outcome))
         self.computed = real_time.perf_counter() - began
-        return self._outcome(ended_at)
+        return replace(outcome, computed_s=self.computed)
 
     @prints_heard()
     def _run(self) -> None:
@@ -315,15 +315,6 @@ class VirtualRun:
         if self._options.seconds is None and self._running.isdisjoint(self._members):
             self.world.time.stop()
 
-    def _notes(self, ended_at: float) -> dict[str, str]:
-        """Return the outcome's part that a recording keeps."""
-        return {
-            "messages": str(self.world.sent),
-            "problems": json.dumps(self._problems),
-            "never": json.dumps(self._never(ended_at)),
-            "scene": json.dumps(self._seen()),
-        }
-
     def _never(self, ended_at: float) -> tuple[str, ...]:
         started = ended_at if self._started is None else self._started
         # A robot that comes late is started a second time then.
@@ -353,7 +344,6 @@ class VirtualRun:
             },
             problems=tuple(self._problems),
             missing=tuple(name for name in names if name not in self._members),
-            computed_s=self.computed,
             moves_from=math.inf if started is None else started,
             never=self._never(ended_at),
             scene=self._seen(),

@@ -3,6 +3,7 @@
     run.toml              app, run, version, seed, digest: the same on every robot
     swarm.toml            the configuration it ran with
     command.txt           the command that repeats it, of a simulation
+    outcome.json          what came out of a simulation of real processes
     <app>.py              the app's source, where it is a file of the author's
     <robot>.<app>.mcap    what that robot's process of the app recorded
 
@@ -23,6 +24,7 @@ from swarm.process.paths import state_dir
 
 RUN_FILE = "run.toml"
 CONFIG_FILE = "swarm.toml"
+OUTCOME_FILE = "outcome.json"
 KEYS = ("app", "run", "version", "seed", "digest")
 """The keys of `run.toml`."""
 
@@ -70,6 +72,23 @@ def read_run(folder: Path) -> dict[str, str]:
         return {}
     except (OSError, ValueError, PayloadError) as error:
         raise RecordingError(f"{folder / RUN_FILE}: {error}") from None
+
+
+def keep_outcome(folder: Path, outcome: Mapping[str, str]) -> None:
+    """Write what came out of a run whose recordings belong to processes that have ended. Raises `OSError`."""
+    atomic_write(folder / OUTCOME_FILE, json.dumps(outcome, indent=1).encode() + b"\n")
+
+
+def read_outcome(folder: Path) -> dict[str, str]:
+    """Return what `keep_outcome` wrote; empty where the file is missing. Raises `RecordingError`."""
+    path = folder / OUTCOME_FILE
+    try:
+        found = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    except (OSError, ValueError) as error:
+        raise RecordingError(f"{path}: {error}") from None
+    if not isinstance(found, dict) or not all(isinstance(value, str) for value in found.values()):
+        raise RecordingError(f"{path}: expected an object of texts")
+    return found
 
 
 def config_in(folder: Path) -> Config | None:

@@ -10,7 +10,9 @@ from conftest import thinned
 from bench.rigs.simulation import Simulation
 from sim.disturbances import Cut, Off, drawn, parsed_cut, parsed_off
 from sim.virtual.run import run_virtually
-from swarm.errors import ConfigError
+from swarm import load
+from swarm.errors import ConfigError, RecordingError
+from swarm.recording.folder import OUTCOME_FILE
 from swarm.recording.run import Run
 
 BODIES = {
@@ -148,6 +150,19 @@ def test_acts_on_a_robot_that_is_off_and_a_robot_that_never_came_are_named_betwe
             re.sub(r"ended (?:[6-9]|\d\d+)\.\d+ s", "ended 6 s", sentence) for sentence in simulation.finish()["never"]
         }
     assert named == NEVER
+
+
+def test_the_recording_of_real_processes_keeps_what_came_out_of_the_run() -> None:
+    words = ("consensus", "--robots", "2", "--iterations", "5", "--cut", "r0-r1@600s,1s")
+    with Simulation(*words, program=("laptop.cli.runs.sim",), start=fork_server.start) as simulation:
+        report = simulation.finish()
+        run = load(simulation.records)
+        assert len(run.never) == 1
+        assert (list(run.never), list(run.problems)) == (report["never"], report["problems"])
+        assert (run.messages, run.closest) == (report["messages"], report["scene"]["closest_m"])
+        (simulation.records / OUTCOME_FILE).write_text("{")
+        with pytest.raises(RecordingError, match=OUTCOME_FILE):
+            _ = load(simulation.records).never
 
 
 def test_a_late_robot_that_is_switched_off_comes_when_it_is_on_again() -> None:

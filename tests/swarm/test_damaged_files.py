@@ -154,6 +154,12 @@ KEPT = [
         REFUSED,
     ),
     Kept(
+        folder.OUTCOME_FILE,
+        lambda place: folder.keep_outcome(place.parent, {"problems": "[]"}),
+        lambda place: folder.read_outcome(place.parent),
+        REFUSED,
+    ),
+    Kept(
         "r0.mark",
         lambda place: place.write_text(JournalMark(10, "s=abc").text),
         lambda p: JournalMark.of(p.read_text(errors="replace")),
@@ -168,7 +174,7 @@ UNSEEN = {
 }
 """Damage that cannot be seen in the file itself."""
 
-OF_PEOPLE = ("swarm.toml", folder.RUN_FILE, "r0.mark")
+OF_PEOPLE = ("swarm.toml", folder.RUN_FILE, folder.OUTCOME_FILE, "r0.mark")
 """Files that people write, or that only a laptop reads."""
 
 GARBAGE = b"\xffgarbage\x00\xfe = [" * 40

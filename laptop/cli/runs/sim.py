@@ -84,6 +84,7 @@ def _run(options: Options, run_dir: Path, words: Sequence[str], out: TextIO) -> 
     with ProcessRun(options, plan, run_dir, sys.stderr) as run:
         keep_command(records, words)
         outcome = run.watch()
+    folder.keep_outcome(records, report.notes(outcome))
     return _tell(options, plan, records, out, outcome)
 
 
