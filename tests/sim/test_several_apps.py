@@ -111,6 +111,17 @@ def test_a_fault_beside_is_named_and_the_others_go_on(tmp_path):
     assert "RuntimeError: oh" in problem
 
 
+def test_a_run_that_fails_before_its_first_state_has_no_plot_and_is_no_wrong_command(tmp_path, capsys):
+    app = tmp_path / "bad.py"
+    app.write_text(
+        "from swarm import EventApp\n\n\nclass Bad(EventApp):\n    def start(self):\n        raise RuntimeError('oh')\n"
+    )
+    assert cli("sim", app, "--virtual", "--robots", "2", "--plot", tmp_path / "bad.png") == 1
+    said = capsys.readouterr()
+    assert "plot        none: no robot has recorded a state" in said.out
+    assert "is recorded" not in said.err
+
+
 def test_a_parameter_is_that_of_the_app_it_names():
     arguments = (
         "consensus",

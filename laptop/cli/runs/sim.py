@@ -92,12 +92,16 @@ def _tell(options: Options, plan: Scenario, records: Path, out: TextIO, outcome:
     found = report.summary(outcome)
     out.write(f"{json.dumps(found) if options.json else report_table.table(found, outcome)}\n")
     if options.plot is not None and plan.app is not None:
-        from laptop.cli.runs import plot  # matplotlib's helpers are wanted here alone
+        what = str(options.plot)
+        if any(path.last >= 0 for path in outcome.trajectories.values()):
+            from laptop.cli.runs import plot  # matplotlib's helpers are wanted here alone
 
-        references = {name: recorded.estimates for name, recorded in plan.recorded.items()}
-        plot.draw(records, plan.app, options.plot, references)
+            references = {name: recorded.estimates for name, recorded in plan.recorded.items()}
+            plot.draw(records, plan.app, options.plot, references)
+        else:
+            what = "none: no robot has recorded a state"
         if not options.json:
-            out.write(f"plot        {options.plot}\n")
+            out.write(f"plot        {what}\n")
     if found["problems"]:
         return 1
     return 128 + outcome.ended_by if outcome.ended_by else 0
