@@ -41,8 +41,13 @@ def iteration(seen: Seen) -> int:
 
 
 def messages(seen: Mapping[str, Seen]) -> int | None:
-    """Return the number of app frames that all meshes have sent, as they count them in their status."""
-    counts = [robot.status["mesh"].counters.get("sent_sync", 0) for robot in seen.values() if "mesh" in robot.status]
+    """Return the number of app frames that all meshes have sent, as they count them in their status. Of a mesh that was
+    killed, what it has sent since it told last is missing."""
+    counts = [
+        robot.sent_before + robot.status["mesh"].counters.get("sent_sync", 0)
+        for robot in seen.values()
+        if "mesh" in robot.status
+    ]
     return sum(counts) if counts else None
 
 

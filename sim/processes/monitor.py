@@ -43,6 +43,15 @@ class Seen:
     progress: AppProgress | None = None
     state: AppState | None = None
     epoch: AppEpoch | None = None
+    sent_before: int = 0
+    """Messages of its meshes that have ended, as each of them told last."""
+
+    def take_status(self, status: Status) -> None:
+        """Take the status of a service. A mesh that was started again counts its messages from zero."""
+        before = self.status.get(status.service)
+        if status.service == "mesh" and before is not None and before.pid != status.pid:
+            self.sent_before += before.counters.get("sent_sync", 0)
+        self.status[status.service] = status
 
     def not_ready(self, services: Sequence[str]) -> list[str]:
         """Return which of `services` have not finished starting (a degraded one has)."""
@@ -166,6 +175,6 @@ def _update(seen: Seen, topic: str, payload: bytes) -> None:
     except PayloadError:
         return  # a picture for people: whoever needs the message reports what is wrong with it
     if isinstance(message, Status):
-        seen.status[message.service] = message
+        seen.take_status(message)
     elif (kind := type(message)) in _LATEST:
         setattr(seen, _LATEST[kind], message)
