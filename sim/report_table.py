@@ -80,7 +80,7 @@ def _sentences(report: Json, outcome: RunOutcome) -> list[str]:
     if report["messages_per_iteration"] is not None:
         lines.append(f"messages    {report['messages_per_iteration']} an iteration")
     elif report["messages"]:
-        lines.append(f"messages    {report['messages']} between the robots")
+        lines.append(f"messages    {report['messages']} states and acknowledgements between the robots")
     if outcome.started_s is not None:
         ready = "the first iteration" if outcome.scenario.app else "all services ready"
         lines.append(f"start       {outcome.started_s:.2f} s from the command to {ready}")

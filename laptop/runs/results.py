@@ -71,7 +71,8 @@ class RunData:
 
     @property
     def messages(self) -> int | None:
-        """Number of messages that all robots have sent between apps, counted once for each neighbour.
+        """Number of states, and of acknowledgements of messages, that all robots have sent, counted once for each
+        neighbour. What `flood` and `send` carry is not in it: `recording.samples("swarm/*/app/*/asked")` has that.
 
         None for recordings without this number, such as those of real robots."""
         return int(self._outcome["messages"]) if "messages" in self._outcome else None

@@ -88,7 +88,7 @@ class @CLASS@(PeriodicApp):
         self.robot.leds(green=self.lit)
 
     def on_button(self, button):
-        """Button "a", "b" or "c" of this robot was pressed. There are more handlers: docs/reference/apps.md."""
+        """Button "a", "b" or "c" of this robot was pressed. More handlers: docs/how-to/apps/react-to-events.md."""
         self.lit = True
 '''
 
@@ -130,7 +130,7 @@ class @CLASS@(EventApp):
     # Shared state: goes to the neighbours whenever it has changed; `result` reports it. May be left out.
     presses: int
 
-    # Handlers run one at a time, and none waits for anything. More of them: docs/reference/apps.md.
+    # Handlers run one at a time, and none waits for anything. More of them: docs/how-to/apps/react-to-events.md.
 
     def on_button(self, button):
         """Button "a", "b" or "c" of this robot was pressed: tell the whole swarm."""

@@ -84,6 +84,14 @@ def test_new_copies_an_example_and_never_over_a_file(tmp_path: Path, name: str) 
         new.copy(name, tmp_path)
 
 
+@pytest.mark.parametrize("kind", ["periodic", "event"])
+def test_a_new_app_names_the_page_that_lists_the_handlers(tmp_path: Path, kind: str) -> None:
+    app = tmp_path / "mine.py"
+    assert new.run(parser_of("new", Command("sim.rehearsal.new")).parse_args([str(app), "--kind", kind])) == 0
+    (page,) = set(re.findall(r"docs/[\w/-]+\.md", app.read_text()))
+    assert "| `on_button(button)` |" in (Path(__file__).parents[3] / page).read_text()
+
+
 def test_an_example_that_does_not_exist_names_those_that_do(tmp_path: Path) -> None:
     with pytest.raises(LocalError, match=r"no example 'findtarget'; there are .*find_target\.py, .*foxglove, .*mocap"):
         new.copy("findtarget", tmp_path)

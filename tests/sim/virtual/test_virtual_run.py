@@ -95,6 +95,12 @@ def test_a_robot_alone_and_an_automatic_topology_run():
     assert report["iterations"] == 20
 
 
+def test_the_report_says_which_messages_of_an_app_without_steps_it_counts():
+    report, outcome = run_virtually("unicast_demo", "--robots", "3", "--press", "r0.A@1s", "--seconds", "3")
+    counted = f"messages    {report['messages']} states and acknowledgements between the robots"
+    assert counted in table(report, outcome).splitlines()
+
+
 def test_a_fault_of_the_app_is_named_with_robot_and_iteration(tmp_path):
     app = tmp_path / "bad.py"
     app.write_text(
