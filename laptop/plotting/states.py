@@ -9,7 +9,7 @@ from typing import Any
 from laptop.plotting import style
 from sim.report import is_metric
 from swarm.errors import LocalError
-from swarm.recording.reader import PLOTTED
+from swarm.recording.reader import MEMBERS, PLOTTED
 from swarm.recording.run import Run
 from swarm.recording.trajectory import Trajectory
 
@@ -234,21 +234,24 @@ def _again(ks: Sequence[int]) -> list[bool]:
 def _columns(run: Run) -> list[_Panel]:
     """Return label, column and trajectories of all that can be drawn: a vector's parts one by one."""
     found: list[_Panel] = []
+    declared = {name: text.split() for notes in run.notes(MEMBERS) for name, text in notes.items()}
     for channel in run.states():
         paths = {name: path for name, path in run.trajectories(channel=channel).items() if path.rows}
         for column in next(iter(paths.values())).columns if paths else ():
             label = f"{channel}.{column}" if channel else column
             if any(_is_number(path, column) for path in paths.values()):
                 found.append((label, column, paths, ()))
-            elif 0 < len(members := _members(paths, column)) <= MOST_NAMES:
+            elif 0 < len(members := _members(paths, column, declared.get(f"{run.app}.{label}", ()))) <= MOST_NAMES:
                 found.append((label, column, _numbered(paths, column, members), members))
     return found
 
 
-def _members(paths: Mapping[str, Trajectory], column: str) -> tuple[str, ...]:
-    """Return the texts in a column, in the order in which they come."""
+def _members(paths: Mapping[str, Trajectory], column: str, declared: Sequence[str]) -> tuple[str, ...]:
+    """Return the texts in a column: of an enum in the order in which its members are `declared`, so that pictures of
+    two runs can be compared, others in the order in which they come."""
     cells = [(k, row[path.columns.index(column)]) for path in paths.values() for k, row in path.rows.items()]
-    return tuple(dict.fromkeys(text for _, text in sorted(cells, key=lambda cell: cell[0]) if text))
+    there = dict.fromkeys(text for _, text in sorted(cells, key=lambda cell: cell[0]) if text)
+    return tuple(sorted(there, key=declared.index)) if there.keys() <= set(declared) else tuple(there)
 
 
 def _numbered(paths: Mapping[str, Trajectory], column: str, members: Sequence[str]) -> dict[str, Trajectory]:

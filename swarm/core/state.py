@@ -255,6 +255,11 @@ class Schema:
         return {f.name: shape_text(f.shape) for f in self.fields if len(f.shape) > 1}
 
     @property
+    def members(self) -> dict[str, str]:
+        """`IDLE BUSY`, by name, of fields that are an enum: recordings have the names alone."""
+        return {f.name: " ".join(member.name for member in f.members) for f in self.fields if f.members}
+
+    @property
     def layout(self) -> str:
         """`value=d x=2d`: each field's name and its format for `struct`."""
         return " ".join(f"{field.name}={field.format}" for field in self.fields)

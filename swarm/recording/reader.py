@@ -24,6 +24,8 @@ SHAPES = "shapes"
 """Name of the metadata record that says how many rows and columns the app's matrices have: `4x4`, by field."""
 PLOTTED = "plotted"
 """Name of the metadata record that says what the app's author wants to be drawn: names, by app."""
+MEMBERS = "members"
+"""Name of the metadata record that has the members of enums in declared order, by app and field: `app.field`."""
 WORLD_CLOCK = "world_clock"
 """Name of the metadata record of a simulation that says how the file's clock relates to the world's time, which is
 t + `offset` + `rate` t, s."""

@@ -15,7 +15,7 @@ from swarm.process.service import Service
 from swarm.recording import folder
 from swarm.recording.budget import Budget
 from swarm.recording.file import UNRECORDED, RecordingFile, set_aside
-from swarm.recording.reader import CLOCK, EPOCH, PLOTTED, RUN, SHAPES, SUFFIX, run_of
+from swarm.recording.reader import CLOCK, EPOCH, MEMBERS, PLOTTED, RUN, SHAPES, SUFFIX, run_of
 from swarm.recording.recorded_topics import TopicRecorder
 
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
@@ -64,6 +64,8 @@ class AppRecording:
         kind = app.kind_on(service.config, service.robot)
         if shapes := kind.spec.schema.shapes:
             self._file.metadata(SHAPES, shapes)
+        if members := kind.spec.schema.members:
+            self._file.metadata(MEMBERS, {f"{app.name}.{name}": text for name, text in members.items()})
         if kind.plotted:
             self._file.metadata(PLOTTED, {app.name: " ".join(kind.plotted)})
         self._file.flush()  # whatever comes now: the next process finds which run this is of

@@ -13,7 +13,7 @@ from sim.virtual.events import LocalTime
 from sim.virtual.world import VirtualWorld
 from swarm.messages import AppEpoch, AppParameters
 from swarm.recording import folder
-from swarm.recording.reader import OUTCOME, PLOTTED, SHAPES, SUFFIX, WORLD_CLOCK
+from swarm.recording.reader import MEMBERS, OUTCOME, PLOTTED, SHAPES, SUFFIX, WORLD_CLOCK
 from swarm.recording.recorded_topics import TopicRecorder
 from swarm.recording.trajectory import Trajectory
 from swarm.recording.virtual_file import DirectRecording
@@ -48,6 +48,9 @@ class AppRecords:
         if shapes := kind.spec.schema.shapes:
             for file in self._files:
                 file.metadata(SHAPES, shapes)
+        if members := kind.spec.schema.members:
+            for file in self._files:
+                file.metadata(MEMBERS, {f"{app.name}.{name}": text for name, text in members.items()})
         if kind.plotted:
             for file in self._files:
                 file.metadata(PLOTTED, {app.name: " ".join(kind.plotted)})

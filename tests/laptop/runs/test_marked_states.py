@@ -110,6 +110,22 @@ def test_members_of_an_enum_are_steps_with_their_names() -> None:
     assert list(made.axes[0].lines[1].get_ydata()) == [0.0] * 15 + [1.0] * 6
 
 
+class Backwards(Moody):
+    """Comes to the members of its enum in another order than the declared one."""
+
+    mood: Mood = Mood.HAS_FOUND
+
+    def step(self, neighbours: object) -> None:
+        """Lose it again."""
+        self.mood = Mood.SEARCHES
+
+
+def test_members_of_an_enum_have_their_declared_order_whichever_comes_first() -> None:
+    made = simulate(Backwards, robots=2, iterations=20, progress=False).plot()
+    assert [tick.get_text() for tick in made.axes[0].get_yticklabels()] == ["SEARCHES", "HAS_FOUND"]
+    assert list(made.axes[0].lines[1].get_ydata()) == [1.0] + [0.0] * 20
+
+
 class ManyMarked(Marked):
     """Names an entry of its vector, and something that is not there."""
 
