@@ -131,7 +131,7 @@ async def _live(request: web.Request) -> web.StreamResponse:
     loop, halts = asyncio.get_running_loop(), request.app[_HALTS]
     questions = Questions(
         # Threads do the work: a simulation takes its time to obey, and the page's pictures go on.
-        lambda asked: loop.run_in_executor(halts, _told, feed, control, layouts, asked),
+        lambda asked: loop.run_in_executor(halts, _halted, feed, control, layouts, asked),
         lambda asked: asyncio.to_thread(_told, feed, control, layouts, asked),
         socket.send_str,
     )
@@ -223,6 +223,7 @@ class _PageSteps:
             step["trails"] = trails
         if full:
             parts |= {"swarm": fixed_parts(feed, self._control), "pace": feed.pace(), "layouts": self._layouts.told()}
+            parts["halt"] = None if self._control is None else self._control.halt
         for name, value in parts.items():
             if self._known.get(name) != value:
                 step[name] = self._known[name] = value
@@ -270,6 +271,13 @@ async def _play(playing: Playing, socket: web.WebSocketResponse) -> None:
 def _told(feed: LiveFeed, control: Control | None, layouts: Layouts, asked: Any) -> str:
     """Return the answer to what a page asks, as JSON."""
     return as_json(_answer(feed, control, layouts, asked))
+
+
+def _halted(feed: LiveFeed, control: Control | None, layouts: Layouts, asked: Any) -> str:
+    """Return the answer to a stop or its end, as JSON. It says what it answers: a page shows where a stop was
+    refused."""
+    answer = _answer(feed, control, layouts, asked)
+    return as_json(answer | {"act": asked["do"]["act"], "halt": None if control is None else control.halt})
 
 
 def _answer(feed: LiveFeed, control: Control | None, layouts: Layouts, asked: Any) -> Answer:

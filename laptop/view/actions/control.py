@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
+from laptop.cli.halt import elapsed
 from laptop.view.actions.robot_actions import PageAction, RobotActions, check_parameter, named, settings_of
 from laptop.view.feeds.feed import LiveFeed, RobotBus
 from swarm import clock
@@ -37,11 +38,10 @@ START_S = 60.0
 class _Halt:
     """A stop for all robots, or the end of one, that not all robots have confirmed."""
 
-    def __init__(self, stop: bool, version: int) -> None:
-        """`version`: the version of the picture when the command was given."""
+    def __init__(self, stop: bool, version: int, age: float) -> None:
+        """`version`: the version of the picture when the command was given; `age`: seconds since then."""
         self.stop = stop
-        self.since = clock.now()
-        """The time at which the command was given, s."""
+        self._since = elapsed() - age
         self.confirmed: set[str] = set()
         """Robots that have confirmed. They are not told again: somebody else may give another command meanwhile."""
         self.overruled = False
@@ -53,12 +53,18 @@ class _Halt:
         self._given: Counter[str] = Counter()
         """How often each robot was told while its bus was there."""
 
+    @property
+    def age(self) -> float:
+        """Return the seconds since the command was given, with those in which the laptop slept: the end of a stop must
+        not take back stops that others gave meanwhile."""
+        return elapsed() - self._since
+
     def give(self, name: str, bus: RobotBus) -> None:
         now = clock.now()
         if self.stop:
             bus.publish(STOP, Stop(now, name, REASON), urgent=True)
         else:
-            bus.publish(key(name, "mesh", "set", "arm"), Arm(now, name, now - self.since), urgent=True)
+            bus.publish(key(name, "mesh", "set", "arm"), Arm(now, name, self.age), urgent=True)
         self._given[name] += bus.connected
 
     def look(self, name: str, bus: RobotBus, stopped: object, version: int) -> None:
@@ -88,6 +94,9 @@ class Control:
         """A lock that is held while a stop, or its end, is sent. So the later of two commands is in force on every
         robot."""
         self._wanted: _Halt | None = None
+        self.halt = {"number": 0, "stop": False}
+        """The newest stop, or end of one: which one it is, and whether it is a stop. By it a page sees that another
+        page has taken its stop back."""
         self._asked: dict[tuple[str, str], tuple[SetAppParameters, float]] = {}
         """Unanswered requests by robot and app, each with the time until which it is repeated."""
         self.acts: dict[str, PageAction] = {}
@@ -95,7 +104,7 @@ class Control:
         if actions is not None:
             self.acts |= {
                 "stop": lambda _: self._halt(stop=True),
-                "arm": lambda _: self._halt(stop=False),
+                "arm": self._arm,
                 "set": self._set,
                 "mode": self._mode,
                 "drive": self._drive,
@@ -139,7 +148,7 @@ class Control:
             if self._wanted is not wanted:
                 return  # a later command has gone out meanwhile
             late = [name for name in buses if name not in wanted.confirmed]
-            given_up = not wanted.stop and clock.now() > wanted.since + ANSWER_S
+            given_up = not wanted.stop and wanted.age > ANSWER_S
             if not late or wanted.overruled or given_up:
                 self._wanted = None  # a robot that comes later learns from the others that a stop was taken back
             else:
@@ -152,14 +161,28 @@ class Control:
                         text = f"has not confirmed within {ANSWER_S:g} s that the stop was taken back: arm again"
                         self._feed.picture.note(self._feed.now(), name, "warning", text)
 
-    def _halt(self, *, stop: bool) -> str:
+    def _arm(self, asked: Mapping[str, Any]) -> str:
+        """Take back the stops that the page showed at `t`, the time of the last step that it had been told. The request
+        may have waited for this program, and others may have given stops meanwhile."""
+        age = max(0.0, self._feed.now() - float(asked["t"])) if "t" in asked else 0.0
+        if not age <= ANSWER_S:
+            raise LocalError(f"arm: asked {age:.0f} s ago, and other stops may have come since: arm again")
+        return self._halt(stop=False, age=age)
+
+    def _halt(self, *, stop: bool, age: float = 0.0) -> str:
         self._feed.check_control()
         with self._halting:
             # The feed's lock is not held, so that a stop does not wait for a picture that is being drawn.
-            self._wanted = wanted = _Halt(stop, self._feed.picture.version)
-            for name, bus in self._feed.buses.items():
+            self._wanted = wanted = _Halt(stop, self._feed.picture.version, age)
+            self.halt = {"number": self.halt["number"] + 1, "stop": stop}
+            buses = self._feed.buses
+            for name, bus in buses.items():
                 wanted.give(name, bus)
-        return "stop given to all robots" if stop else "stops taken back"
+        if not stop:
+            return "stops taken back"
+        silent = [name for name, bus in buses.items() if not bus.connected]
+        late = f", as yet not to {' '.join(silent)}: they are not reached" if silent else ""
+        return f"stop given to all robots{late}"
 
     def _mode(self, asked: Mapping[str, Any]) -> str:
         """Have robots stand up, rest or lie down. Their balancers tell what comes of it."""

@@ -27,7 +27,7 @@ import { Present } from "./time/present.js";
 import { Strip } from "./time/strip.js";
 
 const SILENCE_MS = 1500; // the server speaks 25 times a second, 5 for a crowd
-const RETRY_MS = 500;
+const [RETRY_MS, LONGEST_MS] = [250, 4000]; // from one try to reach the server to the next, twice as long each time
 const [PATIENCE_MS, LOOK_MS] = [10000, 20];
 const PLAYER_MS = 100;
 const WORTHS = 12; // robots up to which values stand behind all names on the map
@@ -38,12 +38,12 @@ const find = (selector) => document.querySelector(selector);
 const store = new Store();
 const wanted = new URLSearchParams(location.search);
 const directed = wanted.has("directed"); // by a program that takes pictures: the page shows what it is told to, when it is
-let socket = null, heard = -Infinity, selected = null, first = true, looks = 0;
+let socket = null, heard = -Infinity, selected = null, first = true, looks = 0, tries = 0, retry = null, next = 0;
 
 const ask = (question) => {
-  if (socket?.readyState !== WebSocket.OPEN) return false;
-  socket.send(JSON.stringify(question));
-  return true;
+  if (socket?.readyState === WebSocket.OPEN) return socket.send(JSON.stringify(question)), true;
+  if (question.do?.act === "stop" && socket?.readyState === WebSocket.CLOSED) connect(); // it does not wait for the next try
+  return false;
 };
 const focus = new Focus(store);
 const series = new Series(store, ask);
@@ -60,7 +60,10 @@ const controls = new Controls(store, ask, focus);
 const strip = new Strip(find("#player"), store, series, values);
 const bracket = (strip.bracket = new Bracket(find("#track"), store, strip));
 const player = new Player(find("#player"), store, ask, strip);
-const present = new Present(find("#player"), store, ask, strip, () => socket.close());
+const present = new Present(find("#player"), store, ask, strip, () => {
+  tries = 0;
+  socket.close();
+});
 const pace = new Pace(find("#virtual"), store, ask);
 const layout = new Layout(find("main"), find("#layout"), find("#arrange"), store, ask);
 const runs = new Runs(find("#runs"), find("#difference"), { store, series, focus, values, ask });
@@ -80,15 +83,29 @@ function select(name) {
 }
 
 function connect() {
+  clearTimeout(retry);
+  const began = performance.now();
   socket = new WebSocket(`ws://${location.host}/live${location.search}`);
   first = true;
   present.asked = null; // an instant of the past that was looked at is asked for again
   socket.onopen = () => controls.connected();
   socket.onmessage = ({ data }) => {
     heard = performance.now();
+    if (heard > began + SILENCE_MS) tries = 0; // it lasts
     take(JSON.parse(data));
   };
-  socket.onclose = () => setTimeout(connect, present.wanted === null && heard > performance.now() - SILENCE_MS ? 0 : RETRY_MS);
+  socket.onclose = () => {
+    const wait = tries ? Math.min(LONGEST_MS, RETRY_MS * 2 ** (tries - 1)) : 0;
+    tries += 1;
+    next = performance.now() + wait;
+    retry = setTimeout(connect, wait);
+  };
+}
+
+// What the page does about a server that it does not hear.
+function trying(now) {
+  if (socket.readyState === WebSocket.OPEN) return "waits for an answer";
+  return socket.readyState === WebSocket.CLOSED && next > now + 500 ? `tries again in ${Math.round((next - now) / 1000)} s` : "tries again";
 }
 
 function take(step) {
@@ -100,6 +117,7 @@ function take(step) {
   if (step.runs) return runs.listed(step.runs);
   if (step.beside !== undefined) return runs.put(step.beside);
   if (step.layouts) store.layouts = step.layouts;
+  if (step.act) controls.halted(step);
   if (step.refused || step.done) return controls.tell(step.refused ?? step.done, Boolean(step.refused));
   const opened = !first && step.swarm?.recording; // another recording
   if (opened) bracket.kept = null;
@@ -114,8 +132,7 @@ function take(step) {
     lockstepChart.clear();
   }
   store.take(step, directed ? step.t * 1000 : heard);
-  store.hear(step);
-  store.newest = step.t;
+  hear(step);
   part(() => lockstepChart.take(step));
   if (!first && !replaced) part(() => controls.take(step));
   part(() => series.take(step));
@@ -127,18 +144,23 @@ function take(step) {
 
 // While somebody looks back only stops are listened to, and the series go on.
 function glance(step) {
-  store.newest = step.t;
   series.take(step);
+  hear(step);
+}
+
+function hear(step) {
+  store.newest = step.t;
   store.hear(step);
+  if (!first) controls.hear(step);
 }
 
 // An instant of the past.
 function look(step) {
   if (present.wanted === null) return;
-  const { swarm, services, newest, edges, stops, pace } = store;
+  const { swarm, services, newest, edges, stops, reached, pace } = store;
   store.clear();
   store.become(swarm);
-  Object.assign(store, { services, newest, stops, pace, looking: true });
+  Object.assign(store, { services, newest, stops, reached, pace, looking: true });
   if (!store.edges.length) store.edges = edges;
   events.clear();
   lockstepChart.clear();
@@ -153,8 +175,9 @@ function panels(now) {
 
 function news() {
   const connection = find("#connection"), silent = performance.now() - heard > SILENCE_MS, recording = store.swarm?.recording;
-  const [text, kind] = silent ? ["server lost", "bad"] : recording ? ["recording", "muted"] : store.looking ? ["looks back", "warn"] : store.live ? ["live", "good"] : [store.swarm?.kind === "robots" ? "no robot in reach" : "the run has ended", "warn"];
+  const [text, kind] = silent ? (tries || heard > -Infinity ? ["server lost", "bad"] : ["connecting", "muted"]) : recording ? ["recording", "muted"] : store.looking ? ["looks back", "warn"] : store.live ? ["live", "good"] : [store.swarm?.kind === "robots" ? "no robot in reach" : "the run has ended", "warn"];
   if (connection.textContent !== text) [connection.textContent, connection.className] = [text, kind];
+  write(find("#trying"), silent && text !== "connecting" ? trying(performance.now()) : "");
   part(head);
   store.zoom = bracket.range;
   for (const draw of [chooseApp, () => layout.draw(), () => events.draw(store.events), () => controls.draw(selected, map, silent), () => pace.draw(), () => keep.draw()]) part(draw);

@@ -35,7 +35,9 @@ export class Store {
     this.links = new Map(); // "r0 r1" -> link(); forgotten when a robot tells of its links
     this.robots = new Map(); // name -> Map(topic -> value)
     this.services = {};
-    this.stops = new Map(); // name -> whether a stop holds there: of now, also while an instant of the past is shown
+    // Of now, also while an instant of the past is shown: whether a stop holds at a robot, and whether it is reached.
+    this.stops = new Map();
+    this.reached = new Map();
     this.events = [];
     this.faults = new Map(); // name -> the newest event that is an error
     this.trails = new Map(); // name -> [[x, y, the swarm's time], ...]
@@ -86,11 +88,23 @@ export class Store {
 
   // What holds now.
   hear(step) {
-    for (const [name, topics] of Object.entries(step.robots ?? {})) if (topics["mesh/stopped"]) this.stops.set(name, topics["mesh/stopped"].stopped);
+    this.live = step.live;
+    if (step.services) this.services = step.services;
+    for (const [name, topics] of Object.entries(step.robots ?? {})) {
+      if (topics["mesh/stopped"]) this.stops.set(name, topics["mesh/stopped"].stopped);
+      if (topics["view/reach"]) this.reached.set(name, topics["view/reach"].by !== null);
+    }
   }
 
+  // Whether nobody tells any more what holds at a robot: its mesh does.
+  away(name) {
+    const services = this.services[name] ?? {}, there = Object.values(services);
+    return this.reached.get(name) === false || services.mesh === false || (there.length > 0 && !there.some(Boolean));
+  }
+
+  // Robots that are known to be stopped. What one has said that is gone is not known to hold.
   get stopped() {
-    return this.names.filter((name) => this.stops.get(name) === true);
+    return this.names.filter((name) => this.stops.get(name) === true && !this.away(name));
   }
 
   // What does not move.

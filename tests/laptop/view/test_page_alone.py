@@ -2,6 +2,7 @@
 
 import asyncio
 import itertools
+import re
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -179,6 +180,126 @@ def test_a_stop_that_no_robot_has_confirmed_when_the_server_goes_is_sent_again(
     finally:
         second.close()
     assert problems == []
+
+
+def tell(feed: SimulationFeed, stopped: bool, *names: str) -> None:
+    """Let robots say whether they are stopped."""
+    with feed.lock:
+        for name in names:
+            feed.picture.put(name, "mesh/stopped", {"stopped": stopped}, feed.now())
+
+
+def test_the_stop_button_counts_those_alone_that_are_known_to_be_stopped_and_names_the_others(
+    feed: SimulationFeed, shown: Any
+) -> None:
+    stop = shown.locator("#stop")
+    with feed.lock:
+        for service in ("mesh", "balancer"):
+            feed.picture.alive("r2", service, True, feed.now())
+    expect(stop).to_have_accessible_name("STOP: stop all robots", timeout=PATIENCE_MS)
+    stop.click()
+    tell(feed, True, "r0", "r2")
+    expect(stop.locator("b")).to_have_text("STOPPED 2/3", timeout=PATIENCE_MS)
+    expect(stop.locator("small")).to_have_text("not r1")
+    tell(feed, True, "r1")
+    expect(stop).to_have_text("STOPPED 3/3", timeout=PATIENCE_MS)
+    with feed.lock:
+        feed.picture.alive("r2", "mesh", False, feed.now())  # its balancer is there, and nobody hears what holds
+    expect(stop.locator("b")).to_have_text("STOPPED 2/3", timeout=PATIENCE_MS)
+    expect(stop.locator("small")).to_have_text("not r2 (gone)")
+    name = "STOPPED 2/3, not confirmed by r2 (gone): stop all robots"
+    expect(stop).to_have_accessible_name(name)
+    expect(shown.locator("#halt [role=status]")).to_have_text("STOPPED 2/3, not confirmed by r2 (gone)")
+
+
+def test_a_stop_that_not_all_robots_have_confirmed_when_the_server_goes_is_sent_again(
+    feed: SimulationFeed, port: int, page: tuple[Any, list[str]]
+) -> None:
+    shown, problems = page
+    first = Server(feed, port)
+    shown.goto(first.address)
+    shown.locator("#stop").click(timeout=PATIENCE_MS)
+    expect(shown.locator("#stop")).to_have_text("STOPPING 0/3", timeout=PATIENCE_MS)
+    tell(feed, True, "r0")
+    expect(shown.locator("#stop b")).to_have_text("STOPPED 1/3", timeout=PATIENCE_MS)
+    first.close()
+    expect(shown.locator("#stop")).to_have_text("STOP NOT CONFIRMED", timeout=PATIENCE_MS)
+    given = stops(feed)
+    second = Server(feed, port)
+    try:
+        wait_until(lambda: all(now > before for now, before in zip(stops(feed)[1:], given[1:], strict=True)))
+    finally:
+        second.close()
+    assert problems == []
+
+
+def test_a_stop_that_the_server_refuses_is_shown_as_not_sent_and_goes_out_when_a_robot_is_there_again(
+    feed: SimulationFeed, shown: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live = False
+    monkeypatch.setattr("laptop.view.feeds.feed.is_live", lambda _: live)
+    stop = shown.locator("#stop")
+    expect(shown.locator("#connection")).to_have_text("the run has ended", timeout=PATIENCE_MS)
+    stop.click()
+    expect(shown.locator("#said")).to_have_text("the simulation has ended", timeout=PATIENCE_MS)
+    expect(stop).to_have_text("STOP NOT SENT", timeout=PATIENCE_MS)
+    assert stops(feed) == [0, 0, 0]
+    live = True
+    wait_until(lambda: min(stops(feed)) >= 1)
+    expect(stop).to_have_text("STOPPING 0/3", timeout=PATIENCE_MS)
+
+
+def test_a_page_sees_that_another_one_has_taken_its_stop_back_before_any_robot_had_confirmed_it(
+    feed: SimulationFeed, shown: Any, browser: Any
+) -> None:
+    stop = shown.locator("#stop")
+    stop.click(timeout=PATIENCE_MS)
+    expect(stop).to_have_text("STOPPING 0/3", timeout=PATIENCE_MS)
+    other = browser.new_page()
+    try:
+        other.goto(shown.url)
+        until(other, "swarmView.store.newest")
+        other.evaluate("swarmView.store.stops.set('r0', true)")
+        other.locator("#arm").click(timeout=PATIENCE_MS)
+    finally:
+        other.close()
+    expect(stop).to_have_text("STOP", timeout=PATIENCE_MS)
+    expect(shown.locator("#said")).to_have_text("the stop was taken back elsewhere")
+
+
+def test_a_page_without_a_server_waits_longer_from_try_to_try_and_says_so(
+    feed: SimulationFeed, port: int, page: tuple[Any, list[str]]
+) -> None:
+    shown, problems = page
+    tried: list[Any] = []
+    shown.on("websocket", lambda each: tried.append(each))
+    first = Server(feed, port)
+    shown.goto(first.address)
+    expect(shown.locator("#connection")).to_have_text("live", timeout=PATIENCE_MS)
+    assert len(tried) == 1
+    first.close()
+    expect(shown.locator("#trying")).to_have_text(re.compile(r"tries again in [34] s"), timeout=PATIENCE_MS)
+    assert len(tried) <= 8, "at once, and after 0.25, 0.5, 1 and 2 s"
+    second = Server(feed, port)
+    try:
+        expect(shown.locator("#connection")).to_have_text("live", timeout=PATIENCE_MS)
+        expect(shown.locator("#trying")).to_be_hidden()
+    finally:
+        second.close()
+    assert problems == []
+
+
+def test_a_page_on_a_slow_network_connects_and_has_not_lost_its_server(feed: SimulationFeed, page: Any) -> None:
+    shown, _ = page
+    shown.clock.install()
+    shown.route_web_socket("**/live*", lambda _: None)  # nothing arrives
+    serving = Server(feed, 0)
+    try:
+        shown.goto(serving.address)
+        shown.clock.run_for(5000)
+        expect(shown.locator("#connection")).to_have_text("connecting")
+    finally:
+        serving.close()
 
 
 ODD = [5, None, "x", [], [5], [{}], {}, {"a": {}}, [[[]]], 1e16, 1e300, -1, True, "\x1b[31m<b>"]

@@ -121,7 +121,7 @@ def test_the_end_of_a_stop_is_repeated_with_its_age_and_not_for_ever(
 ) -> None:
     """A robot that never answers must not make the page take back the stops that others give later."""
     now = 100.0
-    monkeypatch.setattr("laptop.view.actions.control.clock.now", lambda: now)
+    monkeypatch.setattr("laptop.view.actions.control.elapsed", lambda: now)
     control = Control(feed, SimulatedActions(feed))
     control.do({"act": "arm"})
     feed.picture.put("r0", "mesh/stopped", {"stopped": False}, 0.0)
@@ -143,6 +143,40 @@ def test_the_end_of_a_stop_is_repeated_with_its_age_and_not_for_ever(
     told = [str(event) for event in feed.picture.events_since(0) if "taken back: arm again" in str(event)]
     assert len(told) == 1, "the page says once who has not answered"
     assert "r1" in told[0]
+
+
+def test_the_end_of_a_stop_is_not_repeated_after_a_sleep_of_the_laptop(
+    feed: SimulationFeed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its monotonic clock stands still meanwhile, and others may have given stops."""
+    monkeypatch.setattr("laptop.cli.halt.time.clock_gettime", lambda _: 100.0)
+    control = Control(feed, SimulatedActions(feed))
+    control.do({"act": "arm"})
+    given = arms(feed)
+    monkeypatch.setattr("laptop.cli.halt.time.clock_gettime", lambda _: 700.0)
+    control.repeat()
+    assert arms(feed) == given
+
+
+def test_the_end_of_a_stop_takes_back_what_the_page_showed_and_none_that_came_while_it_was_under_way(
+    feed: SimulationFeed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """This program may have hung."""
+    monkeypatch.setattr(feed, "now", lambda: 50.0)
+    control = Control(feed, SimulatedActions(feed))
+    control.do({"act": "arm", "t": 48.0})
+    assert [round(age) for ages in arms(feed).values() for age in ages] == [2, 2]
+    with pytest.raises(LocalError, match=r"asked 30 s ago, .*: arm again"):
+        control.do({"act": "arm", "t": 20.0})
+    assert len(arms(feed)["r0"]) == 1
+    control.do({"act": "arm", "t": 60.0})
+    assert round(arms(feed)["r0"][-1]) == 0, "of a page that was told of a later time than there is"
+
+
+def test_a_stop_names_the_robots_that_are_not_reached_yet(feed: SimulationFeed) -> None:
+    late_r1(feed)
+    control: Any = feed.control  # type: ignore[attr-defined]
+    assert control.do({"act": "stop"}) == "stop given to all robots, as yet not to r1: they are not reached"
 
 
 class Narrow(Bus):

@@ -1,7 +1,7 @@
 // What can be done to the swarm, where the server allows it: stop it, stand, rest, lie, start and stop apps, act on
 // one robot, set an app's parameters, send a robot to a place. What came of it is told robot by robot.
 
-import { short, write } from "../numbers.js";
+import { short, some, write } from "../numbers.js";
 import { Outcomes } from "./outcomes.js";
 
 const CUT_S = 60;
@@ -21,13 +21,15 @@ export class Controls {
     this.main = find("main");
     this.outcomes = new Outcomes(find("#outcomes"), store);
     this.shown = this.known = this.slid = "";
-    this.stopping = ""; // of a stop: "owed" while it could not be sent, "given" until a robot confirms it
-    this.before = 0; // robots that were stopped when it was given
+    this.stopping = ""; // of a stop: "owed" while it could not be sent, "refused" while the server reaches no robot, "given" until all robots that are there confirm it
+    this.confirmed = new Set(); // robots that have said since that they are stopped
+    this.number = Infinity; // of the stop, as the server counts those of all pages
+    this.speaker = find("#halt [role=status]");
     this.whom = find("#whom");
     this.modes = ["stand", "rest", "lie"].map((mode) => button(mode, () => this.mode(mode), { hidden: true }));
     this.whom.after(...this.modes);
     this.stop.addEventListener("click", () => this.act({ act: "stop" }));
-    this.arm.addEventListener("click", () => this.act({ act: "arm" }));
+    this.arm.addEventListener("click", () => this.act({ act: "arm", t: this.store.newest })); // the stops that are shown, and none that comes meanwhile
     this.apps.addEventListener("submit", (event) => {
       event.preventDefault();
       const { value } = this.apps.elements.app;
@@ -39,7 +41,7 @@ export class Controls {
   // Without a server nothing can be sent. A stop is kept until there is one again: a late stop harms nobody, all else might.
   act(act) {
     const sent = this.ask({ do: act });
-    if (act.act === "stop") [this.stopping, this.before] = [sent ? "given" : "owed", this.store.stopped.length];
+    if (act.act === "stop") [this.stopping, this.confirmed, this.number] = [sent ? "given" : "owed", new Set(), Infinity];
     if (act.act === "arm") this.stopping = "";
     if (sent) return this.expect(act);
     this.tell(this.stopping === "owed" ? "NOT SENT: the server is lost. The stop is sent as soon as it is back; swarm estop does not need it" : "not sent: the server is lost", true);
@@ -61,6 +63,26 @@ export class Controls {
   // A connection may have ended with a stop on its way.
   connected() {
     if (this.stopping) this.act({ act: "stop" });
+  }
+
+  // The server's answer to a stop. One that it refuses, since it reaches no robot, is given when it does.
+  halted({ act, refused, halt }) {
+    if (act !== "stop" || this.stopping !== "given") return;
+    if (refused) this.stopping = "refused";
+    else this.number = halt.number;
+  }
+
+  // A stop is under way until all robots that are there have confirmed it, or it is taken back elsewhere.
+  hear({ halt, robots = {} }) {
+    if (this.stopping !== "given") return;
+    let back = halt && halt.number > this.number && !halt.stop;
+    for (const [name, topics] of Object.entries(robots)) {
+      const stopped = topics["mesh/stopped"]?.stopped;
+      if (stopped === true) this.confirmed.add(name);
+      back ||= stopped === false && this.confirmed.has(name);
+    }
+    if (back) this.tell("the stop was taken back elsewhere", true);
+    if (back || (this.confirmed.size && this.store.names.every((name) => this.confirmed.has(name) || this.store.away(name)))) this.stopping = "";
   }
 
   tell(text, refused) {
@@ -93,10 +115,19 @@ export class Controls {
   // What the stop button says. While the server is lost nobody knows what holds.
   state(stopped, silent) {
     const all = this.store.names.length, { stopping } = this;
-    if (stopping === "owed") return "STOP NOT SENT";
+    if (stopping === "owed" || stopping === "refused") return "STOP NOT SENT";
     if (silent) return stopping ? "STOP NOT CONFIRMED" : "STOP";
-    if (stopped > this.before || stopped === all) this.stopping = "";
     return stopped ? `STOPPED ${stopped}/${all}` : stopping ? `STOPPING 0/${all}` : "STOP";
+  }
+
+  drawStop(silent) {
+    const { stopped, names } = this.store, state = this.state(stopped.length, silent), counts = state.startsWith("STOPPED");
+    const open = counts ? names.filter((name) => !stopped.includes(name)).map((name) => (this.store.away(name) ? `${name} (gone)` : name)) : [];
+    const [button, missing] = this.stop.children, said = open.length ? `${state}, not confirmed by ${open.join(" ")}` : state;
+    write(button, state);
+    write(missing, open.length ? `not ${some(open)}` : "");
+    if (this.stop.ariaLabel !== `${said}: stop all robots`) this.stop.ariaLabel = this.stop.title = `${said}: stop all robots`;
+    write(this.speaker, state === "STOP" ? "" : said);
   }
 
   draw(robot, map, silent) {
@@ -104,7 +135,8 @@ export class Controls {
     const stopped = this.store.stopped.length;
     this.stop.hidden = !this.can("stop");
     this.arm.hidden = !this.can("arm") || !stopped;
-    write(this.stop, this.state(stopped, silent));
+    if (this.stopping === "refused" && !silent && this.store.live) this.act({ act: "stop" }); // the server reaches a robot again
+    this.drawStop(silent);
     this.whom.hidden = !this.can("mode");
     write(this.whom, robot ?? "all");
     for (const each of this.modes) [each.hidden, each.ariaLabel] = [this.whom.hidden, `${each.textContent} ${robot ?? "all"}`];
