@@ -1,5 +1,6 @@
 """A recorded run as a page shows it, at any instant."""
 
+import json
 import math
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
@@ -12,7 +13,7 @@ from laptop.view.series import dig
 from swarm.errors import LocalError, RecordingError, SwarmError
 from swarm.messages.json_values import json_value
 from swarm.messages.keys import parse as parse_key
-from swarm.recording.core import foxglove, json_text
+from swarm.recording.core import foxglove
 from swarm.recording.folder import config_in
 from swarm.recording.run import Run
 
@@ -43,8 +44,10 @@ class ViewedRecording:
         for sample in run.samples():
             try:
                 robot, service, topic = parse_key(sample.topic)
-                message = json_value(sample.message)
+                message = self._decoded(sample.data)
             except SwarmError:
+                continue
+            if not isinstance(message, dict):
                 continue
             name = f"{service}/{topic}"
             times, data = self._rows.setdefault(robot, {}).setdefault(name, ([], []))
@@ -102,7 +105,7 @@ class ViewedRecording:
             step = -(-len(times) // most) or 1
             last = len(times) - 1
             chosen = sorted({*range(0, len(times), step), *((last,) if times else ())})
-            found[robot] = series.rows(((times[index], self._message(data[index])) for index in chosen), fields)
+            found[robot] = series.rows(((times[index], self._decoded(data[index])) for index in chosen), fields)
         return {robot: rows for robot, rows in found.items() if rows}
 
     def check_charts(self, charts: Sequence[str]) -> None:
@@ -151,15 +154,20 @@ class ViewedRecording:
     def _newest(self, robot: str, topic: str, t: float) -> Iterator[tuple[float, object]]:
         times, data = self._rows[robot].get(topic, ([], []))
         if index := bisect_right(times, t):
-            yield times[index - 1], self._message(data[index - 1])
+            yield times[index - 1], self._decoded(data[index - 1])
 
     def _between(self, robot: str, topic: str, since: float, t: float) -> Iterator[tuple[float, object]]:
         times, data = self._rows.get(robot, {}).get(topic, ([], []))
         for index in range(bisect_right(times, since), bisect_right(times, t)):
-            yield times[index], self._message(data[index])
+            yield times[index], self._decoded(data[index])
 
     def _message(self, data: bytes) -> object:
+        """Return a message as a page gets it."""
+        return json_value(self._decoded(data))
+
+    def _decoded(self, data: bytes) -> object:
+        """Return a message for those who look for numbers in it, in a third of the time."""
         try:
-            return json_value(json_text.decode(data))
+            return json.loads(data.decode("utf-8", "surrogatepass"))
         except (ValueError, RecursionError) as error:
             raise RecordingError(f"{self.path}: a message is not JSON: {error}") from None

@@ -69,6 +69,20 @@ def test_the_values_are_those_of_the_run(recording: ViewedRecording) -> None:
     assert "timestamp" not in page["r0"]["dwm/pose"], "what Foxglove reads says our own fields once more"
 
 
+def test_numbers_of_charts_are_found_in_messages_that_are_not_prepared_for_a_page(
+    recording: ViewedRecording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That takes two thirds of the time, and a chart of 200 robots is made of 20 000 messages."""
+    prepared: list[object] = []
+    monkeypatch.setattr("laptop.view.recording.json_value", lambda value: prepared.append(value) or value)
+    assert len(recording.series("dwm/pose", [("x",)])["r0"]) > 10
+    assert prepared == []
+    recording.step(None, recording.last)
+    newest = sum(len(topics) for topics in recording._rows.values())
+    assert len(prepared) <= newest, "one message of each key, and none of the trails"
+    assert not any("left out" in text for _, _, text in recording.marks())
+
+
 def test_a_robot_that_is_switched_off_is_shown_as_gone(tmp_path: Path) -> None:
     recorded(tmp_path, "stand_up", "--robots", "2", "--seconds", "8", "--off", "r1@2s,3s")
     recording = ViewedRecording(tmp_path)
