@@ -94,17 +94,18 @@ export class Store {
       if (topics["mesh/stopped"]) this.stops.set(name, topics["mesh/stopped"].stopped);
       if (topics["view/reach"]) this.reached.set(name, topics["view/reach"].by !== null);
     }
+    for (const name of this.stops.keys()) if (this.away(name)) this.stops.delete(name); // when it is back it says so anew
   }
 
-  // Whether nobody tells any more what holds at a robot: its mesh does.
+  // Whether nobody tells any more what holds at a robot, as its mesh does.
   away(name) {
     const services = this.services[name] ?? {}, there = Object.values(services);
     return this.reached.get(name) === false || services.mesh === false || (there.length > 0 && !there.some(Boolean));
   }
 
-  // Robots that are known to be stopped. What one has said that is gone is not known to hold.
+  // Robots that are known to be stopped.
   get stopped() {
-    return this.names.filter((name) => this.stops.get(name) === true && !this.away(name));
+    return this.names.filter((name) => this.stops.get(name) === true);
   }
 
   // What does not move.

@@ -206,10 +206,17 @@ def test_the_stop_button_counts_those_alone_that_are_known_to_be_stopped_and_nam
     with feed.lock:
         feed.picture.alive("r2", "mesh", False, feed.now())  # its balancer is there, and nobody hears what holds
     expect(stop.locator("b")).to_have_text("STOPPED 2/3", timeout=PATIENCE_MS)
-    expect(stop.locator("small")).to_have_text("not r2 (gone)")
+    expect(stop.locator("small")).to_have_text("not r2")
+    expect(shown.locator("[data-answer=alive] small")).to_have_text("not confirmed by r2; take the stops back to go on")
     name = "STOPPED 2/3, not confirmed by r2 (gone): stop all robots"
     expect(stop).to_have_accessible_name(name)
     expect(shown.locator("#halt [role=status]")).to_have_text("STOPPED 2/3, not confirmed by r2 (gone)")
+    with feed.lock:
+        feed.picture.alive("r2", "mesh", True, feed.now())
+    name = "STOPPED 2/3, not confirmed by r2: stop all robots"  # its mesh has not said yet what it knows
+    expect(stop).to_have_accessible_name(name, timeout=PATIENCE_MS)
+    tell(feed, True, "r2")
+    expect(stop).to_have_text("STOPPED 3/3", timeout=PATIENCE_MS)
 
 
 def test_a_stop_that_not_all_robots_have_confirmed_when_the_server_goes_is_sent_again(

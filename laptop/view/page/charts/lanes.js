@@ -79,7 +79,7 @@ export class Lanes {
     const entry = this.entry, period = this.focus.period;
     if (!entry || !period) return [];
     const patience = Math.max(LATE * period, 1.5); // states come some times a second at most
-    return this.series.robots(entry).filter((name) => {
+    return this.series.robots(entry).filter((name) => !this.store.gone(name)).filter((name) => {
       const last = this.of(name, patience).at(-1);
       return (!last || this.now - last[0] > patience) && this.store.get(name, `${this.focus.app}/progress`)?.phase !== "done";
     });

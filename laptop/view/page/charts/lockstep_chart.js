@@ -78,12 +78,12 @@ export class LockstepChart {
     return found;
   }
 
-  // Whom each robot waits for: name -> [{peer, named}].
+  // Whom each robot waits for: name -> [{peer, named}]. One that is gone waits for nobody.
   waits(iterations) {
     const found = new Map(), store = this.store;
     for (const name of store.names) {
       const progress = store.get(name, `${this.app}/progress`);
-      if (progress?.phase === "done" || progress?.phase === "fault") continue;
+      if (progress?.phase === "done" || progress?.phase === "fault" || store.gone(name)) continue;
       const named = Array.isArray(progress?.waiting_for) ? [...new Set(progress.waiting_for)].filter((each) => store.order.has(each)) : [];
       const peers = named.map((peer) => ({ peer, named: true }));
       if (!named.length && iterations.has(name) && this.still(name)) {

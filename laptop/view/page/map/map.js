@@ -19,6 +19,10 @@ const EDGE = 20; // px around it at least: a robot is as large in a swarm that i
 const LOOSE = 1.4; // times as large as it might be, and it is fitted anew
 const [HEAD, HEAD_OF_PHONE] = [34, 52]; // px of the panel's title above the map
 const phone = matchMedia("(max-width: 760px)");
+const calm = matchMedia("(prefers-reduced-motion: reduce)"); // links are thicker where messages pass; dots that fly along them say no more
+
+// Whether a message is on its way along a link.
+const flies = ({ at, rate }, now) => now < at + FLASH_MS && rate <= BUSY && !calm.matches;
 
 export class SwarmMap {
   constructor(canvas, store, select) {
@@ -79,7 +83,7 @@ export class SwarmMap {
   due(now) {
     const { scale } = this.shown ?? { scale: 0 }, tip = reach(scale, this.ratio), pixels = { x: scale, y: scale, heading: tip, tilt: tip };
     let wait = this.labels.moving ? LABELS_MS : Infinity;
-    for (const { at, rate } of this.store.flashes.values()) if (now < at + FLASH_MS && rate <= BUSY) return 0;
+    for (const flash of this.store.flashes.values()) if (flies(flash, now)) return 0;
     for (const [name, { to, at, span }] of this.store.places) {
       const drawn = this.painted?.get(name), is = drawn && this.store.place(name, now), left = Math.max(0, at + span - now);
       if (!is) continue;
@@ -186,9 +190,7 @@ export class SwarmMap {
       mark(target);
       marks.push(target.known && Math.round(Math.sqrt(target.known.xx) * view.scale));
     }
-    for (const [edge, { at: began, rate }] of store.flashes) {
-      if (now < began + FLASH_MS && rate <= BUSY) marks.push(edge, now);
-    }
+    for (const [edge, flash] of store.flashes) if (flies(flash, now)) marks.push(edge, now);
     if (this.labels.moving) marks.push(Math.floor(now / LABELS_MS));
     if (same(marks, this.marks)) return;
     [this.marks, this.spare, this.painted] = [marks, this.marks, places];
@@ -232,10 +234,10 @@ export class SwarmMap {
     }
     for (const { ends, edges } of links) {
       edges.forEach((edge, index) => {
-        const flash = store.flashes.get(edge), share = flash ? (now - flash.at) / FLASH_MS : 2;
-        if (!ends) return;
-        const [[x0, y0], [x1, y1]] = index ? [ends[1], ends[0]] : ends;
-        if (share <= 1 && flash.rate <= BUSY) pen.message([x0 + share * (x1 - x0), y0 + share * (y1 - y0)]);
+        const flash = store.flashes.get(edge);
+        if (!ends || !flash || !flies(flash, now)) return;
+        const [[x0, y0], [x1, y1]] = index ? [ends[1], ends[0]] : ends, share = (now - flash.at) / FLASH_MS;
+        pen.message([x0 + share * (x1 - x0), y0 + share * (y1 - y0)]);
       });
     }
     for (const target of this.layers.ellipses ? targets : []) if (target.known) pen.ellipse({ ...target, ...target.known });

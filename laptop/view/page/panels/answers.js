@@ -51,9 +51,9 @@ export class Answers {
     const dead = names.filter((name) => store.gone(name)), failed = names.filter((name) => store.failed(name));
     const silent = names.filter((name) => !store.robots.has(name) && !dead.includes(name));
     const left = names.map((name) => [store.get(name, "balancer/state")?.battery_left, name]).filter(([each]) => typeof each === "number").sort(([a], [b]) => a - b)[0];
-    const { stopped } = store;
+    const { stopped } = store, open = names.filter((name) => !stopped.includes(name));
     const value = `${names.length - dead.length - silent.length} of ${names.length}`;
-    if (stopped.length) return { value: `${stopped.length} of ${names.length} stopped`, note: `${dead.length ? `gone: ${some(dead)}; ` : ""}take the stops back to go on`, kind: "bad" };
+    if (stopped.length) return { value: `${stopped.length} of ${names.length} stopped`, note: `${open.length ? `not confirmed by ${some(open)}; ` : ""}take the stops back to go on`, kind: "bad" };
     if (dead.length) return { value, note: `gone: ${some(dead)}`, kind: "bad" };
     if (failed.length) return { value, note: `in a fault: ${some(failed)}`, kind: "bad" };
     const ended = this.ended();
@@ -106,16 +106,18 @@ export class Answers {
   }
 
   held() {
-    const store = this.store, [worst] = store.troubled(), waits = this.waiting();
-    const waiting = waits.size ? `${waits.size === store.names.length ? `all ${waits.size}` : waits.size} ${waits.size === 1 ? "waits" : "wait"}` : "";
+    const store = this.store, there = store.names.filter((name) => !store.gone(name)), waits = this.waiting();
+    // Links of a robot that is gone are down for that: it is named itself where somebody waits for it.
+    const troubled = store.troubled().filter(({ a, b }) => there.includes(a) && there.includes(b)), [worst] = troubled;
+    const waiting = waits.size ? `${waits.size === there.length ? `all ${waits.size}` : waits.size} ${waits.size === 1 ? "waits" : "wait"}` : "";
     if (worst && (worst.state !== "connecting" || waits.size)) {
       const since = store.since(worst.a, worst.b), lasts = since === null ? "" : `, ${ago(Math.max(0, store.t - since))}`;
-      const more = store.troubled().length - 1;
+      const more = troubled.length - 1;
       return { value: `Link ${worst.a}–${worst.b} ${worst.state}${lasts}`, note: [waiting || "nobody waits for it", more ? `${more} more links` : ""].filter(Boolean).join("; "), kind: worst.state === "down" ? "bad" : "warn" };
     }
     if (waits.size) {
       const awaited = [...new Set([...waits.values()].flat().map(({ peer }) => peer))], idle = awaited.filter((name) => !waits.has(name));
-      return { value: some(idle.length ? idle : awaited), note: waiting, kind: this.still() ? "bad" : "" };
+      return { value: some((idle.length ? idle : awaited).map((name) => (store.gone(name) ? `${name} (gone)` : name))), note: waiting, kind: this.still() ? "bad" : "" };
     }
     if (this.focus.kind === "periodic") {
       const late = this.lanes.late();

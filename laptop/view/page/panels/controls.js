@@ -1,10 +1,11 @@
 // What can be done to the swarm, where the server allows it: stop it, stand, rest, lie, start and stop apps, act on
 // one robot, set an app's parameters, send a robot to a place. What came of it is told robot by robot.
 
-import { short, some, write } from "../numbers.js";
+import { short, write } from "../numbers.js";
 import { Outcomes } from "./outcomes.js";
 
 const CUT_S = 60;
+const NAMED = 2; // robots that the stop button has room to name; the answer beside it names more
 const [PARAMETERS, CHOICES] = [100, 100]; // that are shown
 const DRIVE_MS = 120; // a robot stands when it has not been asked again for 0.4 s
 const WAYS = [["◀", 0, 1.2, "left"], ["▲", 0.15, 0, "forward"], ["▼", -0.15, 0, "back"], ["▶", 0, -1.2, "right"]]; // m/s, rad/s
@@ -43,8 +44,11 @@ export class Controls {
     const sent = this.ask({ do: act });
     if (act.act === "stop") [this.stopping, this.confirmed, this.number] = [sent ? "given" : "owed", new Set(), Infinity];
     if (act.act === "arm") this.stopping = "";
-    if (sent) return this.expect(act);
-    this.tell(this.stopping === "owed" ? "NOT SENT: the server is lost. The stop is sent as soon as it is back; swarm estop does not need it" : "not sent: the server is lost", true);
+    if (sent) {
+      this.tell(act.act === "stop" ? "stop sent" : "", false); // what is told next is about this act
+      return this.expect(act);
+    }
+    this.tell(this.stopping === "owed" ? "NOT SENT: the server is lost. swarm estop needs none; the stop goes out when it is back" : "not sent: the server is lost", true);
   }
 
   // By what of a robot it can be seen that an act has come to something.
@@ -122,10 +126,11 @@ export class Controls {
 
   drawStop(silent) {
     const { stopped, names } = this.store, state = this.state(stopped.length, silent), counts = state.startsWith("STOPPED");
-    const open = counts ? names.filter((name) => !stopped.includes(name)).map((name) => (this.store.away(name) ? `${name} (gone)` : name)) : [];
-    const [button, missing] = this.stop.children, said = open.length ? `${state}, not confirmed by ${open.join(" ")}` : state;
+    const open = counts ? names.filter((name) => !stopped.includes(name)) : [], more = open.length - NAMED;
+    const all = open.map((name) => (this.store.away(name) ? `${name} (gone)` : name)).join(" "), said = all ? `${state}, not confirmed by ${all}` : state;
+    const [button, missing] = this.stop.children;
     write(button, state);
-    write(missing, open.length ? `not ${some(open)}` : "");
+    write(missing, open.length ? `not ${open.slice(0, NAMED).join(" ")}${more > 0 ? ` +${more}` : ""}` : "");
     if (this.stop.ariaLabel !== `${said}: stop all robots`) this.stop.ariaLabel = this.stop.title = `${said}: stop all robots`;
     write(this.speaker, state === "STOP" ? "" : said);
   }

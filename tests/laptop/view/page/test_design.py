@@ -244,6 +244,14 @@ def test_of_a_robot_that_is_gone_the_table_says_so_in_place_of_its_last_mode(wai
     expect(row(waiting, "r2")).to_contain_text("balancing")
 
 
+def test_a_robot_that_is_gone_holds_others_up_and_is_none_of_those_that_wait(waiting: Any) -> None:
+    held = waiting.locator("[data-answer=held]")
+    expect(held.locator("small")).to_contain_text("all 6 wait", timeout=PATIENCE_MS)
+    waiting.evaluate("swarmView.store.gone = (name) => name === 'r3'")
+    expect(held.locator("b")).to_have_text("r3 (gone)", timeout=PATIENCE_MS)
+    expect(held.locator("small")).to_have_text("all 5 wait")
+
+
 def test_robots_of_a_swarm_that_is_spread_far_are_whole_at_the_edges_of_the_map(waiting: Any) -> None:
     places = "new Map([['r0', {x: 0, y: 0}], ['r1', {x: 200, y: 200}]])"
     left, bottom = waiting.evaluate(

@@ -156,6 +156,8 @@ def test_a_message_is_a_dot_on_its_way_and_many_are_none(page: Any) -> None:
     }}"""
     assert page.evaluate(flash, 1.0)["#3c4350"] > 10
     assert "#3c4350" not in page.evaluate(flash, 99.0)
+    page.emulate_media(color_scheme="light", reduced_motion="reduce")
+    assert "#3c4350" not in page.evaluate(flash, 1.0), "somebody wants no motion"
 
 
 def test_what_is_no_number_harms_nothing(page: Any) -> None:
