@@ -20,20 +20,17 @@ def is_number(value: object) -> TypeGuard[float]:
 def json_value(value: object, longest: int | None = None, depth: int = 0) -> object:
     """Convert a value for `json.dumps`: bytes to hex (of the first `longest` ones), NaN and infinity to text.
     Nesting is limited in depth."""
-    kind = type(value)
-    if kind is str or kind is int:  # most values are one of these or a float: this is called for each of a message
+    if isinstance(value, float):
+        return value if math.isfinite(value) else str(value)
+    if value is None or isinstance(value, str | int):
         return value
-    if kind is float:
-        return value if math.isfinite(value) else str(value)  # type: ignore[arg-type]
     if isinstance(value, dict):
         return {str(name): json_value(item, longest, depth + 1) for name, item in cut(value, depth)}
     if isinstance(value, list | tuple):
         return [json_value(item, longest, depth + 1) for _, item in cut(value, depth)]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else str(value)
     if isinstance(value, bytes):
         return value[:longest].hex()
-    return value if value is None or isinstance(value, bool | int | str) else str(value)
+    return str(value)
 
 
 def cut(value: dict[object, object] | list[object] | tuple[object, ...], depth: int) -> list[tuple[object, object]]:
