@@ -27,11 +27,12 @@ if TYPE_CHECKING:
     from swarm.bus.zenoh_bus import Bus
 
 with contextlib.suppress(ImportError):  # a machine of the lab has none
-    from hypothesis import is_hypothesis_test, settings
+    from hypothesis import HealthCheck, is_hypothesis_test, settings
 
     # A property is about values; how long an example takes is the machine's matter (a busy one made good tests fail).
-    settings.register_profile("suite", deadline=None, max_examples=20)
-    settings.register_profile("thorough", deadline=None)
+    untimed = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    settings.register_profile("suite", untimed, max_examples=20)
+    settings.register_profile("thorough", untimed)
     settings.load_profile("suite")
 
 try:

@@ -1,6 +1,5 @@
 """A recorded run as a page shows it, at any instant."""
 
-import json
 import math
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
@@ -13,7 +12,7 @@ from laptop.view.series import dig
 from swarm.errors import LocalError, RecordingError, SwarmError
 from swarm.messages.json_values import json_value
 from swarm.messages.keys import parse as parse_key
-from swarm.recording.core import foxglove
+from swarm.recording.core import foxglove, json_text
 from swarm.recording.folder import config_in
 from swarm.recording.run import Run
 
@@ -168,6 +167,6 @@ class ViewedRecording:
     def _decoded(self, data: bytes) -> object:
         """Return a message for those who look for numbers in it, in a third of the time."""
         try:
-            return json.loads(data.decode("utf-8", "surrogatepass"))
+            return json_text.decode_lists(data)
         except (ValueError, RecursionError) as error:
             raise RecordingError(f"{self.path}: a message is not JSON: {error}") from None

@@ -19,6 +19,7 @@ from swarm.config import Config, parse
 from swarm.config.toml_input import read_toml
 from swarm.errors import LocalError, PayloadError, RecordingError, SwarmError
 from swarm.files import atomic_write, make_folder
+from swarm.messages.json_input import read_json
 from swarm.process.locks import folder_lock
 from swarm.process.paths import state_dir
 
@@ -83,8 +84,8 @@ def read_outcome(folder: Path) -> dict[str, str]:
     """Return what `keep_outcome` wrote; empty where the file is missing. Raises `RecordingError`."""
     path = folder / OUTCOME_FILE
     try:
-        found = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-    except (OSError, ValueError) as error:
+        found = read_json(path.read_bytes()) if path.is_file() else {}
+    except (OSError, PayloadError) as error:
         raise RecordingError(f"{path}: {error}") from None
     if not isinstance(found, dict) or not all(isinstance(value, str) for value in found.values()):
         raise RecordingError(f"{path}: expected an object of texts")

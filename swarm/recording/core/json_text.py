@@ -38,9 +38,13 @@ def encode(message: object) -> bytes:
 
 def decode(data: bytes) -> Any:
     """Decode what `encode` was given, in plain types: lists are tuples."""
-    text = data.decode("utf-8", "surrogatepass")
-    found = json.loads(text)
-    return _tupled(found) if "[" in text else found
+    found = decode_lists(data)
+    return _tupled(found) if b"[" in data else found
+
+
+def decode_lists(data: bytes) -> Any:
+    """Decode what `encode` was given, in JSON's types."""
+    return json.loads(data.decode("utf-8", "surrogatepass"))
 
 
 def schema(message: object, name: str) -> bytes:
