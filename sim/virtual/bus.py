@@ -20,11 +20,13 @@ from swarm.messages.keys import MAX_KEY_LENGTH
 class _Subscription(NamedTuple):
     expression: str
     stem: str
-    """The chunks before its first wildcard."""
+    """The chunks before its first wildcard. Most keys do not begin with them."""
     session: "VirtualBus"
     callback: OnSample
 
     def takes(self, key: str) -> bool:
+        if not key.startswith(self.stem):
+            return False
         return matches(self.expression, key) if len(self.stem) < len(self.expression) else key == self.stem
 
 
@@ -168,8 +170,7 @@ class VirtualBus:
             found = self.targets[key] = tuple(
                 each.callback
                 for each in self._router.subscriptions
-                # Most keys do not begin with the stem of a subscription.
-                if key.startswith(each.stem) and each.takes(key) and each.session is not self and not self._closed
+                if each.session is not self and each.takes(key) and not self._closed
             )
         return found
 

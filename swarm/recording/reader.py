@@ -123,14 +123,14 @@ class RecordingReader:
                     continue
                 content = file.read(min(length, size - start))
                 try:
-                    for number, log_time, data in self._messages(opcode, content, torn=torn):
-                        if number not in chosen:
-                            if (channel := self.channels.get(number)) is None:
-                                self._name(start, f"a message of channel {number}, which is not described")
-                                continue
-                            chosen[number] = channel.topic if wanted(channel.topic) else None
-                        if (topic := chosen[number]) is not None:
-                            yield RecordedSample(topic, (log_time - self._epoch_ns) / 1e9, data)
+                    for message in self._messages(opcode, content, torn=torn):
+                        if (channel := self.channels.get(message.channel)) is None:
+                            self._name(start, f"a message of channel {message.channel}, which is not described")
+                            continue
+                        if message.channel not in chosen:
+                            chosen[message.channel] = channel.topic if wanted(channel.topic) else None
+                        if (topic := chosen[message.channel]) is not None:
+                            yield RecordedSample(topic, (message.log_time - self._epoch_ns) / 1e9, message.data)
                 except RecordingError as error:
                     if not torn:
                         self._name(start, str(error))
@@ -139,20 +139,22 @@ class RecordingReader:
                     return
                 self._at = after
 
-    def _messages(self, opcode: int, content: bytes, *, torn: bool) -> Iterable[tuple[int, int, bytes]]:
-        """Return channel, log time and data of a record's messages; what else it says is noted."""
-        if opcode == mcap.MESSAGE:
-            message = mcap.read_message(content)
-            return [(message.channel, message.log_time, message.data)]
+    def _messages(self, opcode: int, content: bytes, *, torn: bool) -> Iterator[mcap.McapMessage]:
+        """Yield the messages of a record, and note what else it says."""
         if opcode != mcap.CHUNK:
-            self._note(opcode, content)
-            return ()
-        chunk = mcap.read_chunk(content)
-        if chunk.compression:
-            raise RecordingError(f"a chunk is compressed with {chunk.compression!r}, which is not read here")
-        if not torn and chunk.crc and crc32(chunk.records) != chunk.crc:
-            raise RecordingError(f"the checksum of a chunk of {len(chunk.records)} bytes is wrong")
-        return mcap.messages(chunk.records, self._note)
+            records: Iterable[tuple[int, int, bytes | memoryview]] = ((0, opcode, content),)
+        else:
+            chunk = mcap.read_chunk(content)
+            if chunk.compression:
+                raise RecordingError(f"a chunk is compressed with {chunk.compression!r}, which is not read here")
+            if not torn and chunk.crc and crc32(chunk.records) != chunk.crc:
+                raise RecordingError(f"the checksum of a chunk of {len(chunk.records)} bytes is wrong")
+            records = mcap.whole_records(chunk.records)
+        for _, inner, record in records:
+            if inner == mcap.MESSAGE:
+                yield mcap.read_message(record)
+            else:
+                self._note(inner, record)
 
     def _note(self, opcode: int, content: bytes | memoryview) -> None:
         """Note what a record says that is neither a message nor a chunk; chunks hold no chunks."""

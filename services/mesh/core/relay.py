@@ -8,7 +8,6 @@ unicast rules that name them: then, and only then, a key of another robot leaves
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
-from itertools import zip_longest
 from typing import NamedTuple
 
 from services.mesh.core.wire.frames import FLOOD, NEIGHBOURS, PRIORITIES, UNICAST
@@ -36,17 +35,19 @@ def matches(expression: str, key: str) -> bool:
 
 
 def _match(expression: Sequence[str], chunks: Sequence[str]) -> dict[str, str] | None:
-    names: dict[str, str] = {}
-    for at, (first, chunk) in enumerate(zip_longest(expression, chunks)):
-        if first == "**":
-            # As many chunks as can be, as a regular expression has it.
-            tries = (_match(expression[at + 1 :], chunks[place:]) for place in range(len(chunks), at - 1, -1))
-            return next((found | names for found in tries if found is not None), None)
-        if first in ("{self}", "{peer}") and chunk is not None:
-            names.setdefault(first[1:-1], chunk)
-        elif first != chunk and (first != "*" or chunk is None):
-            return None
-    return names
+    if not expression:
+        return None if chunks else {}
+    first, rest = expression[0], expression[1:]
+    if first == "**":
+        # As many chunks as can be, as a regular expression has it.
+        tries = (_match(rest, chunks[count:]) for count in range(len(chunks), -1, -1))
+        return next((found for found in tries if found is not None), None)
+    if not chunks or first not in ("*", "{self}", "{peer}", chunks[0]):
+        return None
+    found = _match(rest, chunks[1:])
+    if found is not None and first in ("{self}", "{peer}"):
+        found[first[1:-1]] = chunks[0]
+    return found
 
 
 def instantiate(expression: str, me: str, peer: str) -> str:

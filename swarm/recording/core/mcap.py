@@ -7,7 +7,7 @@ and followed by an index of each of its channels. Schemas, channels and metadata
 """
 
 import struct
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 from zlib import crc32
 
@@ -243,26 +243,6 @@ def read_message(content: bytes | memoryview) -> McapMessage:
         raise RecordingError("a message is too short")
     channel, sequence, log_time, _ = _MESSAGE.unpack_from(content)
     return McapMessage(channel, sequence, log_time, bytes(content[_MESSAGE.size :]))
-
-
-def messages(records: bytes | memoryview, other: Callable[[int, memoryview], None]) -> Iterator[tuple[int, int, bytes]]:
-    """Yield channel, log time (ns) and data of each message that is wholly in the records of a chunk. Each other record
-    is handed to `other(opcode, content)`."""
-    view = memoryview(records)
-    after = 0
-    while after + HEAD.size <= len(view):
-        opcode, length = HEAD.unpack_from(view, after)
-        start = after + HEAD.size
-        after = start + length
-        if opcode == NOTHING or after > len(view):
-            return
-        if opcode != MESSAGE:
-            other(opcode, view[start:after])
-        elif length < _MESSAGE.size:
-            raise RecordingError("a message is too short")
-        else:
-            channel, _, log_time, _ = _MESSAGE.unpack_from(view, start)
-            yield channel, log_time, bytes(view[start + _MESSAGE.size : after])
 
 
 def read_metadata(content: bytes | memoryview) -> tuple[str, dict[str, str]]:
