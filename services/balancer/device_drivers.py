@@ -43,7 +43,7 @@ class Imu:
         imu.check_setup(self._fetch(imu.CTRL1_XL, len(imu.SETUP)))
 
     def read(self) -> imu.ImuReading:
-        """Read one sample of both sensors, in one burst. Raises OSError, or `RemoteError` for one that is none."""
+        """Read one sample of both sensors, in one burst. Raises OSError, or `RemoteError` where a sensor is frozen."""
         try:
             block = self._read()
         except OSError as error:

@@ -41,7 +41,10 @@ const directed = wanted.has("directed"); // by a program that takes pictures: th
 let socket = null, heard = -Infinity, selected = null, first = true, looks = 0, tries = 0, retry = null, next = 0;
 
 const ask = (question) => {
-  if (socket?.readyState === WebSocket.OPEN) return socket.send(JSON.stringify(question)), true;
+  if (socket?.readyState === WebSocket.OPEN) {
+    socket.send(JSON.stringify(question));
+    return true;
+  }
   if (question.do?.act === "stop" && socket?.readyState === WebSocket.CLOSED) connect(); // it does not wait for the next try
   return false;
 };

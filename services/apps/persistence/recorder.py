@@ -4,11 +4,12 @@ from collections.abc import Mapping
 from typing import Protocol
 
 from services.apps.host.observer import Source, StepRecord
+from swarm.app.sync_app import BaseApp
 from swarm.core.state import shape_text
 from swarm.messages import AppEpoch, AppLog, AppParameters, AppProgress, Measurement
 from swarm.messages.codec import Value
 from swarm.messages.keys import key
-from swarm.recording.reader import SHAPES
+from swarm.recording.reader import MEMBERS, PLOTTED, SHAPES
 
 
 class Sink(Protocol):
@@ -22,6 +23,17 @@ class Sink(Protocol):
 
     def flush(self) -> None:
         """Put into the file what was written so far."""
+
+
+def describe_fields(sink: Sink, app: str, kind: type[BaseApp]) -> None:
+    """Note what a reader has to know of the fields of an app's class, and what its author wants to be drawn."""
+    schema = kind.spec.schema
+    if schema.shapes:
+        sink.metadata(SHAPES, schema.shapes)
+    if schema.members:
+        sink.metadata(MEMBERS, {f"{app}.{name}": text for name, text in schema.members.items()})
+    if kind.plotted:
+        sink.metadata(PLOTTED, {app: " ".join(kind.plotted)})
 
 
 class Recorder:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from services.apps import loader
-from services.apps.persistence.recorder import Recorder
+from services.apps.persistence.recorder import Recorder, describe_fields
 from swarm import clock
 from swarm.app.settings import Setting
 from swarm.config.dump import dump
@@ -15,7 +15,7 @@ from swarm.process.service import Service
 from swarm.recording import folder
 from swarm.recording.budget import Budget
 from swarm.recording.file import UNRECORDED, RecordingFile, set_aside
-from swarm.recording.reader import CLOCK, EPOCH, MEMBERS, PLOTTED, RUN, SHAPES, SUFFIX, run_of
+from swarm.recording.reader import CLOCK, EPOCH, RUN, SUFFIX, run_of
 from swarm.recording.recorded_topics import TopicRecorder
 
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
@@ -61,13 +61,7 @@ class AppRecording:
         epoch_ns = self._file.epoch_ns
         own = {"robot": service.robot, EPOCH: str(epoch_ns), CLOCK: _clock(service.robot, epoch_ns)}
         self._file.metadata(RUN, entries | own)
-        kind = app.kind_on(service.config, service.robot)
-        if shapes := kind.spec.schema.shapes:
-            self._file.metadata(SHAPES, shapes)
-        if members := kind.spec.schema.members:
-            self._file.metadata(MEMBERS, {f"{app.name}.{name}": text for name, text in members.items()})
-        if kind.plotted:
-            self._file.metadata(PLOTTED, {app.name: " ".join(kind.plotted)})
+        describe_fields(self._file, app.name, app.kind_on(service.config, service.robot))
         self._file.flush()  # whatever comes now: the next process finds which run this is of
         self.recorder = Recorder(self._file, service.robot, app.name)
         self.watch = TopicRecorder(service.bus, service.robot, app.name, self._file, clock.now)

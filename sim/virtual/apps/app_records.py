@@ -6,14 +6,14 @@ from pathlib import Path
 
 from services.apps import loader
 from services.apps.host.observer import Source, StepRecord
-from services.apps.persistence.recorder import Recorder
+from services.apps.persistence.recorder import Recorder, describe_fields
 from sim.virtual.apps.trajectory_builder import TrajectoryBuilder
 from sim.virtual.bus import VirtualBus
 from sim.virtual.events import LocalTime
 from sim.virtual.world import VirtualWorld
 from swarm.messages import AppEpoch, AppParameters
 from swarm.recording import folder
-from swarm.recording.reader import MEMBERS, OUTCOME, PLOTTED, SHAPES, SUFFIX, WORLD_CLOCK
+from swarm.recording.reader import OUTCOME, SUFFIX, WORLD_CLOCK
 from swarm.recording.recorded_topics import TopicRecorder
 from swarm.recording.trajectory import Trajectory
 from swarm.recording.virtual_file import DirectRecording
@@ -45,15 +45,8 @@ class AppRecords:
             self._files = [DirectRecording(place / f"{app.name}{SUFFIX}", run)]
             files = dict.fromkeys(world.robots, self._files[0])
         kind = app.kind_on(world.config, world.config.names[0])
-        if shapes := kind.spec.schema.shapes:
-            for file in self._files:
-                file.metadata(SHAPES, shapes)
-        if members := kind.spec.schema.members:
-            for file in self._files:
-                file.metadata(MEMBERS, {f"{app.name}.{name}": text for name, text in members.items()})
-        if kind.plotted:
-            for file in self._files:
-                file.metadata(PLOTTED, {app.name: " ".join(kind.plotted)})
+        for file in self._files:
+            describe_fields(file, app.name, kind)
         self._recorders = {name: Recorder(files[name], name, app.name) for name in world.robots}
         for name, recorder in self._recorders.items():
             world.hearers.setdefault((name, app.name), []).append(recorder.said)

@@ -163,30 +163,33 @@ def test_the_stop_button_tells_what_holds_now_also_while_the_page_looks_back_and
     assert problems == []
 
 
-def test_a_stop_that_no_robot_has_confirmed_when_the_server_goes_is_sent_again(
-    feed: SimulationFeed, port: int, page: tuple[Any, list[str]]
+def tell(feed: SimulationFeed, stopped: bool, *names: str) -> None:
+    """Let robots say whether they are stopped."""
+    with feed.lock:
+        for name in names:
+            feed.picture.put(name, "mesh/stopped", {"stopped": stopped}, feed.now())
+
+
+@pytest.mark.parametrize(("confirmed", "said"), [((), "STOPPING 0/3"), (("r0",), "STOPPED 1/3")])
+def test_a_stop_that_not_all_robots_have_confirmed_when_the_server_goes_is_sent_again(
+    confirmed: tuple[str, ...], said: str, feed: SimulationFeed, port: int, page: tuple[Any, list[str]]
 ) -> None:
     shown, problems = page
     first = Server(feed, port)
     shown.goto(first.address)
     shown.locator("#stop").click(timeout=PATIENCE_MS)
     expect(shown.locator("#stop")).to_have_text("STOPPING 0/3", timeout=PATIENCE_MS)
+    tell(feed, True, *confirmed)
+    expect(shown.locator("#stop b")).to_have_text(said, timeout=PATIENCE_MS)
     first.close()
     expect(shown.locator("#stop")).to_have_text("STOP NOT CONFIRMED", timeout=PATIENCE_MS)
-    given = stops(feed)
+    late, given = len(confirmed), stops(feed)  # who has confirmed is not told again
     second = Server(feed, port)
     try:
-        wait_until(lambda: all(now > before for now, before in zip(stops(feed), given, strict=True)))
+        wait_until(lambda: all(now > before for now, before in zip(stops(feed)[late:], given[late:], strict=True)))
     finally:
         second.close()
     assert problems == []
-
-
-def tell(feed: SimulationFeed, stopped: bool, *names: str) -> None:
-    """Let robots say whether they are stopped."""
-    with feed.lock:
-        for name in names:
-            feed.picture.put(name, "mesh/stopped", {"stopped": stopped}, feed.now())
 
 
 def test_the_stop_button_counts_those_alone_that_are_known_to_be_stopped_and_names_the_others(
@@ -217,27 +220,6 @@ def test_the_stop_button_counts_those_alone_that_are_known_to_be_stopped_and_nam
     expect(stop).to_have_accessible_name(name, timeout=PATIENCE_MS)
     tell(feed, True, "r2")
     expect(stop).to_have_text("STOPPED 3/3", timeout=PATIENCE_MS)
-
-
-def test_a_stop_that_not_all_robots_have_confirmed_when_the_server_goes_is_sent_again(
-    feed: SimulationFeed, port: int, page: tuple[Any, list[str]]
-) -> None:
-    shown, problems = page
-    first = Server(feed, port)
-    shown.goto(first.address)
-    shown.locator("#stop").click(timeout=PATIENCE_MS)
-    expect(shown.locator("#stop")).to_have_text("STOPPING 0/3", timeout=PATIENCE_MS)
-    tell(feed, True, "r0")
-    expect(shown.locator("#stop b")).to_have_text("STOPPED 1/3", timeout=PATIENCE_MS)
-    first.close()
-    expect(shown.locator("#stop")).to_have_text("STOP NOT CONFIRMED", timeout=PATIENCE_MS)
-    given = stops(feed)
-    second = Server(feed, port)
-    try:
-        wait_until(lambda: all(now > before for now, before in zip(stops(feed)[1:], given[1:], strict=True)))
-    finally:
-        second.close()
-    assert problems == []
 
 
 def test_a_stop_that_the_server_refuses_is_shown_as_not_sent_and_goes_out_when_a_robot_is_there_again(
