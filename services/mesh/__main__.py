@@ -62,8 +62,8 @@ def main() -> None:
         sockets = Sockets(runtime, network.listeners, network.dial)
         start_number = incarnation()
         view_sender = ViewSender(this.robot, len(this.config.names), this.runtime)
-        stops = FileWriter("stops", stops_file.save, state_dir())
-        topology = FileWriter("the topology", topology_file.save, state_dir())
+        stops = FileWriter("stops", state_dir() / stops_file.NAME)
+        topology = FileWriter("the topology", state_dir() / topology_file.NAME)
         mesh = Mesh(
             this.config,
             local,

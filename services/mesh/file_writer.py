@@ -4,10 +4,10 @@ An SD card may take seconds for it, and neighbours take a link for dead that is 
 """
 
 import threading
-from collections.abc import Callable
 from pathlib import Path
 
 from services.mesh.links.pipe import describe
+from swarm.files import atomic_write, make_folder
 
 PAUSE_S = 1.0
 """Seconds after a write until the next one, so that news in a loop do not wear the card; or until one that has failed
@@ -16,16 +16,21 @@ _END_S = 1.0
 """Seconds that the last write has when the mesh ends, which systemd gives 5 s."""
 
 
+def save(path: Path, data: bytes) -> None:
+    """Write a file whole, in a folder that may be missing. Raises OSError."""
+    make_folder(path.parent)
+    atomic_write(path, data)
+
+
 class FileWriter:
     """Writes the newest content that it was given."""
 
-    def __init__(self, what: str, save: Callable[[Path, bytes], None], directory: Path) -> None:
-        """`what` names the content in `problem`. `save(directory, data)` writes the file, or raises OSError."""
+    def __init__(self, what: str, path: Path) -> None:
+        """`what` names the content in `problem`."""
         self.problem = ""
         """Why the newest content is not kept, in words; empty where it is, or is about to be."""
         self._what = what
-        self._save = save
-        self._directory = directory
+        self._path = path
         self._news = threading.Condition()
         self._data: bytes | None = None
         """The content that is not written yet."""
@@ -50,10 +55,10 @@ class FileWriter:
         while (data := self._next()) is not None:
             failed = None
             try:
-                self._save(self._directory, data)
+                save(self._path, data)
                 self.problem = ""
             except OSError as error:
-                self.problem = f"{self._what} cannot be kept through a restart: {self._directory}: {describe(error)}"
+                self.problem = f"{self._what} cannot be kept through a restart: {self._path.parent}: {describe(error)}"
                 failed = data
             self._pause(failed)
 

@@ -8,7 +8,6 @@ import logging
 from pathlib import Path
 
 from services.mesh.core.overlays.stop import Halt, Mark, from_file, without_greatest
-from swarm.files import atomic_write, make_folder
 from swarm.process import file_reader
 
 NAME = "mesh.stops"
@@ -27,9 +26,3 @@ def load(directory: Path, robot: str, incarnation: int) -> Halt | None:
     if path.exists():
         return Halt({robot: (first, "the stops that the mesh kept cannot be read")}, {})
     return None
-
-
-def save(directory: Path, data: bytes) -> None:
-    """Keep them; raises OSError."""
-    make_folder(directory)
-    atomic_write(directory / NAME, data)

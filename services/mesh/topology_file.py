@@ -7,7 +7,6 @@ import logging
 from pathlib import Path
 
 from services.mesh.core.routing.topology import Ground, TopologyVersion
-from swarm.files import atomic_write, make_folder
 from swarm.process import file_reader
 
 NAME = "topology"
@@ -26,9 +25,3 @@ def load(directory: Path, ground: Ground) -> TopologyVersion | None:
         return value
 
     return file_reader.read(path, parse, _log, "the configuration's topology holds until a neighbour knows better")
-
-
-def save(directory: Path, data: bytes) -> None:
-    """Keep it; raises OSError."""
-    make_folder(directory)
-    atomic_write(directory / NAME, data)

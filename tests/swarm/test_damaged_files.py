@@ -63,7 +63,7 @@ def read_links(place: Path) -> object:
 
 def write_topology(place: Path) -> None:
     ground = Ground(("r0", "r1"), (("r0", "r1"),), auto=False)
-    topology_file.save(place.parent, ground.to_file(ground.first))
+    file_writer.save(place, ground.to_file(ground.first))
 
 
 def read_topology(place: Path) -> object:
@@ -122,7 +122,7 @@ KEPT = [
     Kept("topology", write_topology, read_topology, None),
     Kept(
         stops_file.NAME,
-        lambda place: stops_file.save(place.parent, to_file(Halt({"r0": (Mark(5, 1), "smoke")}, {"r1": Mark(4, 1)}))),
+        lambda place: file_writer.save(place, to_file(Halt({"r0": (Mark(5, 1), "smoke")}, {"r1": Mark(4, 1)}))),
         read_stops,
         [("r0", Mark(7, 1))],  # a stop of this start: the file may have held one
     ),
@@ -271,7 +271,7 @@ def test_a_mesh_that_cannot_keep_a_stop_for_its_restart_says_so_until_there_is_r
     monkeypatch.setattr(file_writer, "PAUSE_S", 0.01)
     place = tmp_path / "mesh"
     place.write_text("a file where the folder is to be")
-    file = file_writer.FileWriter("stops", stops_file.save, place)
+    file = file_writer.FileWriter("stops", place / stops_file.NAME)
     file.keep(b"older")
     file.keep(b"data")
     wait_until(lambda: file.problem.startswith(f"stops cannot be kept through a restart: {place}: "))
@@ -283,7 +283,7 @@ def test_a_mesh_that_cannot_keep_a_stop_for_its_restart_says_so_until_there_is_r
 
 def test_the_content_given_last_before_the_end_is_in_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(file_writer, "_END_S", 60.0)
-    file = file_writer.FileWriter("stops", stops_file.save, tmp_path)
+    file = file_writer.FileWriter("stops", tmp_path / stops_file.NAME)
     for number in range(100):
         file.keep(b"%d" % number)
     file.close()
@@ -295,7 +295,8 @@ def test_news_in_a_loop_are_written_now_and_at_the_end(tmp_path: Path, monkeypat
     monkeypatch.setattr(file_writer, "_END_S", 60.0)
     monkeypatch.setattr(file_writer, "PAUSE_S", 60.0)
     written: list[bytes] = []
-    file = file_writer.FileWriter("stops", lambda place, data: written.append(data), tmp_path)
+    monkeypatch.setattr(file_writer, "save", lambda path, data: written.append(data))
+    file = file_writer.FileWriter("stops", tmp_path / stops_file.NAME)
     file.keep(b"first")
     wait_until(lambda: written == [b"first"])
     for number in range(100):

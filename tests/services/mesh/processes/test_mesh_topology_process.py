@@ -156,11 +156,11 @@ def test_robots_find_their_neighbours_and_mend_the_swarm(build: Build) -> None:
 
 DISK_HANGS = """
 import threading
-from services.mesh import __main__ as mesh, file_writer, topology_file
+from services.mesh import __main__ as mesh, file_writer
 from swarm.process import service
 
 file_writer._END_S = 0.1
-topology_file.save = lambda *_: threading.Event().wait()
+file_writer.save = lambda *_: threading.Event().wait()
 service.run(mesh.main)
 """
 
