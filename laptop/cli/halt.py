@@ -11,7 +11,6 @@ import os
 import re
 import sys
 import threading
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +19,7 @@ from typing import Any
 from laptop.fleet.ssh import everyone, robot_command
 from laptop.fleet.ssh.ssh import OWN_NAME, Host, HostError, Ssh, hosts, last_words
 from swarm import clock
+from swarm.clock import elapsed
 from swarm.config import find, load
 from swarm.config.load import HOST
 from swarm.errors import LocalError, PayloadError
@@ -206,11 +206,6 @@ def table(how: Mapping[str, str], answers: _Answers, *, stop: bool) -> list[str]
     summary = f"{what}: {len(how) - len(missing)} of {len(how)} robots"
     summary += f"; NOT CONFIRMED: {' '.join(missing)}" if missing else ""
     return [*columns(lines), "", summary, *([] if stop else [halt.NEXT])]
-
-
-def elapsed() -> float:
-    """Return seconds of a clock that goes on while the laptop sleeps, which its monotonic clock does not on Linux."""
-    return time.clock_gettime(getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC))
 
 
 def command(

@@ -5,11 +5,11 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
-from laptop.cli.halt import elapsed
 from laptop.view.actions.robot_actions import PageAction, RobotActions, check_parameter, named, settings_of
 from laptop.view.feeds.feed import LiveFeed, RobotBus
 from swarm import clock
 from swarm.app.settings import on_top
+from swarm.clock import elapsed
 from swarm.config.types import AppConfig
 from swarm.errors import LocalError
 from swarm.messages import Arm, SetAppParameters, SetMode, SetVelocity, Stop

@@ -149,11 +149,11 @@ def test_the_end_of_a_stop_is_not_repeated_after_a_sleep_of_the_laptop(
     feed: SimulationFeed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its monotonic clock stands still meanwhile, and others may have given stops."""
-    monkeypatch.setattr("laptop.cli.halt.time.clock_gettime", lambda _: 100.0)
+    monkeypatch.setattr("swarm.clock.time.clock_gettime", lambda _: 100.0)
     control = Control(feed, SimulatedActions(feed))
     control.do({"act": "arm"})
     given = arms(feed)
-    monkeypatch.setattr("laptop.cli.halt.time.clock_gettime", lambda _: 700.0)
+    monkeypatch.setattr("swarm.clock.time.clock_gettime", lambda _: 700.0)
     control.repeat()
     assert arms(feed) == given
 
