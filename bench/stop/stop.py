@@ -85,7 +85,7 @@ def _by_hops(robots: RobotsOnALine, *, newer: bool) -> float:
 
 def _by_ssh(robots: RobotsOnALine, *, newer: bool) -> None:
     robots.program("bench.stop.estop" if newer else "laptop.cli")
-    halt_ssh.command((robots.host,), robots.ssh, stop=True, reason="bench", began=halt_ssh.elapsed())
+    halt_ssh.command((robots.host,), robots.ssh, stop=True, reason="bench", began=clock.elapsed())
 
 
 def _by_app(robots: RobotsOnALine, *, newer: bool) -> float:
